@@ -23,8 +23,8 @@
  *   row: Float64Array, direct: number}} Filter
  * @typedef {{stiffness: number, damping: number, period: number, motion: string}} Units
  * @typedef {{n: number, A: Float64Array, B: Float64Array, C: Float64Array, gamma: number, delta: number, lag: number,
- *   near: number, atLoad: boolean, mechanical: number, whole: number, fraction: number, delay: number, Phi: Float64Array,
- *   older: Float64Array | null, newer: Float64Array, bottom: Float64Array, topOld: Float64Array | null,
+ *   near: number, atLoad: boolean, mechanical: number, whole: number, fraction: number, delay: number, q: number,
+ *   step: Float64Array, bottom: Float64Array, topOld: Float64Array | null,
  *   topNew: Float64Array, filter: Filter, units: Units, file: DeviceFile, pieces?: any, curve?: Curve}} Sampled
  * @typedef {{t0: number, t1: number, b0: number, b1: number, a0: number, a1: number, turn: number, edge: boolean}} Cell
  * @typedef {{value: number, slope: number, bend: number, bendSlope: number, turn: number}} Line
@@ -41,6 +41,10 @@ const LONGEST = 1 << 22;
 const QUIET = 1e-13;
 /** Motion below which nothing is added to energies. */
 const FADED = 1e-9;
+/** Samples after which it is first looked whether the slowest pole, with its pair, is all that moves. */
+const FIRST_LOOK = 512;
+/** Logarithm of the size, over that of the slowest, to which all other modes have faded then. */
+const GONE = -69;
 /** Distance of the spectral radius from 1 below which costs would be rounding errors. */
 const MARGINAL = 1e-12;
 
@@ -157,23 +161,24 @@ function stateSpace(mode, { own, b, mass, T, gamma, delta, lag }) {
 }
 
 /**
- * Return a loop with its motion over a sample: transition, gains of the older and the newer force, transfer function.
+ * Return a loop with its motion over a sample: a step from its state and the forces that act (with a fraction of a sample
+ * of delay the older, then the newer one) to the next state, and the transfer function of each force.
  * @param {any} loop @returns {Sampled}
  */
 function sampledDevice(loop) {
-  const { n, A, B, fraction } = loop;
-  const E = moved(A, B, n, 1).change, later = moved(A, B, n, 1 - fraction);
-  let older = null;
-  if (fraction > 0) {
-    const first = moved(A, B, n, fraction).gain;
-    older = first.map((value, i) => value + sum(n, (j) => later.change[i * n + j] * first[j]));
+  const { n, A, B, fraction } = loop, q = n + (fraction > 0 ? 2 : 1), step = new Float64Array(n * q);
+  const E = moved(A, B, n, 1).change, later = moved(A, B, n, 1 - fraction), first = moved(A, B, n, fraction).gain;
+  const older = fraction > 0 ? first.map((value, i) => value + sum(n, (j) => later.change[i * n + j] * first[j])) : null;
+  for (let i = 0; i < n; i++) {
+    step.set(E.subarray(i * n, i * n + n), i * q), step[i * q + i] += 1;
+    if (older) step[i * q + n] = older[i];
+    step[i * q + q - 1] = later.gain[i];
   }
-  const Phi = E.map((value, i) => value + (i % (n + 1) ? 0 : 1));
   const { bottom, adjugates, scale } = resolvent(E, n);
   if (!loop.gamma) bottom[0] = 0;
   const top = (gain) => Float64Array.from(adjugates, (M) =>
     sum(n, (i) => loop.C[i] * scale[i] * sum(n, (j) => M[i * n + j] * gain[j] / scale[j])));
-  return { ...loop, Phi, older, newer: later.gain, bottom, topOld: older && top(older), topNew: top(later.gain) };
+  return { ...loop, q, step, bottom, topOld: older && top(older), topNew: top(later.gain) };
 }
 
 /** @param {number} n @param {(i: number) => number} term @returns {number} */
@@ -183,13 +188,16 @@ function sum(n, term) {
   return total;
 }
 
-/** @param {Float64Array} X @param {Float64Array} Y @param {number} n @returns {Float64Array} X Y of size n */
-function product(X, Y, n) {
-  const result = new Float64Array(n * n);
+/**
+ * Return the product of matrices of n rows and n columns, or of n rows, so many between, and so many columns.
+ * @param {Float64Array} X @param {Float64Array} Y @param {number} n @param {number} [between] @param {number} [columns]
+ */
+function product(X, Y, n, between = n, columns = n) {
+  const result = new Float64Array(n * columns);
   for (let i = 0; i < n; i++) {
-    for (let k = 0; k < n; k++) {
-      const x = X[i * n + k];
-      if (x) for (let j = 0; j < n; j++) result[i * n + j] += x * Y[k * n + j];
+    for (let k = 0; k < between; k++) {
+      const x = X[i * between + k];
+      if (x) for (let j = 0; j < columns; j++) result[i * columns + j] += x * Y[k * columns + j];
     }
   }
   return result;
@@ -862,29 +870,44 @@ export function eigenvalues(matrix, n) {
 }
 
 /**
- * Return the poles of a wall, alpha and beta: device, last position, filter, delayed forces (3.18).
+ * Return the motion of device and wall by samples (3.18), and the step's state at its first sample as deviation from the
+ * final position over the displacement. A state has the device's, its last position, the filter's, and the delayed
+ * forces, newest first. `move` replaces a state by the next and sets what acted: `g`, the device's state and forces,
+ * `place`, the distance `way` from the last position, and `force`, the new command.
  * @param {Sampled} loop @param {number} alpha @param {number} beta
  */
+function motion(loop, alpha, beta) {
+  const { n, q, C, step, filter: f, whole } = loop, own = n + 1 + f.order, size = own + whole + (loop.topOld ? 1 : 0);
+  const start = new Float64Array(size).fill(alpha, own), moved = new Float64Array(f.order);
+  start[0] = start[n] = -1;
+  if (loop.mechanical < n) start[n - 1] = -loop.gamma;
+  const wall = { size, start, g: new Float64Array(q), place: 0, way: 0, force: 0, move: (/** @type {Float64Array} */ x) => {
+    let place = 0;
+    for (let i = 0; i < n; i++) place += C[i] * x[i], wall.g[i] = x[i];
+    const way = place - x[n];
+    let velocity = f.direct * way;
+    for (let i = 0; i < f.order; i++) {
+      velocity += f.row[i] * x[n + 1 + i], moved[i] = f.gain[i] * way;
+      for (let j = 0; j < f.order; j++) moved[i] += f.step[i * f.order + j] * x[n + 1 + j];
+    }
+    wall.place = place, wall.way = way, wall.force = -(alpha * place + beta * velocity);
+    if (loop.topOld) wall.g[n] = x[own + whole];
+    wall.g[q - 1] = whole ? x[own + whole - 1] : wall.force;
+    for (let i = 0; i < n; i++) x[i] = along(step, i, wall.g);
+    x[n] = place, x.set(moved, n + 1);
+    if (size > own) x.copyWithin(own + 1, own, size - 1), x[own] = wall.force;
+  } };
+  return wall;
+}
+
+/** @param {Sampled} loop @param {number} alpha @param {number} beta @returns {[Float64Array, Float64Array]} poles of a wall */
 function normalisedPoles(loop, alpha, beta) {
-  const { n: p, C, filter: f, Phi } = loop, own = p + 1 + f.order, oldest = loop.whole + (loop.older ? 1 : 0);
-  const n = own + oldest, M = new Float64Array(n * n), law = new Float64Array(n);
-  for (let i = 0; i < p; i++) law[i] = -(alpha + beta * f.direct) * C[i];
-  law[p] = beta * f.direct;
-  for (let i = 0; i < f.order; i++) law[p + 1 + i] = -beta * f.row[i];
-  for (let i = 0; i < p; i++) {
-    for (let j = 0; j < p; j++) M[i * n + j] = Phi[i * p + j];
-    if (loop.older) M[i * n + own + loop.whole] = loop.older[i];
-    if (loop.whole) M[i * n + own + loop.whole - 1] += loop.newer[i];
-    else for (let j = 0; j < n; j++) M[i * n + j] += loop.newer[i] * law[j];
-    M[p * n + i] = C[i];
-    for (let j = 0; j < f.order; j++) M[(p + 1 + j) * n + i] = f.gain[j] * C[i];
+  const { size: n, move } = motion(loop, alpha, beta), M = new Float64Array(n * n);
+  for (let j = 0; j < n; j++) {
+    const x = new Float64Array(n);
+    x[j] = 1, move(x);
+    for (let i = 0; i < n; i++) M[i * n + j] = x[i];
   }
-  for (let i = 0; i < f.order; i++) {
-    M[(p + 1 + i) * n + p] = -f.gain[i];
-    for (let j = 0; j < f.order; j++) M[(p + 1 + i) * n + p + 1 + j] = f.step[i * f.order + j];
-  }
-  for (let j = 0; oldest && j < n; j++) M[own * n + j] = law[j];
-  for (let i = 1; i < oldest; i++) M[(own + i) * n + own + i - 1] = 1;
   return eigenvalues(M, n);
 }
 
@@ -937,7 +960,7 @@ function needed(c, i, a, b) {
  * @param {Sampled} loop @returns {(alpha: number, beta: number) => number}
  */
 function requirement(loop) {
-  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), turns = PASSIVE_PER_TURN * (loop.whole + (loop.older ? 3 : 2)), angles = [];
+  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), turns = PASSIVE_PER_TURN * (loop.whole + (loop.topOld ? 3 : 2)), angles = [];
   for (let t = low; t < Math.PI; t += Math.min(0.25 * t, Math.PI / turns)) angles.push(t);
   angles.push(Math.PI);
   const count = angles.length, table = new Float64Array(5 * count), c = new Float64Array(10), heights = new Float64Array(count);
@@ -1020,9 +1043,12 @@ function gauss(n) {
  */
 function pieces(loop) {
   if (loop.pieces) return loop.pieces;
-  const { n, A, B, C } = loop, forces = loop.older ? 2 : 1, q = n + forces, w = n + 1, [re, im] = eigenvalues(A, n);
+  const { n, q, A, B, C } = loop, w = n + 1, [re, im] = eigenvalues(A, n);
   const M = new Float64Array(w * w), parts = [], rule = gauss(GAUSS);
   for (let i = 0; i < n; i++) M.set(A.subarray(i * n, i * n + n), i * w), M[i * w + n] = B[i];
+  const rows = new Float64Array((DEGREE + 1) * w);  // of the position's derivatives over k!
+  rows.set(C);
+  for (let k = 1; k <= DEGREE; k++) rows.set(product(rows.subarray(k * w - w, k * w), M, 1, w, w).map((value) => value / k), k * w);
   let turning = 0, settling = 0;
   for (let i = 0; i < n; i++) {
     if (Math.abs(im[i]) > Math.abs(re[i])) turning = Math.max(turning, Math.hypot(re[i], im[i]));
@@ -1036,21 +1062,15 @@ function pieces(loop) {
     const E = exponential(M.map((value) => value * time), w);
     return E.map((value, i) => value + (i % (w + 1) ? 0 : 1));
   };
-  for (const [duration, column] of loop.older ? [[loop.fraction, n], [1 - loop.fraction, n + 1]] : [[1, n]]) {
+  for (const [duration, column] of loop.topOld ? [[loop.fraction, n], [1 - loop.fraction, n + 1]] : [[1, n]]) {
     const start = new Float64Array(w * q);
     start.set(given), start[n * q + column] = 1;
     const halvings = settling > 0 ? Math.max(0, Math.ceil(Math.log2(settling * duration))) : 0;
     for (let h = halvings; h >= 0; h--) {
       const from = h === halvings ? 0 : duration / 2 ** (h + 1), to = duration / 2 ** h, fine = Math.max(1, Math.ceil(turning * (to - from)));
       for (let i = 0; i < fine; i++) {
-        const length = (to - from) / fine, begin = from + i * length, series = new Float64Array((DEGREE + 1) * q);
-        let X = over(begin + length / 2);
-        for (let k = 0, scale = 1; k <= DEGREE; k++, scale *= length / 2 / k) {
-          for (let j = 0; j < q; j++) {
-            for (let r = 0; r < n; r++) if (C[r]) for (let c = 0; c < w; c++) series[k * q + j] += scale * C[r] * X[r * w + c] * start[c * q + j];
-          }
-          X = product(M, X, w);
-        }
+        const length = (to - from) / fine, begin = from + i * length, about = product(over(begin + length / 2), start, w, w, q);
+        const series = product(rows, about, DEGREE + 1, w, q).map((value, at) => value * (length / 2) ** Math.floor(at / q));
         const ends = new Float64Array(2 * q), place = new Float64Array(q), speed = new Float64Array(q);
         for (let k = 0; k <= DEGREE; k++) {
           for (let j = 0; j < q; j++) ends[j] += series[k * q + j], ends[q + j] += k * series[k * q + j] * 2 / length;
@@ -1075,11 +1095,9 @@ function pieces(loop) {
         parts.push({ start: offset + begin, length, series, ends });
       }
     }
-    const X = over(duration), next = new Float64Array(n * q);
-    for (let i = 0; i < n; i++) for (let c = 0; c < w; c++) for (let j = 0; j < q; j++) next[i * q + j] += X[i * w + c] * start[c * q + j];
-    given = next, offset += duration;
+    given = product(over(duration), start, n, w, q), offset += duration;
   }
-  loop.pieces = { q, parts, step: given, form };
+  loop.pieces = { parts, form };
   return loop.pieces;
 }
 
@@ -1114,107 +1132,137 @@ function rootOf(of, low, high) {
   return x;
 }
 
+/** @param {any} piece @param {Float64Array} g @returns {Float64Array} the series of the motion over a piece */
+const series = (piece, g) => Float64Array.from({ length: DEGREE + 1 }, (_, c) => along(piece.series, c, g));
+
 /**
- * Follow the step response of a wall, sample by sample, as deviation from the final position over the displacement.
- * @param {Sampled} loop @param {number} alpha @param {number} beta
- * @param {(k: number, g: Float64Array, place: number, force: number) => boolean} each called at each sample with the
- *   state and forces that act; follows on while it returns true
- * @param {(k: number, size: () => number) => boolean} goesOn called behind each sample with the size of all motion
+ * Return the slowest pole [size, angle], an angle in [0, pi], and the size of the slowest other one than its pair.
+ * @param {Float64Array} re @param {Float64Array} im @param {Float64Array} sizes
  */
-function follow(loop, alpha, beta, each, goesOn) {
-  const { n, C, filter: f, whole, gamma } = loop, { q, step } = pieces(loop), oldest = whole + (loop.older ? 1 : 0);
-  const g = new Float64Array(q), next = new Float64Array(n), s = new Float64Array(f.order), moved = new Float64Array(f.order);
-  const line = new Float64Array(Math.max(oldest, 1)).fill(alpha);
-  const lever = Math.max(8 * (loop.delay + loop.lag + 1), 2 / Math.sqrt(alpha + gamma)), scale = Math.abs(alpha) + gamma + Math.abs(beta) / lever;
-  g[0] = -1;
-  if (loop.mechanical < n) g[n - 1] = -gamma;
-  let last = -1, at = 0, force = 0;
-  const size = () => {
-    let most = Math.abs(last);
-    for (let i = 0; i < n; i++) most = Math.max(most, i < loop.mechanical ? Math.abs(g[i]) * (i % 2 ? lever : 1) : Math.abs(g[i]) / scale);
-    for (let i = 0; i < oldest; i++) most = Math.max(most, Math.abs(line[i]) / scale);
-    for (let i = 0; i < f.order; i++) most = Math.max(most, Math.abs(s[i]) * lever);
-    return most;
-  };
-  for (let k = 0; ; k++) {
-    let place = 0;
-    for (let i = 0; i < n; i++) place += C[i] * g[i];
-    const change = place - last;
-    let velocity = f.direct * change;
-    for (let i = 0; i < f.order; i++) velocity += f.row[i] * s[i];
-    force = -(alpha * place + beta * velocity);
-    // the line is a ring: the oldest force is next to be replaced
-    if (loop.older) g[n] = line[at], g[n + 1] = whole ? line[(at + 1) % oldest] : force;
-    else g[n] = whole ? line[at] : force;
-    if (!each(k, g, place, force)) return;
-    for (let i = 0; i < f.order; i++) {
-      moved[i] = f.gain[i] * change;
-      for (let j = 0; j < f.order; j++) moved[i] += f.step[i * f.order + j] * s[j];
-    }
-    s.set(moved), last = place;
-    if (oldest) line[at] = force, at = (at + 1) % oldest;
-    for (let i = 0; i < n; i++) next[i] = along(step, i, g);
-    g.set(next);
-    if (!goesOn(k + 1, size)) return;
-  }
+function leading(re, im, sizes) {
+  const [first, ...rest] = [...sizes.keys()].sort((i, j) => sizes[j] - sizes[i] || im[j] - im[i]);
+  const next = rest.find((i) => !im[first] || im[i] !== -im[first] || re[i] !== re[first]);
+  return { size: sizes[first], angle: Math.atan2(Math.abs(im[first]), re[first]), next: next === undefined ? 0 : sizes[next] };
+}
+
+/** @param {number} re @param {number} im @returns {[number, number][]} sums of q^j, j q^j and j^2 q^j over j, of a q inside the circle */
+function powers(re, im) {
+  const times = ([a, b], [c, d]) => [a * c - b * d, a * d + b * c], size = (1 - re) ** 2 + im * im, D = [(1 - re) / size, im / size];
+  const first = times(times([re, im], D), D);
+  return /** @type {any} */ ([D, first, times(times(first, [1 + re, im]), D)]);
 }
 
 /**
  * Return the costs of a stable wall: settling times in samples, overshoots as fractions, energies without dimension.
- * @param {Sampled} loop @param {number} alpha @param {number} beta @param {number} longest @param {boolean} energies
+ *
+ * The response is followed until all motion is small, or until the slowest pole, with its pair, is all that moves. From
+ * there on it is state = 2 Re(U lambda^j): energies are geometric sums, and the last entry into the band is looked for
+ * in front of the end of the envelope.
+ * @param {Sampled} loop @param {number} alpha @param {number} beta @param {{size: number, angle: number, next: number}} slowest
+ * @param {number} longest @param {boolean} energies
  */
-function stepCosts(loop, alpha, beta, longest, energies) {
-  const { parts, q, form } = pieces(loop), { A, C, n } = loop, band = 0.02, curve = new Float64Array(DEGREE + 1);
-  const stiffness = alpha + loop.gamma, sums = new Float64Array(6), pairs = Array.from({ length: q * q }, (_, k) => k).filter((k) => k % q >= Math.floor(k / q));
-  const forms = [0, 1, 2].map((w) => Float64Array.from(pairs, (k) => (form[w][k] + form[3 + w][k] / stiffness) * (k % (q + 1) ? 2 : 1)));
-  let peak = 0, peakDiscrete = 0, outside = 0, entry = NaN, speed = 0, before = -1, settled = false, topped = false, summed = false;
+function stepCosts(loop, alpha, beta, slowest, longest, energies) {
+  const { parts, form } = pieces(loop), { A, C, n, q } = loop, band = 0.02, stiffness = alpha + loop.gamma, sums = new Float64Array(6);
+  const forms = [0, 1, 2].map((w) => form[w].map((value, k) => (value + form[3 + w][k] / stiffness) * (Math.floor(k / q) < k % q ? 2 : 1)));
   const rate = Float64Array.from({ length: n }, (_, j) => sum(n, (i) => C[i] * A[i * n + j]));
-  follow(loop, alpha, beta, (k, g, place) => {
+  const wall = motion(loop, alpha, beta), x = wall.start.slice(), own = n + 1 + loop.filter.order;
+  const lever = Math.max(8 * (loop.delay + loop.lag + 1), 2 / Math.sqrt(stiffness)), scale = Math.abs(alpha) + loop.gamma + Math.abs(beta) / lever;
+  const sizes = x.map((_, i) => i < loop.mechanical ? i % 2 ? lever : 1 : i === n ? 1 : i > n && i < own ? lever : 1 / scale);
+  let k = 0, peak = 0, peakDiscrete = 0, outside = 0, entry = -1, settled = false, topped = false, summed = !energies, adding = energies;
+  /** @type {(g: Float64Array, place: number, way: number) => number[]} energies of an interval by tau^0, tau^1, tau^2, and of a sample */
+  const energy = (g, place, way) => [...forms.map((Q) => {
+    let value = 0;
+    for (let i = 0; i < q; i++) for (let j = i; j < q; j++) value += Q[i * q + j] * g[i] * g[j];
+    return value;
+  }), place * place + way * way / stiffness];
+  /** @type {(E: (f: number, power: number) => number) => void} add energies times powers of the sample */
+  const add = (E) => {
+    sums[0] += E(0, 0), sums[1] += E(0, 1) + E(1, 0), sums[2] += E(0, 2) + 2 * E(1, 1) + E(2, 0);
+    for (let w = 0; w < 3; w++) sums[3 + w] += E(3, w);
+  };
+  const sample = () => {
+    wall.move(x);
+    const { g, place, way } = wall;
+    let here = place, speed = 0;
     if (place > peakDiscrete) peakDiscrete = place;
-    if (Math.abs(place) > band) outside = k;
-    let here = place;
-    speed = 0;
+    if (Math.abs(place) > band) outside = Math.max(outside, k);
     for (let j = 0; j < n; j++) speed += rate[j] * g[j];
     for (const piece of parts) {
       const end = along(piece.ends, 0, g), after = along(piece.ends, 1, g), turns = (speed > 0) !== (after > 0);
-      let extreme = 0, turn = -1;
       const enters = Math.abs(end) <= band, reach = turns ? piece.length * Math.min(Math.abs(speed), Math.abs(after)) : 0;
-      const away = Math.max(Math.abs(here), Math.abs(end)) + reach;
-      if ((enters && away > band) || (turns && speed > 0 && Math.max(here, end) + reach > peak)) {
-        for (let c = 0; c <= DEGREE; c++) curve[c] = along(piece.series, c, g);
+      let extreme = 0, turn = -1;
+      if ((enters && Math.max(Math.abs(here), Math.abs(end)) + reach > band) || (turns && speed > 0 && Math.max(here, end) + reach > peak)) {
+        const curve = series(piece, g);
         if (turns) {
-          turn = rootOf((x) => { const [, slope, bend] = motionAt(curve, x); return [slope, bend]; }, -1, 1);
+          turn = rootOf((at) => { const [, slope, bend] = motionAt(curve, at); return [slope, bend]; }, -1, 1);
           extreme = motionAt(curve, turn)[0];
         }
+        const swung = Math.abs(extreme) > band;
+        if (enters && (swung || Math.abs(here) > band)) {
+          const level = Math.sign(swung ? extreme : here) * band;
+          const at = rootOf((at) => { const [value, slope] = motionAt(curve, at); return [value - level, slope]; }, swung ? turn : -1, 1);
+          entry = Math.max(entry, k + piece.start + piece.length * (1 + at) / 2);
+        }
       }
-      peak = Math.max(peak, extreme, end);
-      if (enters && Math.max(Math.abs(here), Math.abs(extreme)) > band) {
-        const level = Math.sign(Math.abs(extreme) > band ? extreme : here) * band;
-        const x = rootOf((x) => { const [value, slope] = motionAt(curve, x); return [value - level, slope]; }, Math.abs(extreme) > band ? turn : -1, 1);
-        entry = k + piece.start + piece.length * (1 + x) / 2;
-      }
-      here = end, speed = after;
+      peak = Math.max(peak, extreme, end), here = end, speed = after;
     }
-    if (energies) {
-      const E = forms.map((Q) => {
-        let value = 0;
-        for (let i = 0, at = 0; i < q; i++) for (let j = i; j < q; j++) value += Q[at++] * g[i] * g[j];
-        return value;
-      }), way = place - before;
-      sums[0] += E[0], sums[1] += k * E[0] + E[1], sums[2] += k * k * E[0] + 2 * k * E[1] + E[2];
-      const D = place * place + (k ? way * way / stiffness : 0);
-      sums[3] += D, sums[4] += k * D, sums[5] += k * k * D;
-      before = place;
+    if (adding) {
+      const E = energy(g, place, way);
+      add((f, power) => E[f] * k ** power);
+    }
+    k++;
+  };
+  const slow = () => {
+    const { size, angle, next } = slowest, pair = angle > 0 && angle < Math.PI;
+    if (k * Math.log(next / size) > GONE) return false;
+    const before = x.slice(), turn = pair ? Math.max(1, Math.round(Math.PI / 2 / Math.min(angle, Math.PI - angle))) : 0;
+    for (let i = 0; i < turn; i++) sample();
+    const since = k, c = size ** turn * Math.cos(turn * angle), d = size ** turn * Math.sin(turn * angle);
+    const U = [x.map((value) => value / 2), x.map((value, i) => pair ? (before[i] * d - c * (value - c * before[i]) / d) / 2 : 0)];
+    const [R, I, both] = [...U, U[0].map((value, i) => value + U[1][i])].map((u) => (wall.move(u.slice()), { ...wall, g: wall.g.slice() }));
+    if (adding) {
+      const [aa, bb, ab] = [R, I, both].map(({ g, place, way }) => energy(g, place, way)), fades = powers(size * size, 0);
+      const turns = powers(size * size * Math.cos(2 * angle), size * size * Math.sin(2 * angle));
+      /** @type {(f: number, p: number) => number} */
+      const of = (f, p) => 2 * ((aa[f] - bb[f]) * turns[p][0] - (ab[f] - aa[f] - bb[f]) * turns[p][1] + (aa[f] + bb[f]) * fades[p][0]);
+      add((f, power) => power === 0 ? of(f, 0) : power === 1 ? since * of(f, 0) + of(f, 1) : since * since * of(f, 0) + 2 * since * of(f, 1) + of(f, 2));
+      adding = false, summed = true;
+    }
+    let most = 0, highest = -Infinity;  // of the motion between samples
+    for (const piece of parts) {
+      const [u, v] = [R, I].map(({ g }) => series(piece, g));
+      for (let at = -1; at <= 1; at += 1 / 16) {
+        const [value] = motionAt(u, at);
+        most = Math.max(most, 2.002 * Math.hypot(value, motionAt(v, at)[0])), highest = Math.max(highest, value);
+      }
+    }
+    topped ||= !angle && highest <= 0;  // it comes from below
+    for (; !topped && k - since < LONGEST; sample()) topped = most * size ** (k - since) <= Math.max(QUIET, peak);
+    settled = true;
+    for (const [level, last] of /** @type {[number, () => number][]} */ ([[most, () => entry], [2 * Math.hypot(R.place, I.place), () => outside]])) {
+      const end = level > band ? Math.ceil(Math.log(band / level) / Math.log(size)) + 1 : 0;
+      for (let window = 64, first = end; first > 0; window *= 2) {
+        if (window > LONGEST) return settled = false, true;
+        first = Math.max(0, end - window), k = since + first;
+        const re = 2 * size ** first * Math.cos(first * angle), im = 2 * size ** first * Math.sin(first * angle);
+        for (let i = 0; i < x.length; i++) x[i] = U[0][i] * re - U[1][i] * im;
+        while (k < since + end) sample();
+        if (last() >= since + first) break;
+      }
     }
     return true;
-  }, (k, size) => {
-    if (k % 8) return true;
-    const now = size();
-    settled ||= now < 0.1 * band;
-    topped ||= now < Math.max(QUIET, 0.1 * peak);
-    summed ||= !energies || now < FADED;
-    return !(settled && topped && summed) && k < longest;
-  });
+  };
+  for (let look = FIRST_LOOK; k < longest; ) {
+    sample();
+    if (k % 8) continue;
+    let now = 0;
+    for (let i = 0; i < x.length; i++) now = Math.max(now, Math.abs(x[i]) * sizes[i]);
+    settled ||= now < 0.1 * band, topped ||= now < Math.max(QUIET, 0.1 * peak), summed ||= now < FADED;
+    if (settled && topped && summed) break;
+    if (k < look) continue;
+    look *= 2;
+    if (slow()) break;
+  }
   const value = (x, known = settled) => known ? x : null;
   const names = ["w0", "w1", "w2"].flatMap((w, i) => [[`energy_step_${w}`, sums[i]], [`energy_step_${w}_discrete`, sums[3 + i]]]);
   return {
@@ -1235,11 +1283,9 @@ export function walls(file, stiffness, damping, { longest = LONGEST, energies = 
   if (stiffness.length !== damping.length) throw new RangeError("stiffness, damping: expected as many of one as of the other");
   return Array.from(stiffness, (K, i) => {
     const alpha = number("stiffness", K, -Infinity) / loop.units.stiffness, beta = number("damping", damping[i], -Infinity) / loop.units.damping;
-    const [re, im] = normalisedPoles(loop, alpha, beta);
-    let radius = 0;
-    for (let k = 0; k < re.length; k++) radius = Math.max(radius, Math.hypot(re[k], im[k]));
+    const [re, im] = normalisedPoles(loop, alpha, beta), sizes = re.map((x, k) => Math.hypot(x, im[k])), radius = Math.max(...sizes);
     const stable = radius < 1 && alpha + loop.gamma > 0;
-    const costs = stable && radius < 1 - MARGINAL ? stepCosts(loop, alpha, beta, longest, energies) : { settle_2pct: null, overshoot: null };
+    const costs = stable && radius < 1 - MARGINAL ? stepCosts(loop, alpha, beta, leading(re, im, sizes), longest, energies) : { settle_2pct: null, overshoot: null };
     return { stable, spectral_radius: radius, ...costs };
   });
 }
@@ -1252,19 +1298,17 @@ export function walls(file, stiffness, damping, { longest = LONGEST, energies = 
  */
 export function response(file, stiffness, damping, samples, perSample = 8) {
   const loop = prepare(file), alpha = stiffness / loop.units.stiffness, beta = damping / loop.units.damping, T = loop.units.period;
-  const { parts } = pieces(loop), time = [], position = [], command = [], curve = new Float64Array(DEGREE + 1), whole = alpha + loop.gamma;
-  follow(loop, alpha, beta, (k, g, place, force) => {
-    command.push((force + loop.gamma) / whole);
+  const { parts } = pieces(loop), time = [], position = [], command = [], wall = motion(loop, alpha, beta), x = wall.start;
+  for (let k = 0; k <= samples; k++) {
+    wall.move(x), command.push((wall.force + loop.gamma) / (alpha + loop.gamma));
     let i = 0;
     for (let j = 0; j < (k < samples ? perSample : 1); j++) {
       const tau = j / perSample;
       while (i + 1 < parts.length && tau >= parts[i + 1].start) i++;
-      const x = 2 * (tau - parts[i].start) / parts[i].length - 1;
-      for (let c = 0; c <= DEGREE; c++) curve[c] = along(parts[i].series, c, g);
-      time.push((k + tau) * T), position.push(1 + (j ? motionAt(curve, x)[0] : place));
+      const at = motionAt(series(parts[i], wall.g), 2 * (tau - parts[i].start) / parts[i].length - 1)[0];
+      time.push((k + tau) * T), position.push(1 + (j ? at : wall.place));
     }
-    return k < samples;
-  }, () => true);
+  }
   return { time, position, command };
 }
 
