@@ -1228,18 +1228,18 @@ function stepCosts(loop, alpha, beta, slowest, longest, energies) {
       add((f, power) => power === 0 ? of(f, 0) : power === 1 ? since * of(f, 0) + of(f, 1) : since * since * of(f, 0) + 2 * since * of(f, 1) + of(f, 2));
       adding = false, summed = true;
     }
-    let most = 0, highest = -Infinity;  // of the motion between samples
+    let most = 0, highest = -Infinity;  // of the motion between samples, whose size is found closely
     for (const piece of parts) {
-      const [u, v] = [R, I].map(({ g }) => series(piece, g));
-      for (let at = -1; at <= 1; at += 1 / 16) {
-        const [value] = motionAt(u, at);
-        most = Math.max(most, 2.002 * Math.hypot(value, motionAt(v, at)[0])), highest = Math.max(highest, value);
+      const [u, v] = [R, I].map(({ g }) => series(piece, g)), of = (/** @type {number} */ at) => 2 * Math.hypot(motionAt(u, at)[0], motionAt(v, at)[0]);
+      for (let at = -1; at < 1; at += 1 / 16) {
+        most = Math.max(most, of(at), of(at + 1 / 16), of(golden(of, at, at + 1 / 16)) * (1 + 1e-12)), highest = Math.max(highest, motionAt(u, at)[0]);
       }
     }
     topped ||= !angle && highest <= 0;  // it comes from below
-    for (; !topped && k - since < LONGEST; sample()) topped = most * size ** (k - since) <= Math.max(QUIET, peak);
+    const sampled = 2 * Math.hypot(R.place, I.place), above = (/** @type {number} */ level, /** @type {number} */ top) => level * size ** (k - since) > Math.max(QUIET, top);
+    while (!topped && k - since < LONGEST) sample(), topped = !above(most, peak) && !above(sampled, peakDiscrete);
     settled = true;
-    for (const [level, last] of /** @type {[number, () => number][]} */ ([[most, () => entry], [2 * Math.hypot(R.place, I.place), () => outside]])) {
+    for (const [level, last] of /** @type {[number, () => number][]} */ ([[most, () => entry], [sampled, () => outside]])) {
       const end = level > band ? Math.ceil(Math.log(band / level) / Math.log(size)) + 1 : 0;
       for (let window = 64, first = end; first > 0; window *= 2) {
         if (window > LONGEST) return settled = false, true;

@@ -93,7 +93,6 @@ def test_random_loops(ask, count, seed):
         walls[number] = chance.uniform(0.02, 1.2, 6) * largest, chance.uniform(B.min(), 1.05 * B.max(), 6)
     answers = ask([("walls", entries[i], list(K), list(B)) for i, (K, B) in walls.items()])
     first = ask([("poles", entries[i], K[0], B[0]) for i, (K, B) in walls.items()])
-    slow = 0
     for (i, (K, B)), found, poles in zip(walls.items(), answers, first, strict=True):
         loop, rows = loops[i], loops[i].points(K, B, COSTS)
         expected = list(np.linalg.eigvals(loop.to_state_space(K[0], B[0]).A))
@@ -108,17 +107,55 @@ def test_random_loops(ask, count, seed):
                 assert abs(K[k] / loop.limits(B[k])["stiffness"].iloc[0] - 1) < 1e-6
             for name in COSTS:
                 value, truth = wall.get(name), row[name]
-                if value is None or math.isnan(truth):
-                    # a response of four million samples is not followed to its end
-                    assert math.isnan(truth) or wall["spectral_radius"] > 1 - 2e-5
-                    slow += not math.isnan(truth)
+                if math.isnan(truth):
                     continue
+                assert value is not None, (i, K[k], B[k], name, wall["spectral_radius"])
                 least = 1e-12 if name.startswith("overshoot") else 0.0
                 note(name, max(abs(value - truth) - least, 0.0) / max(truth, 1e-300))
-    print({name: f"{value:.1e}" for name, value in worst.items()}, f"{slow} costs of slow walls not given")
+    print({name: f"{value:.1e}" for name, value in worst.items()})
     assert worst.pop("poles") < 1e-9
     assert max(worst.values()) < 1e-6, worst
-    assert slow <= 0.02 * 60 * count
+
+
+@pytest.mark.parametrize(("count", "seed"), [(15, 1), pytest.param(150, 2, marks=pytest.mark.slow)])
+def test_very_slow_walls(ask, count, seed):
+    """Next to the boundary, and far overdamped: responses of up to 1e8 samples."""
+    rng = np.random.default_rng(seed)
+    worst: dict[str, float] = {}
+    calls, expected = [], []
+    while len(calls) < count:
+        entries = random_loop(rng)
+        loop = in_python(entries)
+        try:
+            limits = loop.boundary(40)
+        except PipelineError:
+            continue
+        B = rng.choice(limits["damping"].dropna().to_numpy()[5:-5], 6)
+        limit = loop.limits(B)["stiffness"].fillna(1.0).to_numpy()
+        near = 1 - 10 ** rng.uniform(-6.5, -3, 6)
+        K = limit * np.where(np.arange(6) < 3, near, 10 ** rng.uniform(-6, -3, 6))
+        calls.append(("walls", entries, list(K), list(B)))
+        expected.append(loop.points(K, B, COSTS))
+    slow = 0
+    for found, (call, rows) in zip(ask(calls), zip(calls, expected, strict=True), strict=True):
+        for wall, (_, row) in zip(found, rows.iterrows(), strict=True):
+            if not row["stable"]:
+                continue
+            slow += wall["spectral_radius"] > 1 - 1e-5
+            # rounding of a pole is a share of its distance from the circle
+            rounding = 1e-6 + 5e-14 / (1 - wall["spectral_radius"])
+            for name in COSTS:
+                if math.isnan(row[name]):
+                    continue
+                assert wall[name] is not None, (call, wall, name)
+                least = 1e-12 if name.startswith("overshoot") else 0.0
+                far = max(abs(wall[name] - row[name]) - least, 0.0) / max(row[name], 1e-300)
+                # the last of many samples that touch the band may be another by rounding
+                allowed = rounding + 1e-5 * (name == "settle_2pct_discrete")
+                worst[name] = max(worst.get(name, 0.0), far / allowed)
+    print({name: f"{value:.1e}" for name, value in worst.items()}, slow)
+    assert slow > count
+    assert max(worst.values()) < 1, worst
 
 
 def test_a_device_file_as_it_is_read(ask):
