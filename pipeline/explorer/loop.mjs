@@ -222,22 +222,21 @@ export function exponential(M, n) {
   return E;
 }
 
+/** @param {Float64Array} A @param {Float64Array} B @param {number} n @returns {Float64Array} matrix of a motion with a constant input */
+function augmented(A, B, n) {
+  const M = new Float64Array((n + 1) ** 2);
+  for (let i = 0; i < n; i++) M.set(A.subarray(i * n, i * n + n), i * (n + 1)), M[i * (n + 1) + n] = B[i];
+  return M;
+}
+
 /**
- * Return the motion over a time with a constant input: transition less 1, gain, and exp of both together.
+ * Return the motion over a time with a constant input: transition less 1, and gain.
  * @param {Float64Array} A @param {Float64Array} B @param {number} n @param {number} time
  */
 function moved(A, B, n, time) {
-  const M = new Float64Array((n + 1) ** 2);
-  for (let i = 0; i < n; i++) {
-    for (let j = 0; j < n; j++) M[i * (n + 1) + j] = A[i * n + j] * time;
-    M[i * (n + 1) + n] = B[i] * time;
-  }
-  const E = exponential(M, n + 1), change = new Float64Array(n * n), gain = new Float64Array(n);
-  for (let i = 0; i < n; i++) {
-    for (let j = 0; j < n; j++) change[i * n + j] = E[i * (n + 1) + j];
-    gain[i] = E[i * (n + 1) + n];
-  }
-  return { change, gain };
+  const E = exponential(augmented(A, B, n).map((value) => value * time), n + 1), change = new Float64Array(n * n);
+  for (let i = 0; i < n; i++) change.set(E.subarray(i * (n + 1), i * (n + 1) + n), i * n);
+  return { change, gain: B.map((_, i) => E[i * (n + 1) + n]) };
 }
 
 /**
@@ -635,9 +634,7 @@ function beyond(loop, known, beta, unstable) {
 /** @param {Sampled} loop @param {number} alpha @param {number} beta @returns {number} number of poles outside the circle */
 function unstablePoles(loop, alpha, beta) {
   const [re, im] = normalisedPoles(loop, alpha, beta);
-  let count = 0;
-  for (let i = 0; i < re.length; i++) if (Math.hypot(re[i], im[i]) >= 1) count++;
-  return count;
+  return re.filter((value, i) => Math.hypot(value, im[i]) >= 1).length;
 }
 
 /** Share of the way to the next level by which the first lies beside the end of a part, where the limit is 0. */
@@ -728,12 +725,12 @@ export function boundary(file, points = 400) {
 
 /**
  * Return where a function with one peak is largest, by golden sections.
- * @param {(x: number) => number} of @param {number} low @param {number} high @returns {number}
+ * @param {(x: number) => number} of @param {number} low @param {number} high @param {number} [steps] @returns {number}
  */
-function golden(of, low, high) {
+function golden(of, low, high, steps = 45) {
   const share = 0.6180339887498949;
   let p = high - share * (high - low), q = low + share * (high - low), atP = of(p), atQ = of(q);
-  for (let step = 0; step < 45; step++) {
+  for (let step = 0; step < steps; step++) {
     if (atP > atQ) high = q, q = p, atQ = atP, p = high - share * (high - low), atP = of(p);
     else low = p, p = q, atP = atQ, q = low + share * (high - low), atQ = of(q);
   }
@@ -824,25 +821,11 @@ export function eigenvalues(matrix, n) {
       x = y = 0.75 * s, w = -0.4375 * s * s;
     }
     tries++;
-    let m = end - 2, p = 0, q = 0, r = 0;
-    for (; m >= l; m--) {
-      const z = H[m * n + m], a = x - z, b = y - z;
-      p = (a * b - w) / H[(m + 1) * n + m] + H[m * n + m + 1];
-      q = H[(m + 1) * n + m + 1] - z - a - b, r = H[(m + 2) * n + m + 1];
-      const s = Math.abs(p) + Math.abs(q) + Math.abs(r);
-      p /= s, q /= s, r /= s;
-      if (m === l) break;
-      const u = Math.abs(H[m * n + m - 1]) * (Math.abs(q) + Math.abs(r));
-      const v = Math.abs(p) * (Math.abs(H[(m - 1) * n + m - 1]) + Math.abs(z) + Math.abs(H[(m + 1) * n + m + 1]));
-      if (u <= Number.EPSILON * v) break;
-    }
-    for (let i = m + 2; i <= end; i++) {
-      H[i * n + i - 2] = 0;
-      if (i !== m + 2) H[i * n + i - 3] = 0;
-    }
-    for (let k = m; k < end; k++) {
+    const corner = H[l * n + l], a = x - corner, b = y - corner;
+    let p = (a * b - w) / H[(l + 1) * n + l] + H[l * n + l + 1], q = H[(l + 1) * n + l + 1] - corner - a - b, r = H[(l + 2) * n + l + 1];
+    for (let k = l; k < end; k++) {
       const three = k !== end - 1;
-      if (k !== m) {
+      if (k !== l) {
         p = H[k * n + k - 1], q = H[(k + 1) * n + k - 1], r = three ? H[(k + 2) * n + k - 1] : 0;
         x = Math.abs(p) + Math.abs(q) + Math.abs(r);
         if (!x) continue;
@@ -850,8 +833,10 @@ export function eigenvalues(matrix, n) {
       }
       const s = Math.sqrt(p * p + q * q + r * r) * (p < 0 ? -1 : 1);
       if (!s) continue;
-      if (k !== m) H[k * n + k - 1] = -s * x;
-      else if (l !== m) H[k * n + k - 1] = -H[k * n + k - 1];
+      if (k !== l) {
+        H[k * n + k - 1] = -s * x, H[(k + 1) * n + k - 1] = 0;
+        if (three) H[(k + 2) * n + k - 1] = 0;
+      }
       p += s, x = p / s, y = q / s, q /= p, r /= p;
       const z = r * p / s;
       for (let j = k; j <= end; j++) {
@@ -972,14 +957,7 @@ function requirement(loop) {
     let best = most;
     for (let i = 1; i + 1 < count; i++) {
       if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.8 * most) continue;
-      // parabolas through three places, closer and closer
-      let centre = angles[i], h = Math.min(angles[i + 1] - centre, centre - angles[i - 1]), value = heights[i];
-      for (let round = 0; round < 8; round++) {
-        const left = at(centre - h), right = at(centre + h), bend = left - 2 * value + right;
-        const shift = bend < 0 ? Math.max(-1, Math.min(1, 0.5 * (left - right) / bend)) : Math.sign(right - left);
-        centre += h * shift, best = Math.max(best, value = at(centre));
-        if (Math.abs(shift) < 1) h /= 6;
-      }
+      best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 26)));
     }
     // slow motion: an even function of the angle is continued to 0
     return Math.max(best, (4 * at(low) - at(2 * low)) / 3);
@@ -1044,8 +1022,7 @@ function gauss(n) {
 function pieces(loop) {
   if (loop.pieces) return loop.pieces;
   const { n, q, A, B, C } = loop, w = n + 1, [re, im] = eigenvalues(A, n);
-  const M = new Float64Array(w * w), parts = [], rule = gauss(GAUSS);
-  for (let i = 0; i < n; i++) M.set(A.subarray(i * n, i * n + n), i * w), M[i * w + n] = B[i];
+  const M = augmented(A, B, n), parts = [], rule = gauss(GAUSS);
   const rows = new Float64Array((DEGREE + 1) * w);  // of the position's derivatives over k!
   rows.set(C);
   for (let k = 1; k <= DEGREE; k++) rows.set(product(rows.subarray(k * w - w, k * w), M, 1, w, w).map((value) => value / k), k * w);
