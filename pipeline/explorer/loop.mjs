@@ -298,12 +298,11 @@ function velocityFilter(velocity, T) {
     if (cutoff * T >= 0.5) throw new RangeError(`velocity.cutoff_hz: found ${cutoff}; expected less than ${0.5 / T}`);
     return butterworth(order, Math.tan(Math.PI * cutoff * T));
   }
+  let b = velocity?.b ?? [1], a = velocity?.a ?? [1];
   if (kind === "difference") {
     const samples = number("velocity.samples", velocity?.samples ?? 1, 1);
-    return { ...directForm(new Array(samples).fill(1 / samples), [1]), value: (theta, out) => difference(samples, theta, out) };
-  }
-  let b = velocity?.b ?? [1], a = velocity?.a ?? [1];
-  if (velocity && kind === "kalman") {
+    b = new Array(samples).fill(1 / samples), a = [1];
+  } else if (velocity && kind === "kalman") {
     const index = number("velocity.acceleration", velocity.acceleration, 0, true) * T * T / number("velocity.noise", velocity.noise, 0, true);
     const root = Math.sqrt(index * (index + 8)), rest = 2 * index / (index + root), ratio = 4 / (4 + index + root);
     b = [2 * rest * rest], a = [1, rest * (1 + ratio) + 2 * rest * rest - 2, ratio * ratio];
@@ -313,13 +312,6 @@ function velocityFilter(velocity, T) {
   }
   const form = directForm(b, a);
   return { ...form, value: (theta, out) => ratio(b, a, theta, out) };
-}
-
-/** @param {number} samples @param {number} theta @param {Float64Array} out */
-function difference(samples, theta, out) {
-  const angle = samples * theta, half = Math.sin(angle / 2);
-  out[4] = 2 * half * half / samples, out[5] = Math.sin(angle) / samples;
-  out[6] = Math.sin(angle), out[7] = Math.cos(angle);
 }
 
 /** @param {number[]} b @param {number[]} a @param {number} theta @param {Float64Array} out */
