@@ -72,9 +72,7 @@ export function flattened(file) {
   const { loop: ofExperiment, ...first } = (experiment ?? [])[0] ?? {};
   const flat = { ...device, ...first, ...(loop ?? {}), ...(ofExperiment ?? {}) };
   const jitter = flat.jitter_samples ?? [];
-  if (jitter.length) {
-    flat.delay_samples = jitter.reduce((sum, d) => sum + d, 0) / jitter.length;
-  }
+  if (jitter.length) flat.delay_samples = jitter.reduce((sum, d) => sum + d, 0) / jitter.length;
   return flat;
 }
 
@@ -537,9 +535,8 @@ function curve(loop) {
     const far = [v[1] / v[5], v[0] - v[1] / v[5] * v[4]], near = last ? [next.b1, next.a1] : [next.b0, next.a0];
     const [beta, alpha] = near.map((value, i) => value + (value - far[i]) / 3);
     const [b0, b1] = last ? [near[0], beta] : [beta, near[0]], [a0, a1] = last ? [near[1], alpha] : [alpha, near[1]];
-    const rate = last ? 1 : -1;  // of N just inside
     onCircle(loop, theta, v);
-    return { t0: theta, t1: theta, b0, b1, a0, a1, turn: (b1 > b0) === (v[5] > 0) ? 2 : -2, edge: true, rate };
+    return { t0: theta, t1: theta, b0, b1, a0, a1, turn: (b1 > b0) === (v[5] > 0) ? 2 : -2, edge: true };
   };
   const first = outer(SMALLEST, 2 * SMALLEST, cells[0], false);
   if (!loop.gamma) first.a0 = 0, soft.push([first.b0, -2]);
@@ -990,21 +987,11 @@ export function passive(file, directions = DIRECTIONS) {
 
 /** Degree of the series of a motion over a piece of a sampling interval, about the middle of the piece. */
 const DEGREE = 16;
-/** Points of Gauss that integrate its square times tau^2 exactly. */
-const GAUSS = 18;
-
-/** @param {number} n @returns {[number, number][]} places in (-1, 1) and weights of Gauss and Legendre */
-function gauss(n) {
-  return Array.from({ length: n }, (_, i) => {
-    let x = Math.cos(Math.PI * (i + 0.75) / (n + 0.5)), slope = 1;
-    for (let step = 0; step < 8; step++) {
-      let before = 1, value = x;
-      for (let k = 2; k <= n; k++) [before, value] = [value, ((2 * k - 1) * x * value - (k - 1) * before) / k];
-      slope = n * (x * value - before) / (x * x - 1), x -= value / slope;
-    }
-    return [x, 2 / ((1 - x * x) * slope * slope)];
-  });
-}
+/** Integrals over [-1, 1] of the products of two powers up to that degree and x^0, x^1 or x^2. */
+const INTEGRALS = [0, 1, 2].map((power) => Float64Array.from({ length: (DEGREE + 1) ** 2 }, (_, at) => {
+  const whole = Math.floor(at / (DEGREE + 1)) + at % (DEGREE + 1) + power;
+  return whole % 2 ? 0 : 2 / (whole + 1);
+}));
 
 /**
  * Return the pieces of a sampling interval: rows that take the device's state at its start and the forces that act,
@@ -1014,8 +1001,8 @@ function gauss(n) {
 function pieces(loop) {
   if (loop.pieces) return loop.pieces;
   const { n, q, A, B, C } = loop, w = n + 1, [re, im] = eigenvalues(A, n);
-  const M = augmented(A, B, n), parts = [], rule = gauss(GAUSS);
-  const rows = new Float64Array((DEGREE + 1) * w);  // of the position's derivatives over k!
+  const M = augmented(A, B, n), parts = [], terms = DEGREE + 1;
+  const rows = new Float64Array(terms * w);  // of the position's derivatives over k!
   rows.set(C);
   for (let k = 1; k <= DEGREE; k++) rows.set(product(rows.subarray(k * w - w, k * w), M, 1, w, w).map((value) => value / k), k * w);
   let turning = 0, settling = 0;
@@ -1039,28 +1026,18 @@ function pieces(loop) {
       const from = h === halvings ? 0 : duration / 2 ** (h + 1), to = duration / 2 ** h, fine = Math.max(1, Math.ceil(turning * (to - from)));
       for (let i = 0; i < fine; i++) {
         const length = (to - from) / fine, begin = from + i * length, about = product(over(begin + length / 2), start, w, w, q);
-        const series = product(rows, about, DEGREE + 1, w, q).map((value, at) => value * (length / 2) ** Math.floor(at / q));
-        const ends = new Float64Array(2 * q), place = new Float64Array(q), speed = new Float64Array(q);
-        for (let k = 0; k <= DEGREE; k++) {
-          for (let j = 0; j < q; j++) ends[j] += series[k * q + j], ends[q + j] += k * series[k * q + j] * 2 / length;
-        }
-        for (const [x, weight] of rule) {
-          place.fill(0), speed.fill(0);
-          for (let k = DEGREE; k >= 0; k--) {
-            for (let j = 0; j < q; j++) {
-              place[j] = place[j] * x + series[k * q + j];
-              if (k) speed[j] = speed[j] * x + k * series[k * q + j] * 2 / length;
-            }
-          }
-          const tau = offset + begin + length * (1 + x) / 2;
-          for (let p = 0, factor = weight * length / 2; p < 3; p++, factor *= tau) {
-            for (let i = 0; i < q; i++) {
-              for (let j = 0; j < q; j++) {
-                form[p][i * q + j] += factor * place[i] * place[j], form[3 + p][i * q + j] += factor * speed[i] * speed[j];
-              }
-            }
-          }
-        }
+        const series = product(rows, about, terms, w, q).map((value, at) => value * (length / 2) ** Math.floor(at / q));
+        const ends = new Float64Array(2 * q), half = length / 2, middle = offset + begin + half;
+        const speeds = series.map((_, at) => (Math.floor(at / q) + 1) * (series[at + q] ?? 0) / half);
+        for (let at = 0; at < terms * q; at++) ends[at % q] += series[at], ends[q + at % q] += speeds[at];
+        [series, speeds].forEach((rows, kind) => {
+          const turned = rows.map((_, at) => rows[at % terms * q + Math.floor(at / terms)]);
+          const [one, x, square] = INTEGRALS.map((weights) => product(turned, product(weights, rows, terms, terms, q), q, terms, q));
+          one.forEach((value, at) => {  // times tau^p, tau = middle + half x
+            form[3 * kind][at] += half * value, form[3 * kind + 1][at] += half * (middle * value + half * x[at]);
+            form[3 * kind + 2][at] += half * (middle * middle * value + half * (2 * middle * x[at] + half * square[at]));
+          });
+        });
         parts.push({ start: offset + begin, length, series, ends });
       }
     }
@@ -1116,7 +1093,7 @@ function leading(re, im, sizes) {
 
 /** @param {number} re @param {number} im @returns {[number, number][]} sums of q^j, j q^j and j^2 q^j over j, of a q inside the circle */
 function powers(re, im) {
-  const times = ([a, b], [c, d]) => [a * c - b * d, a * d + b * c], size = (1 - re) ** 2 + im * im, D = [(1 - re) / size, im / size];
+  const times = (/** @type {number[]} */ [a, b], /** @type {number[]} */ [c, d]) => [a * c - b * d, a * d + b * c], size = (1 - re) ** 2 + im * im, D = [(1 - re) / size, im / size];
   const first = times(times([re, im], D), D);
   return /** @type {any} */ ([D, first, times(times(first, [1 + re, im]), D)]);
 }

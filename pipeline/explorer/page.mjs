@@ -21,6 +21,8 @@ const NUMBERS = /** @type {[string, string, string, string, number, number, numb
   ["actuator_lag_s", "actuator lag", "ms", "ms", 1e-3, 0.01, 50, "zero"],
   ["velocity.samples", "window of the difference", "samples", "samples", 1, 1, 40, "whole"],
   ["velocity.order", "order of the filter", "", "", 1, 1, 4, "whole"],
+  ["velocity.acceleration", "acceleration of the filter", "m/s²", "rad/s²", 1, 0.01, 10000, "log"],
+  ["velocity.noise", "noise of the filter", "m", "rad", 1, 1e-8, 0.01, "log"],
   ["velocity.cutoff_hz", "cut-off of the filter", "Hz", "Hz", 1, 1, 1000, "log"],
   ["mode.frequency_hz", "mode: frequency", "Hz", "Hz", 1, 1, 500, "log"],
   ["mode.damping_ratio", "mode: damping ratio", "", "", 1, 0.0001, 1, "zero"],
@@ -32,7 +34,8 @@ const NUMBERS = /** @type {[string, string, string, string, number, number, numb
 ]);
 /** What a part has that is switched on here. */
 const PARTS = /** @type {Record<string, any>} */ ({
-  velocity: { difference: { kind: "difference", samples: 4 }, butterworth: { kind: "butterworth", order: 2, cutoff_hz: 50 } },
+  velocity: { difference: { kind: "difference", samples: 4 }, butterworth: { kind: "butterworth", order: 2, cutoff_hz: 50 },
+    kalman: { kind: "kalman", acceleration: 10, noise: 1e-5 } },
   mode: { motor: { frequency_hz: 30, damping_ratio: 0.03, sensor: "motor" }, load: { frequency_hz: 30, damping_ratio: 0.03, sensor: "load" } },
   operator: { hand: { damping: 5, stiffness: 300 } },
 });
@@ -49,7 +52,7 @@ const STYLE = `text{font:12px system-ui,sans-serif;fill:#1b1d21}.axis{stroke:#59
 
 /** @param {string} tag @param {any} [attributes] @param {(Node | string)[]} children @returns {any} an element of the page */
 function make(tag, attributes = {}, ...children) {
-  const element = /^(svg|g|path|circle|rect|text|title|clipPath)$/.test(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag);
+  const element = /** @type {any} */ (/^(svg|g|path|circle|rect|text|title|clipPath)$/.test(tag) ? document.createElementNS(SVG, tag) : document.createElement(tag));
   for (const [name, value] of Object.entries(attributes)) {
     if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
     else if (name === "style") element.style.cssText = value;  // a policy may forbid the attribute
@@ -89,26 +92,30 @@ function ticks(low, high, count) {
 const area = ({ stiffness: K, damping: B }) => K.reduce((sum, value, i) =>
   i && Number.isFinite(value + K[i - 1]) ? sum + (value + K[i - 1]) / 2 * (B[i] - B[i - 1]) : sum, 0);
 
+/** @param {any} value @param {(key: string) => string} key how a key is written @returns {string} a value as TOML and Python write it */
+const written = (value, key) => Array.isArray(value) ? `[${value.map((item) => written(item, key)).join(", ")}]`
+  : value === null || typeof value !== "object" ? JSON.stringify(value)
+    : `{${Object.entries(value).filter(([, item]) => item !== undefined).map(([name, item]) => key(name) + written(item, key)).join(", ")}}`;
+/** @param {any} loop @param {string[]} keys @param {string} equals @param {(key: string) => string} key @returns {string[]} entries that a loop has */
+const entriesOf = (loop, keys, equals, key) =>
+  keys.filter((name) => loop[name] !== undefined && loop[name] !== null).map((name) => name + equals + written(loop[name], key));
+
 /** @param {any} loop @param {string} name @returns {string} a device file */
 export function toml(loop, name) {
-  const write = (value) => value === null ? "" : Array.isArray(value) ? `[${value.map(write).join(", ")}]`
-    : typeof value === "object" ? `{ ${Object.entries(value).filter(([, v]) => v !== undefined).map(([k, v]) => `${k} = ${write(v)}`).join(", ")} }`
-      : typeof value === "number" ? (Number.isInteger(value) ? value.toFixed(1) : String(value)) : JSON.stringify(value);
-  const whole = (part) => part.replace(/(samples|order|longest) = (\d+)\.0/g, "$1 = $2");
-  const top = ["motion", "sampling_period_s", "mass", "damping", "stiffness", "delay_samples"].filter((key) => loop[key] !== undefined);
-  const parts = ["velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"].filter((key) => loop[key]);
-  const lines = [`name = ${JSON.stringify(name)}`, ...top.map((key) => `${key} = ${write(loop[key])}`)];
-  return [...lines, ...(parts.length ? ["", "[loop]", ...parts.map((key) => whole(`${key} = ${write(loop[key])}`))] : []), ""].join("\n");
+  const of = (/** @type {string[]} */ keys) => entriesOf(loop, keys, " = ", (key) => `${key} = `);
+  const parts = of(["velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"]);
+  return [`name = ${JSON.stringify(name)}`, ...of(["motion", "sampling_period_s", "mass", "damping", "stiffness", "delay_samples", "jitter_samples"]),
+    ...(parts.length ? ["", "[loop]", ...parts] : []), ""].join("\n");
 }
 
 /** @param {any} loop @param {Wall} wall @returns {string} the line of Python that gives the same numbers */
 export function python(loop, wall) {
-  const write = (value) => typeof value === "object" ? `{${Object.entries(value).map(([k, v]) => `"${k}": ${write(v)}`).join(", ")}}`
-    : typeof value === "string" ? JSON.stringify(value) : String(value);
   const keys = ["mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion", "velocity", "actuator_lag_s", "force_gain", "mode", "operator"];
-  const given = keys.filter((key) => loop[key] !== undefined && loop[key] !== null).map((key) => `${key}=${write(loop[key])}`);
-  return `pipeline.Loop(${given.join(", ")}).points(${wall.stiffness}, ${wall.damping})`;
+  return `pipeline.Loop(${entriesOf(loop, keys, "=", (key) => `"${key}": `).join(", ")}).points(${wall.stiffness}, ${wall.damping})`;
 }
+
+/** What verdicts and energies mean. */
+const MEANING = "Passive: stable with every passive hand. Not passive: stable as set here; with some hand it may not be. Energies are over that of the step.";
 
 explore.panels = 0;
 
@@ -126,7 +133,7 @@ export function explore(root, entries) {
   let wall = /** @type {Wall | null} */ (null), criterion = "", best = /** @type {Wall | null} */ (null), swept = "delay_samples";
   /** @type {Wall[]} */ let pins = [];
   /** @type {{x: number[], y: number[]} | null} */ let view = null;
-  let asked = false, touched = false, started = 0, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
+  let asked = false, touched = false, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
   const small = root.clientWidth < 560, width = small ? 390 : 620, height = small ? 340 : 430, left = 62, bottom = 42, clip = `explorer-clip-${explore.panels++}`;
   const unit = (row) => loop.motion === "rotation" ? row[3] : row[2];
   const of = () => loop.motion === "rotation" ? { K: "Nm/rad", B: "Nms/rad" } : { K: "N/m", B: "Ns/m" };
@@ -137,7 +144,7 @@ export function explore(root, entries) {
   const rows = NUMBERS.map((row) => {
     const [path, label, , , , low, high, scale] = row, id = `explore-${path}`;
     const slider = make("input", { type: "range", id, min: 0, max: 1000, step: 1, oninput: () => set(path, fromSlider(Number(slider.value))) });
-    const field = make("input", { type: "number", step: "any", "aria-label": label, onchange: () => set(path, Number(field.value) * row[4]) });
+    const field = make("input", { type: "number", step: "any", onchange: () => set(path, field.value === "" ? NaN : Number(field.value) * row[4]) });
     const name = make("label", { for: id }), units = make("span", { class: "unit" }), element = make("div", { class: "number" }, name, slider, field, units);
     const span = () => path === "velocity.cutoff_hz" ? Math.min(high, 0.499 / (loop.sampling_period_s ?? 1)) : path === "mode.mass" ? 0.98 * (loop.mass ?? 1)
       : path === "mode.load_damping" ? Math.max(loop.damping ?? 0, 2 * low) : high;
@@ -156,9 +163,9 @@ export function explore(root, entries) {
       const share = scale === "linear" || scale === "whole" ? (shown - low) / (most - low) : shown > 0 ? Math.log(shown / low) / Math.log(most / low) : 0;
       slider.value = String(Math.round(1000 * Math.min(1, Math.max(scale === "zero" && shown > 0 ? 0.001 : 0, share))));
       if (document.activeElement !== field) field.value = String(Number(shown.toPrecision(6)));
-      const words = `${text(shown)} ${unit(row)}`;
+      const words = `${text(shown)} ${unit(row)}`.trim();
       if (slider.getAttribute("aria-valuetext") === words) return;
-      name.textContent = label, units.textContent = unit(row), slider.setAttribute("aria-valuetext", words);
+      name.textContent = label, units.textContent = unit(row), slider.setAttribute("aria-valuetext", words), field.setAttribute("aria-label", `${label} ${unit(row)}`.trim());
     };
     controls.append(element);
     return { path, element, show };
@@ -196,6 +203,17 @@ export function explore(root, entries) {
   make("title", {}, "Stability of walls"),
   make("clipPath", { id: clip }, make("rect", { x: left, y: 12, width: width - left - 12, height: height - bottom - 12 })), ...Object.values(layers));
   for (const [name, layer] of Object.entries(layers)) if (!/axis|wall/.test(name)) layer.setAttribute("clip-path", `url(#${clip})`);
+  const fields = [["stiffness", "K"], ["damping", "B"]].map(([name, symbol]) => {
+    const field = make("input", { type: "number", step: "any", id: `explore-wall-${name}`, onchange: () => {
+      const value = Number(field.value);
+      if (field.value !== "" && wall) wall = { ...wall, [name]: name === "stiffness" ? Math.max(0, value) : value }, move();
+    } });
+    const label = make("label", { for: field.id });
+    return { label, field, show: () => {
+      label.textContent = `${name} ${symbol} [${of()[/** @type {"K"} */ (symbol)]}]`;
+      if (wall && document.activeElement !== field) field.value = String(Number(wall[/** @type {"damping"} */ (name)].toPrecision(6)));
+    } };
+  });
   const step = make("svg", { viewBox: "0 0 420 230", role: "img", "aria-label": "Step response" });
   const circle = make("svg", { viewBox: "0 0 230 230", role: "img", "aria-label": "Poles in the z-plane" });
   const sweep = make("svg", { viewBox: "0 0 420 190", role: "img", "aria-label": "Largest stiffness over one number" });
@@ -205,7 +223,7 @@ export function explore(root, entries) {
   const over = make("select", { id: "explore-sweep", onchange: () => { swept = over.value, renew(); } });
   const pin = make("button", { type: "button", onclick: () => { if (wall) pins = [...pins, wall].slice(-2), renew(); } }, "Pin this wall");
   const zoom = (factor, x = 0.5, y = 0.5) => {
-    const [w, h] = axes(), at = ([a, b], share) => { const c = a + share * (b - a); return [c + (a - c) * factor, c + (b - c) * factor]; };
+    const [w, h] = axes(), at = (/** @type {number[]} */ [a, b], /** @type {number} */ share) => { const c = a + share * (b - a); return [c + (a - c) * factor, c + (b - c) * factor]; };
     view = { x: at(w, x), y: at(h, y) }, draw(), store();
   };
   const tools = make("p", { class: "buttons" }, pin, make("button", { type: "button", onclick: () => { pins = [], renew(); } }, "Remove pins"),
@@ -216,7 +234,8 @@ export function explore(root, entries) {
   root.classList.add("what-if");
   root.replaceChildren(make("div", { class: "left" }, make("p", { class: "choice" }, make("label", { for: "explore-device" }, "device"), device), controls, buttons),
     make("div", { class: "middle" }, message, summary, plane, legend, tools, live),
-    make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"), make("div", { class: "scroll" }, facts), circle),
+    make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"),
+      ...fields.map(({ label, field }) => make("p", { class: "choice" }, label, field)), make("div", { class: "scroll" }, facts), make("p", { class: "note" }, MEANING), circle),
     make("div", { class: "lower" }, make("div", {}, make("h3", {}, "What limits me"), bars),
       make("div", {}, make("h3", {}, make("label", { for: "explore-sweep" }, "Largest stiffness over "), over), sweep),
       make("p", { class: "line" }, "The same in Python: ", line)));
@@ -313,7 +332,6 @@ export function explore(root, entries) {
   // ------------------------------------------------------------------------------------------------------ computation
   function compute() {
     asked = false;
-    started = performance.now();
     try {
       const sampled = prepare(loop);
       result = { sampled, border: boundary(sampled), calm: passive(sampled, 61) }, message.textContent = "";
@@ -327,24 +345,29 @@ export function explore(root, entries) {
       damping: Number((0.6 * result.border.damping_at_stiffness_max).toPrecision(2)) };
     rows.forEach((row) => row.show()), choices.forEach((choice) => choice.show());
     draw(), showWalls(), showSummary();
-    root.dispatchEvent(new CustomEvent("explored", { detail: performance.now() - started }));
     clearTimeout(later), later = setTimeout(slow, 60);
     store();
   }
   const renew = () => { if (!asked) asked = true, requestAnimationFrame(compute); };
-  const set = (name, value) => { if (Number.isFinite(value)) loop = changed(loop, name, value), renew(); };
+  const set = (name, value) => {
+    if (!Number.isFinite(value)) return;
+    const own = flattened(entry.loop);
+    loop = changed(loop, name, value), renew();
+    if (name === "delay_samples" && value === own.delay_samples) loop = { ...loop, jitter_samples: own.jitter_samples };
+  };
 
   function showSummary() {
     const { border, calm } = result;
     const against = (now, then) => ghost.same || !then ? ""
       : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
-    const out = leftOut(loop);
+    const out = leftOut(loop).map((name) => name === "jitter" ? `the jitter of the delay (taken as its mean, ${text(loop.delay_samples)} samples)`
+      : name === "velocity" ? "the adaptive velocity filter (taken as none)" : name);
     summary.replaceChildren(...[["Largest stable stiffness",
       `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
       ["Stable region", `${text(area(border))} ${of().K} · ${of().B}${against(area(border), area(ghost.border))}`],
       ["Stiffest passive wall", calm.stiffness_max
         ? `${text(calm.stiffness_max)} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
-      ...(out.length ? [["Left out", `${out.join(", ")}: linear theory cannot include it`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
+      ...(out.length ? [["Left out", `${out.join("; ")}: not part of linear theory`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
     clearTimeout(said), said = setTimeout(() => {
       live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.`
         + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.shown?.[0]?.stable ? "stable" : "unstable"}.` : "");
@@ -364,13 +387,14 @@ export function explore(root, entries) {
       }
       return odd;
     };
+    fields.forEach((field) => field.show());
     /** @type {[string, (i: number) => string][]} */
     const lines = [["stiffness", (i) => `${text(all[i].stiffness)} ${of().K}`], ["damping", (i) => `${text(all[i].damping)} ${of().B}`],
-      ["verdict", (i) => found[i].stable ? inside(all[i]) ? "stable and passive" : "stable" : "unstable"], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
+      ["verdict", (i) => found[i].stable ? inside(all[i]) ? "stable, passive" : "stable, not passive" : "unstable"], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
       ["settling (2 %)", (i) => found[i].settle_2pct === null ? "–" : `${text(found[i].settle_2pct * T)} ms`],
       ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
-      ...["", " t", " t²"].map((by, p) => /** @type {[string, (i: number) => string]} */ ([`energy${by}`,
-        (i) => text(/** @type {any} */ (found[i])[`energy_step_w${p}`])])),
+      ...["", ", weight t", ", weight t²"].map((by, p) => /** @type {[string, (i: number) => string]} */ ([`energy${by}`,
+        (i) => { const value = /** @type {any} */ (found[i])[`energy_step_w${p}`]; return value ? `${text(value)} samples${["", "²", "³"][p]}` : "–"; }])),
       ["gain margin", (i) => text(safe[i]?.gain)], ["phase margin", (i) => safe[i]?.phase ? `${text(safe[i].phase * 180 / Math.PI, 3)}°` : "–"],
       ["delay margin", (i) => safe[i]?.delay ? `${text(safe[i].delay, 3)} samples` : "–"],
       ["bandwidth", (i) => safe[i]?.bandwidth_hz ? `${text(safe[i].bandwidth_hz, 3)} Hz` : "–"]];
@@ -425,7 +449,6 @@ export function explore(root, entries) {
       const until = performance.now() + 8;
       while (tasks.length && mine === loop && performance.now() < until) tasks.shift()?.();
       if (tasks.length && mine === loop) later = setTimeout(run, 0);
-      else root.dispatchEvent(new CustomEvent("rested"));
     };
     run();
   }
@@ -495,24 +518,32 @@ export function explore(root, entries) {
   const table = () => [`stiffness [${of().K}],damping [${of().B}]`,
     ...result.border.stiffness.map((K, i) => Number.isFinite(K) ? `${K},${result.border.damping[i]}` : ","), ""].join("\n");
   const pointed = (event) => {
-    const box = plane.getBoundingClientRect()
-      share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12),
+    const box = plane.getBoundingClientRect(), share = [((event.clientX - box.left) / box.width * width - left) / (width - left - 12),
         (height - bottom - (event.clientY - box.top) / box.height * height) / (height - bottom - 12)];
     const [[x0, x1], [y0, y1]] = axes();
     return { share, stiffness: x0 + share[0] * (x1 - x0), damping: y0 + share[1] * (y1 - y0) };
   };
   const pan = (x, y) => { const [[a, b], [c, d]] = axes(); view = { x: [a + x, b + x], y: [c + y, d + y] }, draw(), store(); };
-  let grabbed = /** @type {any} */ (null);
+  /** @type {any} */ let grabbed = null;
+  const touches = /** @type {Map<number, any>} */ (new Map());
   plane.addEventListener("pointerdown", (event) => {
-    grabbed = event.shiftKey ? pointed(event) : "wall", plane.setPointerCapture(event.pointerId), plane.dispatchEvent(new PointerEvent("pointermove", event));
+    touches.set(event.pointerId, event), plane.setPointerCapture(event.pointerId), grabbed = event.shiftKey ? pointed(event) : "wall";
+    if (touches.size === 1) plane.dispatchEvent(new PointerEvent("pointermove", event));
   });
   plane.addEventListener("pointermove", (event) => {
-    if (!grabbed) return;
-    const to = pointed(event);
-    if (grabbed === "wall") wall = { stiffness: Math.max(0, Number(to.stiffness.toPrecision(4))), damping: Number(to.damping.toPrecision(4)) }, move();
-    else pan(grabbed.stiffness - to.stiffness, grabbed.damping - to.damping);
+    if (!touches.has(event.pointerId)) return;
+    const before = [...touches.values()], to = pointed(event);
+    touches.set(event.pointerId, event);
+    if (touches.size > 1) {  // two fingers zoom, and move the view with them
+      const [from, now] = [before, [...touches.values()]].map(([a, b]) => {
+        const [p, q] = [pointed(a).share, pointed(b).share];
+        return { x: (p[0] + q[0]) / 2, y: (p[1] + q[1]) / 2, apart: Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY) };
+      }), [[x0, x1], [y0, y1]] = axes();
+      pan((from.x - now.x) * (x1 - x0), (from.y - now.y) * (y1 - y0)), zoom(from.apart / Math.max(now.apart, 1), now.x, now.y);
+    } else if (grabbed === "wall") wall = { stiffness: Math.max(0, Number(to.stiffness.toPrecision(4))), damping: Number(to.damping.toPrecision(4)) }, move();
+    else if (grabbed) pan(grabbed.stiffness - to.stiffness, grabbed.damping - to.damping);
   });
-  for (const name of ["pointerup", "pointercancel"]) plane.addEventListener(name, () => { grabbed = null; });
+  for (const name of ["pointerup", "pointercancel"]) plane.addEventListener(name, (event) => { touches.delete(event.pointerId), grabbed = null; });
   plane.addEventListener("wheel", (event) => {
     const { share } = pointed(event);
     event.preventDefault(), zoom(event.deltaY > 0 ? 1.15 : 0.87, share[0], share[1]);
@@ -533,13 +564,13 @@ export function explore(root, entries) {
     if (moving) return;
     moving = true, requestAnimationFrame(() => {
       moving = false;
-      if (!result) return;
-      const begun = performance.now();
-      draw(), showWalls(), showSummary(), store();
-      root.dispatchEvent(new CustomEvent("explored", { detail: performance.now() - begun }));
+      if (result) draw(), showWalls(), showSummary(), store();
     });
   }
-  let state;
-  try { state = location.hash.startsWith(keep) ? JSON.parse(decodeURIComponent(location.hash.slice(keep.length))) : undefined; } catch { /* a broken address begins anew */ }
-  begin(state?.e ?? 0, state);
+  const restore = () => {
+    let state;
+    try { state = location.hash.startsWith(keep) ? JSON.parse(decodeURIComponent(location.hash.slice(keep.length))) : undefined; } catch { /* a broken address changes nothing */ }
+    if (state || !result) begin(state?.e ?? 0, state);
+  };
+  addEventListener("hashchange", restore), restore();
 }
