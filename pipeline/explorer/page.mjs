@@ -115,7 +115,7 @@ export function python(loop, wall) {
 }
 
 /** What verdicts and energies mean. */
-const MEANING = "Passive: stable with every passive hand. Not passive: stable as set here; with some hand it may not be. Energies are over that of the step.";
+const MEANING = "Passive: stable with every passive hand. Not passive: stable as set here, not with every hand. Energy: time integral over that at the start.";
 
 explore.panels = 0;
 
@@ -168,7 +168,7 @@ export function explore(root, entries) {
       name.textContent = label, units.textContent = unit(row), slider.setAttribute("aria-valuetext", words), field.setAttribute("aria-label", `${label} ${unit(row)}`.trim());
     };
     controls.append(element);
-    return { path, element, show };
+    return { path, row, element, show, span };
   });
   const choices = CHOICES.map(([part, label, none]) => {
     const select = make("select", { id: `explore-${part}`, onchange: () => {
@@ -209,7 +209,7 @@ export function explore(root, entries) {
       if (field.value !== "" && wall) wall = { ...wall, [name]: name === "stiffness" ? Math.max(0, value) : value }, move();
     } });
     const label = make("label", { for: field.id });
-    return { label, field, show: () => {
+    return { element: make("span", {}, label, field), show: () => {
       label.textContent = `${name} ${symbol} [${of()[/** @type {"K"} */ (symbol)]}]`;
       if (wall && document.activeElement !== field) field.value = String(Number(wall[/** @type {"damping"} */ (name)].toPrecision(6)));
     } };
@@ -235,7 +235,7 @@ export function explore(root, entries) {
   root.replaceChildren(make("div", { class: "left" }, make("p", { class: "choice" }, make("label", { for: "explore-device" }, "device"), device), controls, buttons),
     make("div", { class: "middle" }, message, summary, plane, legend, tools, live),
     make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"),
-      ...fields.map(({ label, field }) => make("p", { class: "choice" }, label, field)), make("div", { class: "scroll" }, facts), make("p", { class: "note" }, MEANING), circle),
+      make("p", { class: "fields" }, ...fields.map(({ element }) => element)), make("div", { class: "scroll" }, facts), make("p", { class: "note" }, MEANING), circle),
     make("div", { class: "lower" }, make("div", {}, make("h3", {}, "What limits me"), bars),
       make("div", {}, make("h3", {}, make("label", { for: "explore-sweep" }, "Largest stiffness over "), over), sweep),
       make("p", { class: "line" }, "The same in Python: ", line)));
@@ -309,7 +309,7 @@ export function explore(root, entries) {
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    const shown = [["edge", "stable"], ["passive", "passive: stable with every hand"], ["linear", "linear condition: slow motion"], ["wall", "this wall: drag it"],
+    const shown = [["edge", "stable"], ["passive", "passive: stable with every passive hand"], ["linear", "linear condition: slow motion"], ["wall", "this wall: drag it"],
       ...(ghost?.same ? [] : [["ghost", "device as identified"]]), ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
       ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])];
@@ -324,7 +324,7 @@ export function explore(root, entries) {
     const x0 = Math.min(...x), x1 = Math.max(...x), y0 = Math.min(0, ...y), y1 = Math.max(...y, y0 + 1e-9) * 1.05;
     const at = { x: (v) => 46 + (v - x0) / (x1 - x0) * (w - 56), y: (v) => h - 30 - (v - y0) / (y1 - y0) * (h - 40) };
     svg.replaceChildren(make("path", { class: "axis", d: `M46 10V${h - 30}H${w - 10}` }),
-      ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 15, "text-anchor": "middle" }, text(log ? 10 ** v : v, log ? 2 : 4))),
+      ...ticks(x0, x1, 5).map((v) => make("text", { x: at.x(v), y: h - 15, "text-anchor": at.x(v) > w - 26 ? "end" : "middle" }, text(log ? 10 ** v : v, log ? 2 : 4))),
       ...ticks(y0, y1, 4).map((v) => make("text", { x: 42, y: at.y(v) + 4, "text-anchor": "end" }, text(v, 3))), make("text", { x: w - 10, y: h - 2, "text-anchor": "end" }, xname),
       ...marks.map((v) => make("path", { class: "grid", d: `M46 ${at.y(v)}H${w - 10}` })), ...series.map((s) => make("path", { class: s.name, d: path(s.x, s.y, at) })));
   }
@@ -422,14 +422,14 @@ export function explore(root, entries) {
     if (get(loop, swept) === undefined && swept.includes(".")) swept = "delay_samples";
     over.value = swept;
     const top = (other) => { try { const b = boundary(other, 40); return [b.stiffness_max, area(b)]; } catch { return [NaN, NaN]; } };
-    const row = /** @type {any} */ (NUMBERS.find(([name]) => name === swept)), tasks = /** @type {(() => void)[]} */ (present.map(([name]) => () => {
+    const { row, span } = /** @type {any} */ (rows.find(({ path }) => path === swept)), high = span(), tasks = /** @type {(() => void)[]} */ (present.map(([name]) => () => {
       const value = /** @type {number} */ (get(loop, name)), [less, more] = [0.9, 1.1].map((factor) => top(changed(mine, name, value * factor))[0] / base - 1);
       if (Number.isFinite(less + more)) found.push([name, Math.round(less * 1e6) / 1e6, Math.round(more * 1e6) / 1e6]);
       if (found.length) showBars(found);
     }));
     for (let i = 0; i <= 40; i++) {
       tasks.push(() => {
-        const [, , , , factor, low, high, scale] = row, share = i / 40, whole = scale === "whole", here = Math.max(get(mine, swept) ?? 0, 2 * low * factor) / factor;
+        const [, , , , factor, low, , scale] = row, share = i / 40, whole = scale === "whole", here = Math.max(get(mine, swept) ?? 0, 2 * low * factor) / factor;
         const value = scale === "linear" ? low + share * (Math.min(high, 2 * here + 4) - low)
           : whole ? Math.round(low + share * (high - low)) : Math.max(low, here / 20) * (Math.min(high, here * 20) / Math.max(low, here / 20)) ** share;
         curve.x.push(scale === "linear" || whole ? value : Math.log10(value));
