@@ -210,7 +210,7 @@ export function explore(root, entries) {
     } });
     const label = make("label", { for: field.id });
     return { element: make("span", {}, label, field), show: () => {
-      label.textContent = `${name} ${symbol} [${of()[/** @type {"K"} */ (symbol)]}]`;
+      label.textContent = `wall ${name} ${symbol} [${of()[/** @type {"K"} */ (symbol)]}]`;
       if (wall && document.activeElement !== field) field.value = String(Number(wall[/** @type {"damping"} */ (name)].toPrecision(6)));
     } };
   });
