@@ -80,7 +80,8 @@ def test_random_loops(ask, count, seed):
         B, K = (np.array([v for v in border[axis] if v is not None]) for axis in ("damping", "stiffness"))
         limit = loop.limits(B)["stiffness"].to_numpy()
         note("boundary", float((np.abs(K - limit) / (limit + 1e-9 * largest)).max()))
-        assert bool(border["islands"]) == bool(expected["islands"])
+        # the page shows walls with K >= 0
+        assert bool(border["islands"]) == any(island["stiffness_high"] > 0 for island in expected["islands"])
         if loop.normalised_loop.plant.sensor_at_load:
             assert outline["stiffness"] == []
         elif loop.passive_damping > 0:
@@ -130,7 +131,7 @@ def test_very_slow_walls(ask, count, seed):
             limits = loop.boundary(40)
         except PipelineError:
             continue
-        B = rng.choice(limits["damping"].dropna().to_numpy()[5:-5], 6)
+        B = rng.uniform(limits["damping"].min(), limits["damping"].max(), 6)
         limit = loop.limits(B)["stiffness"].fillna(1.0).to_numpy()
         near = 1 - 10 ** rng.uniform(-6.5, -3, 6)
         K = limit * np.where(np.arange(6) < 3, near, 10 ** rng.uniform(-6, -3, 6))
