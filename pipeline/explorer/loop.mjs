@@ -31,8 +31,8 @@
  * @typedef {{cells: Cell[], lines: Line[], soft: number[][], turning: number[], nodes: {theta: number, v: Float64Array, event: number}[]}} Curve
  */
 
-const LARGEST_DELAY = 256;
-const LARGEST_FILTER = 96;
+/** Samples of delay, and that a filter remembers, at most. */
+const LARGEST_DELAY = 256, LARGEST_FILTER = 96;
 /** Damping ratio of a mode without any: without loss its zeros lie on the unit circle. As in Python. */
 const LEAST_RATIO = 1e-12;
 /** Samples after which a response that still moves is given up. */
@@ -68,8 +68,7 @@ function number(name, value, least, positive = false) {
  */
 export function flattened(file) {
   if (file === null || typeof file !== "object") throw new TypeError("loop: expected the entries of a device file");
-  const { experiment, loop, ...device } = file;
-  const { loop: ofExperiment, ...first } = (experiment ?? [])[0] ?? {};
+  const { experiment, loop, ...device } = file, { loop: ofExperiment, ...first } = (experiment ?? [])[0] ?? {};
   const flat = { ...device, ...first, ...(loop ?? {}), ...(ofExperiment ?? {}) };
   const jitter = flat.jitter_samples ?? [];
   if (jitter.length) flat.delay_samples = jitter.reduce((sum, d) => sum + d, 0) / jitter.length;
@@ -81,8 +80,7 @@ export function flattened(file) {
  * @param {DeviceFile} file @returns {string[]}
  */
 export function leftOut(file) {
-  const flat = /** @type {any} */ (flattened(file));
-  const kind = flat.velocity?.kind;
+  const flat = /** @type {any} */ (flattened(file)), kind = flat.velocity?.kind;
   return [
     ...(kind === "foaw" || kind === "levant" ? ["velocity"] : []), ...(flat.friction ? ["friction"] : []),
     ...(new Set(flat.jitter_samples ?? []).size > 1 ? ["jitter"] : []),
@@ -95,8 +93,7 @@ export function leftOut(file) {
  */
 export function prepare(file) {
   if ("topNew" in file) return file;
-  const flat = flattened(file);
-  const T = number("sampling_period_s", flat.sampling_period_s, 0, true);
+  const flat = flattened(file), T = number("sampling_period_s", flat.sampling_period_s, 0, true);
   const own = number("mass", flat.mass, 0, true), b = number("damping", flat.damping ?? 0, 0);
   const gain = number("force_gain", flat.force_gain ?? 1, 0, true), k = number("stiffness", flat.stiffness ?? 0, 0);
   const delay = number("delay_samples", flat.delay_samples, 0);
@@ -946,7 +943,7 @@ function requirement(loop) {
     let best = most;
     for (let i = 1; i + 1 < count; i++) {
       if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.8 * most) continue;
-      best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 26)));
+      best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 20)));
     }
     // slow motion: an even function of the angle is continued to 0
     return Math.max(best, (4 * at(low) - at(2 * low)) / 3);
@@ -1079,7 +1076,11 @@ function rootOf(of, low, high) {
 }
 
 /** @param {any} piece @param {Float64Array} g @returns {Float64Array} the series of the motion over a piece */
-const series = (piece, g) => Float64Array.from({ length: DEGREE + 1 }, (_, c) => along(piece.series, c, g));
+function series(piece, g) {
+  const curve = new Float64Array(DEGREE + 1);
+  for (let c = 0; c <= DEGREE; c++) curve[c] = along(piece.series, c, g);
+  return curve;
+}
 
 /**
  * Return the slowest pole [size, angle], an angle in [0, pi], and the size of the slowest other one than its pair.
@@ -1174,13 +1175,13 @@ function stepCosts(loop, alpha, beta, slowest, longest, energies) {
       add((f, power) => power === 0 ? of(f, 0) : power === 1 ? since * of(f, 0) + of(f, 1) : since * since * of(f, 0) + 2 * since * of(f, 1) + of(f, 2));
       adding = false, summed = true;
     }
-    let most = 0, highest = -Infinity;  // of the motion between samples, whose size is found closely
-    for (const piece of parts) {
+    // the size of the motion between samples, closely where it is largest
+    const places = parts.flatMap((/** @type {any} */ piece) => {
       const [u, v] = [R, I].map(({ g }) => series(piece, g)), of = (/** @type {number} */ at) => 2 * Math.hypot(motionAt(u, at)[0], motionAt(v, at)[0]);
-      for (let at = -1; at < 1; at += 1 / 16) {
-        most = Math.max(most, of(at), of(at + 1 / 16), of(golden(of, at, at + 1 / 16)) * (1 + 1e-12)), highest = Math.max(highest, motionAt(u, at)[0]);
-      }
-    }
+      return Array.from({ length: 33 }, (_, i) => ({ of, at: i / 16 - 1, size: of(i / 16 - 1), value: motionAt(u, i / 16 - 1)[0] }));
+    }), near = Math.max(...places.map(({ size }) => size)), highest = Math.max(...places.map(({ value }) => value));
+    const refined = places.filter(({ size }) => size > 0.999 * near).map(({ of, at }) => of(golden(of, Math.max(-1, at - 1 / 16), Math.min(1, at + 1 / 16))));
+    const most = Math.max(near, ...refined) * (1 + 1e-12);
     topped ||= !angle && highest <= 0;  // it comes from below
     const sampled = 2 * Math.hypot(R.place, I.place), above = (/** @type {number} */ level, /** @type {number} */ top) => level * size ** (k - since) > Math.max(QUIET, top);
     while (!topped && k - since < LONGEST) sample(), topped = !above(most, peak) && !above(sampled, peakDiscrete);

@@ -173,7 +173,7 @@ export function explore(root, entries) {
   const choices = CHOICES.map(([part, label, none]) => {
     const select = make("select", { id: `explore-${part}`, onchange: () => {
       const given = flattened(entry.loop)[/** @type {"mode"} */ (part)], filled = { ...PARTS[part][select.value] };
-      if (part !== "velocity" && filled && !filled.mass) filled.mass = 0.2 * (loop.mass ?? 1);
+      if (part !== "velocity" && filled && !filled.mass) filled.mass = Number((0.2 * (loop.mass ?? 1)).toPrecision(3));
       const next = select.value === "" ? undefined : select.value === "file" ? given : part === "mode" && loop.mode ? { ...loop.mode, sensor: select.value } : filled;
       loop = changed(loop, part, next), renew();
     } });
@@ -524,11 +524,12 @@ export function explore(root, entries) {
     return { share, stiffness: x0 + share[0] * (x1 - x0), damping: y0 + share[1] * (y1 - y0) };
   };
   const pan = (x, y) => { const [[a, b], [c, d]] = axes(); view = { x: [a + x, b + x], y: [c + y, d + y] }, draw(), store(); };
-  /** @type {any} */ let grabbed = null;
+  let grabbed = /** @type {any} */ (null), former = wall;
   const touches = /** @type {Map<number, any>} */ (new Map());
   plane.addEventListener("pointerdown", (event) => {
     touches.set(event.pointerId, event), plane.setPointerCapture(event.pointerId), grabbed = event.shiftKey ? pointed(event) : "wall";
-    if (touches.size === 1) plane.dispatchEvent(new PointerEvent("pointermove", event));
+    if (touches.size === 1) former = wall, plane.dispatchEvent(new PointerEvent("pointermove", event));
+    else wall = former, move();  // two fingers move no wall
   });
   plane.addEventListener("pointermove", (event) => {
     if (!touches.has(event.pointerId)) return;
