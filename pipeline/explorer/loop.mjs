@@ -1188,9 +1188,9 @@ function stepCosts(loop, alpha, beta, slowest, longest, energies) {
     settled = true;
     for (const [level, last] of /** @type {[number, () => number][]} */ ([[most, () => entry], [sampled, () => outside]])) {
       const end = level > band ? Math.ceil(Math.log(band / level) / Math.log(size)) + 1 : 0;
-      for (let window = 64, first = end; first > 0; window *= 2) {
-        if (window > LONGEST) return settled = false, true;
-        first = Math.max(0, end - window), k = since + first;
+      for (let back = 64, first = end; first > 0; back *= 2) {
+        if (back > LONGEST) return settled = false, true;
+        first = Math.max(0, end - back), k = since + first;
         const re = 2 * size ** first * Math.cos(first * angle), im = 2 * size ** first * Math.sin(first * angle);
         for (let i = 0; i < x.length; i++) x[i] = U[0][i] * re - U[1][i] * im;
         while (k < since + end) sample();

@@ -144,7 +144,7 @@ export function explore(root, entries) {
   const rows = NUMBERS.map((row) => {
     const [path, label, , , , low, high, scale] = row, id = `explore-${path}`;
     const slider = make("input", { type: "range", id, min: 0, max: 1000, step: 1, oninput: () => set(path, fromSlider(Number(slider.value))) });
-    const field = make("input", { type: "number", step: "any", onchange: () => set(path, field.value === "" ? NaN : Number(field.value) * row[4]) });
+    const field = make("input", { type: "number", step: "any", "aria-label": label, onchange: () => set(path, field.value === "" ? NaN : Number(field.value) * row[4]) });
     const name = make("label", { for: id }), units = make("span", { class: "unit" }), element = make("div", { class: "number" }, name, slider, field, units);
     const span = () => path === "velocity.cutoff_hz" ? Math.min(high, 0.499 / (loop.sampling_period_s ?? 1)) : path === "mode.mass" ? 0.98 * (loop.mass ?? 1)
       : path === "mode.load_damping" ? Math.max(loop.damping ?? 0, 2 * low) : high;
@@ -298,7 +298,7 @@ export function explore(root, entries) {
     const star = (w) => `M${at.x(w.stiffness)} ${at.y(w.damping) - 8}l3 5 6 1-4 4 1 6-6-3-6 3 1-6-4-4 6-1z`;
     put("best", [best, entry.wall].map((w) => w ? star(w) : "").join(""));
     layers.wall.replaceChildren(...[...pins, ...(wall ? [wall] : [])].flatMap((w, i) => {
-      const x = at.x(w.stiffness), y = at.y(w.damping), name = w === wall ? "" : "AB"[i];
+      const x = at.x(w.stiffness), y = at.y(w.damping), name = i < pins.length ? "AB"[i] : "";
       return x > left && y < height - bottom ? [make("circle", { class: "wall", cx: x, cy: y, r: 6 }), make("text", { x: x + 9, y: y - 6 }, name)] : [];
     }));
     const frame = [], grid = [];
@@ -370,14 +370,14 @@ export function explore(root, entries) {
       ...(out.length ? [["Left out", `${out.join("; ")}: not part of linear theory`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
     clearTimeout(said), said = setTimeout(() => {
       live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.`
-        + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.shown?.[0]?.stable ? "stable" : "unstable"}.` : "");
+        + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.verdicts[0]}.` : "");
     }, 500);
   }
 
   function showWalls() {
     const { sampled, calm } = result, all = [.../** @type {Wall[]} */ (wall ? [wall] : []), ...pins], T = sampled.units.period * 1000;
     const found = walls(sampled, all.map((w) => w.stiffness), all.map((w) => w.damping), { longest: 4000 });
-    result.shown = found, line.textContent = wall ? python(loop, wall) : "";
+    line.textContent = wall ? python(loop, wall) : "";
     const safe = all.map((w, i) => found[i].stable ? margins(sampled, w.stiffness, w.damping) : null);
     const inside = (w) => {
       let odd = false;
@@ -387,10 +387,10 @@ export function explore(root, entries) {
       }
       return odd;
     };
-    fields.forEach((field) => field.show());
+    fields.forEach((field) => field.show()), result.verdicts = all.map((w, i) => !found[i].stable ? "unstable" : inside(w) ? "stable, passive" : "stable, not passive");
     /** @type {[string, (i: number) => string][]} */
     const lines = [["stiffness", (i) => `${text(all[i].stiffness)} ${of().K}`], ["damping", (i) => `${text(all[i].damping)} ${of().B}`],
-      ["verdict", (i) => found[i].stable ? inside(all[i]) ? "stable, passive" : "stable, not passive" : "unstable"], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
+      ["verdict", (i) => result.verdicts[i]], ["spectral radius", (i) => text(found[i].spectral_radius, 6)],
       ["settling (2 %)", (i) => found[i].settle_2pct === null ? "–" : `${text(found[i].settle_2pct * T)} ms`],
       ["overshoot", (i) => found[i].overshoot === null ? "–" : `${text(100 * found[i].overshoot, 3)} %`],
       ...["", ", weight t", ", weight t²"].map((by, p) => /** @type {[string, (i: number) => string]} */ ([`energy${by}`,

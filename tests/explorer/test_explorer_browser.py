@@ -83,6 +83,12 @@ def largest(tab: Any) -> float:
     return float(tab.inner_text(".what-summary dd").split()[0].replace(",", ""))
 
 
+def state_of(tab: Any) -> dict[str, Any]:
+    """State that the address keeps."""
+    state: dict[str, Any] = json.loads(tab.evaluate("decodeURIComponent(location.hash.slice('#explore='.length))"))
+    return state
+
+
 def test_what_one_more_sample_of_delay_costs(opened):
     tab = opened()
     assert largest(tab) == 13629
@@ -95,6 +101,61 @@ def test_what_one_more_sample_of_delay_costs(opened):
     tab.get_by_role("button", name="Reset to device").click()
     tab.wait_for_function("!document.querySelector('.what-summary dd').textContent.includes('against')")
     assert largest(tab) == 13629
+
+
+def test_the_jitter_is_left_out_of_the_device_as_it_is(opened):
+    """Another delay is a constant one; the device's own delay has its jitter again."""
+    tab = opened()
+    words = "the jitter of the delay (taken as its mean, 4 samples)"
+    field = tab.get_by_role("spinbutton", name="delay d")
+    for delay, left_out in (("5", False), ("4", True)):
+        assert (words in tab.inner_text(".what-summary")) is not left_out
+        field.fill(delay)
+        field.press("Enter")
+        tab.wait_for_function(
+            f"document.querySelector('.what-summary').textContent.includes('jitter') === {str(left_out).lower()}"
+        )
+        assert (words in tab.inner_text(".what-summary")) is left_out
+
+
+def test_a_wall_is_typed(opened):
+    tab = opened()
+    tab.get_by_label("wall stiffness K [N/m]").fill("1000")
+    tab.keyboard.press("Tab")
+    tab.get_by_label("wall damping B [Ns/m]").fill("2")
+    tab.keyboard.press("Enter")
+    tab.wait_for_function("document.querySelector('.what-walls').textContent.includes('stable, passive')")
+    tab.wait_for_function(
+        "document.querySelector('.live').textContent.includes('Wall of 1,000 N/m and 2 Ns/m: stable, passive')"
+    )
+    tab.get_by_label("wall damping B [Ns/m]").fill("20")
+    tab.keyboard.press("Enter")
+    tab.wait_for_function("document.querySelector('.what-walls').textContent.includes('stable, not passive')")
+    row = pipeline.Loop(0.58, 4.0, 0.001, 4).points(1000, 20).iloc[0]
+    shown = dict(line.split("\t") for line in tab.inner_text(".what-walls tbody").splitlines())
+    assert shown["energy, weight t"] == f"{row['energy_step_w1']:.1f} samples²"
+    assert shown["settling (2 %)"] == f"{row['settle_2pct']:.1f} ms"
+
+
+def test_two_fingers_zoom(opened):
+    tab = opened(width=390, has_touch=True)
+    fingers = tab.context.new_cdp_session(tab)
+    box = tab.locator(".middle > svg").bounding_box()
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    before = tab.inner_text(".what-walls tbody")
+
+    def touch(kind: str, apart: float) -> None:
+        points = [{"x": x - apart, "y": y, "id": 0}, {"x": x + apart, "y": y, "id": 1}]
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points if apart else []})
+
+    touch("touchStart", 30)
+    for apart in range(32, 62, 2):
+        touch("touchMove", apart)
+    touch("touchEnd", 0)
+    tab.wait_for_function("decodeURIComponent(location.hash).includes('\"view\":{')")
+    (low, high), _ = state_of(tab)["view"].values()
+    assert 0.4 < (high - low) / (1.08 * 13629) < 0.6
+    assert tab.inner_text(".what-walls tbody") == before
 
 
 def test_a_wall_is_moved_by_keys_and_dragged(opened):
@@ -137,7 +198,35 @@ def test_the_address_keeps_what_was_set(opened, browser):
     assert largest(tab) == shown
 
 
-def test_exports_give_the_same_numbers(opened, tmp_path):
+def test_an_address_that_is_pasted_is_shown(opened):
+    """All that can be set comes back, also in a page that is open."""
+    tab = opened()
+    tab.focus(".middle > svg")
+    for key in ("ArrowRight", "p", "ArrowUp", "p", "+", "Shift+ArrowRight"):
+        tab.keyboard.press(key)
+    for part, choice in (
+        ("velocity", "kalman"),
+        ("mode", "motor"),
+        ("operator", "hand"),
+        ("criterion", "energy_step_w0"),
+        ("sweep", "mass"),
+    ):
+        tab.select_option(f"#explore-{part}", choice)
+    tab.wait_for_function("decodeURIComponent(location.hash).includes('energy_step_w0')")
+    two_stars = "document.querySelector('.middle > svg path.best').getAttribute('d').split('M').length === 3"
+    tab.wait_for_function(two_stars, timeout=60000)
+    parts = ".middle > svg", ".what-summary", ".what-walls"
+    other = opened()
+    other.evaluate("(hash) => { location.hash = hash; }", tab.evaluate("location.hash"))
+    other.wait_for_function(two_stars, timeout=60000)
+    plain = "(all) => all.map((one) => one.innerHTML.replace(/explorer-clip-\\d+/g, ''))"
+    assert [other.eval_on_selector_all(part, plain) for part in parts] == [
+        tab.eval_on_selector_all(part, plain) for part in parts
+    ]
+    assert state_of(tab)["pins"] != []
+
+
+def test_exports_give_the_same_numbers(opened, tmp_path, call):
     tab = opened({"e": 0, "loop": WORST})
 
     def saved(name: str) -> str:
@@ -149,6 +238,17 @@ def test_exports_give_the_same_numbers(opened, tmp_path):
     written = tomllib.loads(saved("TOML"))
     loop = {**{k: v for k, v in written.items() if k not in ("name", "loop")}, **written["loop"]}
     assert pipeline.Loop(**loop) == pipeline.Loop(**WORST)
+    (tmp_path / "TOML").rename(tmp_path / "device.toml")
+    status, out, _ = call("theory", "boundary", "--device", "device.toml", "--json")
+    assert status == 0
+    assert json.loads(out)["stiffness_max"] == pytest.approx(largest(tab), rel=1e-4)
+    assert call("explore", "--device", "device.toml", "--out", "again.html")[0] == 0
+    assert (
+        json.loads(re.search(r'explorer-entries">\[(.*?)\]</script>', (tmp_path / "again.html").read_text())[1])[
+            "loop"
+        ]["velocity"]
+        == WORST["velocity"]
+    )
     rows = np.genfromtxt(saved("CSV").splitlines(), delimiter=",", skip_header=1)
     expected = pipeline.Loop(**WORST).limits(rows[50:300:50, 1])["stiffness"]
     assert rows[50:300:50, 0] == pytest.approx(expected.to_numpy(), rel=1e-6)
