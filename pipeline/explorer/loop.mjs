@@ -519,7 +519,8 @@ function curve(loop) {
   const point = (node, next) => {
     const w = node.v, rate = node.event === 0 ? (next.v[5] > 0 ? 1e-300 : -1e-300) : w[5];
     const beta = free(node) ? w[3] / w[7] : w[1] / rate;
-    return [beta, node.event === 3 ? 0 : w[0] - (w[4] ? beta * w[4] : 0)];
+    // where N is 0, as of a window of 4 samples at z = j, alpha stays finite while beta does not
+    return [beta, node.event === 3 ? 0 : w[0] - (Math.abs(w[4]) > (node.event === 0 ? 1e-12 : 0) ? beta * w[4] : 0)];
   };
   for (let i = 1; i < found.length; i++) {
     const p = found[i - 1], q = found[i], [b0, a0] = point(p, q), [b1, a1] = point(q, p);
