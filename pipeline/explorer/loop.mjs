@@ -430,7 +430,8 @@ const BENT = 0.03;
  */
 function nodes(loop) {
   const angles = new Set(), turns = PER_TURN * (loop.whole + 2 + loop.filter.order);
-  for (let k = 1; k < turns; k++) angles.add(k * Math.PI / turns);
+  // at no simple part of a turn, where a window's velocity is real or 0
+  for (let k = 1; k <= turns; k++) angles.add((k - 0.382) * Math.PI / turns);
   for (let t = SMALLEST; t < 2 * Math.PI / turns; t *= 1.4) angles.add(t), angles.add(Math.PI - t);
   const at = (theta, event = -1) => {
     const v = new Float64Array(8);

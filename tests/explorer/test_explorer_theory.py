@@ -211,3 +211,16 @@ def test_a_free_crossing(ask):
         (found,) = ask([("boundary", {**loop, "delay_samples": delay})])
         expected = Loop(**loop, delay_samples=delay).boundary().attrs
         assert found["stiffness_max"] == pytest.approx(expected["stiffness_max"], rel=1e-9)
+
+
+def test_a_window_whose_velocity_is_real_at_a_simple_angle(ask):
+    """A window of 4 samples is real at z = exp(j pi/4) and 0 at z = j, where angles of a grid would lie."""
+    loop = {
+        "mass": 4.8, "damping": 1.2, "stiffness": 16.3, "sampling_period_s": 0.0035, "delay_samples": 3.2,
+        "velocity": {"kind": "difference", "samples": 4},
+        "mode": {"frequency_hz": 36.7, "damping_ratio": 0.0075, "mass": 1.64},
+    }  # fmt: skip
+    (found,) = ask([("boundary", loop, 100)])
+    damping = np.array(found["damping"])
+    assert found["islands"] == []
+    assert np.array(found["stiffness"]) == pytest.approx(Loop(**loop).limits(damping)["stiffness"].to_numpy(), rel=1e-6)
