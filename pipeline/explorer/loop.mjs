@@ -122,12 +122,11 @@ export function prepare(file) {
 function stateSpace(mode, { own, b, mass, T, gamma, delta, lag }) {
   const mechanical = mode ? 4 : 2, n = mechanical + (lag > 0 ? 1 : 0);
   const A = new Float64Array(n * n), B = new Float64Array(n), C = new Float64Array(n), force = new Float64Array(n);
-  A[1] = 1, C[0] = 1, force[1] = 1;
+  A[1] = 1, A[n] = -gamma, A[n + 1] = -delta, C[0] = 1, force[1] = 1;
   let loadDamping = 0;
   if (mode) {
     const heavy = number("mode.mass", mode.mass, 0, true), turn = 2 * Math.PI * number("mode.frequency_hz", mode.frequency_hz, 0, true);
-    const ratio = Math.max(number("mode.damping_ratio", mode.damping_ratio, 0), LEAST_RATIO);
-    const bl = number("mode.load_damping", mode.load_damping ?? 0, 0);
+    const ratio = Math.max(number("mode.damping_ratio", mode.damping_ratio, 0), LEAST_RATIO), bl = number("mode.load_damping", mode.load_damping ?? 0, 0);
     if (heavy >= own) throw new RangeError(`mode.mass: found ${heavy}; expected less than the whole mass, ${own}`);
     if (bl > b) throw new RangeError(`mode.load_damping: found ${bl}; expected at most the whole damping, ${b}`);
     const reduced = heavy * (own - heavy) / own, load = heavy / mass, near = 1 - load;
@@ -143,15 +142,11 @@ function stateSpace(mode, { own, b, mass, T, gamma, delta, lag }) {
     A[3 * n + 2] -= spring * (1 / load + 1 / near), A[3 * n + 3] -= damper * (1 / load + 1 / near);
     for (const j of [1, 3]) A[n + j] -= loadDamping, A[3 * n + j] -= near / load * loadDamping;
     if (mode.sensor === "load") C[2] = 1;
-  } else {
-    A[n] = -gamma, A[n + 1] = -delta;
   }
   if (lag > 0) {
     for (let i = 0; i < n - 1; i++) A[i * n + n - 1] = force[i];
     A[n * n - 1] = -1 / lag, B[n - 1] = 1 / lag;
-  } else {
-    B.set(force);
-  }
+  } else B.set(force);
   return { n, A, B, C, mechanical, atLoad: mode?.sensor === "load" };
 }
 
@@ -456,9 +451,7 @@ function nodes(loop) {
       return;
     }
     const inner = [];
-    for (let e = 0; e < EVENTS.length; e++) {
-      if ((EVENTS[e](p.v) > 0) !== (EVENTS[e](q.v) > 0)) inner.push(zero(loop, EVENTS[e], p, q, e));
-    }
+    EVENTS.forEach((event, e) => { if ((event(p.v) > 0) !== (event(q.v) > 0)) inner.push(zero(loop, event, p, q, e)); });
     result.push(...inner.sort((a, b) => a.theta - b.theta), q);
   };
   for (let i = 1; i < sorted.length; i++) fill(sorted[i - 1], sorted[i], 0);
@@ -602,11 +595,7 @@ function lowest(loop, known, beta) {
  * @returns {number[][]}
  */
 function beyond(loop, known, beta, unstable) {
-  /** @type {[number, number][]} */
-  const met = [];
-  for (const { value, slope, bend, bendSlope, turn } of known.lines) {
-    met.push([value - beta * slope, bend - beta * bendSlope > 0 ? turn : -turn]);
-  }
+  const met = known.lines.map(({ value, slope, bend, bendSlope, turn }) => [value - beta * slope, bend - beta * bendSlope > 0 ? turn : -turn]);
   const cells = known.cells.filter((cell) => (cell.b0 < beta) !== (cell.b1 < beta));
   if (!cells.some((cell) => cell.turn < 0) && !met.some(([, turn]) => turn < 0)) return [];
   for (const cell of cells) met.push([crossing(loop, cell, beta), cell.turn]);
@@ -626,7 +615,7 @@ function unstablePoles(loop, alpha, beta) {
 }
 
 /** Share of the way to the next level by which the first lies beside the end of a part, where the limit is 0. */
-const NEXT_TO_END = 1e-3;
+const NEXT_TO_END = 1e-2;
 /** Samples of delay and filter beyond which eigenvalues take long. */
 const LONG = 24;
 /** Dampings between two turns at which islands are drawn, and places between them at which they are looked for. */
@@ -674,7 +663,7 @@ export function boundary(file, points = 400) {
     for (let i = 0; i <= n; i++) levels.push(low + (high - low) * 0.5 * (1 - Math.cos(Math.PI * i / n)));
     levels[0] = low + NEXT_TO_END * (levels[1] - low), levels[n] = high - NEXT_TO_END * (high - levels[n - 1]);
     for (const beta of turning) {
-      const offset = 1e-13 * (high - low);
+      const offset = 1e-11 * (high - low);
       if (beta - offset > levels[0] && beta + offset < levels[n]) levels.push(beta - offset, beta + offset);
     }
     levels.sort((a, b) => a - b);
@@ -684,7 +673,7 @@ export function boundary(file, points = 400) {
     // where a branch turns back beside the stiffest level, the limit rises as a root up to the turn itself
     for (const { v, event } of known.nodes) {
       const beta = v[1] / v[5], alpha = v[0] - beta * v[4];
-      if (event === 1 && Math.abs(beta - at) < 1e-11 * (high - low) && alpha > peak && alpha < peak * (1 + 1e-4)) peak = alpha, at = beta;
+      if (event === 1 && Math.abs(beta - at) < 2e-11 * (high - low) && alpha > peak && alpha < peak * (1 + 1e-3)) peak = alpha, at = beta;
     }
     if (stiffness.length) stiffness.push(NaN), damping.push(NaN);
     levels.forEach((beta, i) => {
@@ -801,19 +790,29 @@ export function eigenvalues(matrix, n) {
       end -= 2, tries = 0;
       continue;
     }
-    if (tries === 60) throw new Error("the poles of this wall were not found");
-    if (tries === 10 || tries === 20 || tries === 40) {
+    if (tries === 200) throw new Error("the poles of this wall were not found");
+    if (tries % 10 === 9) {  // another shift where it goes round in circles
       shift += x;
       for (let i = 0; i <= end; i++) H[i * n + i] -= x;
       const s = Math.abs(H[end * n + end - 1]) + Math.abs(H[(end - 1) * n + end - 2]);
       x = y = 0.75 * s, w = -0.4375 * s * s;
     }
     tries++;
-    const corner = H[l * n + l], a = x - corner, b = y - corner;
-    let p = (a * b - w) / H[(l + 1) * n + l] + H[l * n + l + 1], q = H[(l + 1) * n + l + 1] - corner - a - b, r = H[(l + 2) * n + l + 1];
-    for (let k = l; k < end; k++) {
+    let m = end - 2, p = 0, q = 0, r = 0;
+    for (; m >= l; m--) {
+      const z = H[m * n + m], a = x - z, b = y - z;
+      p = (a * b - w) / H[(m + 1) * n + m] + H[m * n + m + 1];
+      q = H[(m + 1) * n + m + 1] - z - a - b, r = H[(m + 2) * n + m + 1];
+      const s = Math.abs(p) + Math.abs(q) + Math.abs(r);
+      p /= s, q /= s, r /= s;
+      if (m === l) break;
+      const u = Math.abs(H[m * n + m - 1]) * (Math.abs(q) + Math.abs(r));
+      const v = Math.abs(p) * (Math.abs(H[(m - 1) * n + m - 1]) + Math.abs(z) + Math.abs(H[(m + 1) * n + m + 1]));
+      if (u <= Number.EPSILON * v) break;
+    }
+    for (let k = m; k < end; k++) {
       const three = k !== end - 1;
-      if (k !== l) {
+      if (k !== m) {
         p = H[k * n + k - 1], q = H[(k + 1) * n + k - 1], r = three ? H[(k + 2) * n + k - 1] : 0;
         x = Math.abs(p) + Math.abs(q) + Math.abs(r);
         if (!x) continue;
@@ -821,10 +820,10 @@ export function eigenvalues(matrix, n) {
       }
       const s = Math.sqrt(p * p + q * q + r * r) * (p < 0 ? -1 : 1);
       if (!s) continue;
-      if (k !== l) {
+      if (k !== m) {
         H[k * n + k - 1] = -s * x, H[(k + 1) * n + k - 1] = 0;
         if (three) H[(k + 2) * n + k - 1] = 0;
-      }
+      } else if (l !== m) H[k * n + k - 1] = -H[k * n + k - 1];
       p += s, x = p / s, y = q / s, q /= p, r /= p;
       const z = r * p / s;
       for (let j = k; j <= end; j++) {
@@ -1163,8 +1162,8 @@ function stepCosts(loop, alpha, beta, slowest, longest, energies) {
   };
   const slow = () => {
     const { size, angle, next } = slowest, pair = angle > 0 && angle < Math.PI;
-    if (k * Math.log(next / size) > GONE) return false;
-    const before = x.slice(), turn = pair ? Math.max(1, Math.round(Math.PI / 2 / Math.min(angle, Math.PI - angle))) : 0;
+    const turn = pair ? Math.max(1, Math.round(Math.PI / 2 / Math.min(angle, Math.PI - angle))) : 0, before = x.slice();
+    if (k * Math.log(next / size) > GONE || turn > longest) return false;
     for (let i = 0; i < turn; i++) sample();
     const since = k, c = size ** turn * Math.cos(turn * angle), d = size ** turn * Math.sin(turn * angle);
     const U = [x.map((value) => value / 2), x.map((value, i) => pair ? (before[i] * d - c * (value - c * before[i]) / d) / 2 : 0)];
@@ -1186,12 +1185,12 @@ function stepCosts(loop, alpha, beta, slowest, longest, energies) {
     const most = Math.max(near, ...refined) * (1 + 1e-12);
     topped ||= !angle && highest <= 0;  // it comes from below
     const sampled = 2 * Math.hypot(R.place, I.place), above = (/** @type {number} */ level, /** @type {number} */ top) => level * size ** (k - since) > Math.max(QUIET, top);
-    while (!topped && k - since < LONGEST) sample(), topped = !above(most, peak) && !above(sampled, peakDiscrete);
+    while (!topped && k - since < longest) sample(), topped = !above(most, peak) && !above(sampled, peakDiscrete);
     settled = true;
     for (const [level, last] of /** @type {[number, () => number][]} */ ([[most, () => entry], [sampled, () => outside]])) {
       const end = level > band ? Math.ceil(Math.log(band / level) / Math.log(size)) + 1 : 0;
       for (let back = 64, first = end; first > 0; back *= 2) {
-        if (back > LONGEST) return settled = false, true;
+        if (back > longest) return settled = false, true;
         first = Math.max(0, end - back), k = since + first;
         const re = 2 * size ** first * Math.cos(first * angle), im = 2 * size ** first * Math.sin(first * angle);
         for (let i = 0; i < x.length; i++) x[i] = U[0][i] * re - U[1][i] * im;

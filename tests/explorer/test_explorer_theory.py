@@ -224,3 +224,20 @@ def test_a_window_whose_velocity_is_real_at_a_simple_angle(ask):
     damping = np.array(found["damping"])
     assert found["islands"] == []
     assert np.array(found["stiffness"]) == pytest.approx(Loop(**loop).limits(damping)["stiffness"].to_numpy(), rel=1e-6)
+
+
+def test_poles_at_which_plain_iterations_go_round_in_circles(ask):
+    loop = {
+        "mass": 0.4892301292388779, "damping": 28.320156005705407, "stiffness": 2813.201212499645,
+        "sampling_period_s": 0.001151301223368544, "delay_samples": 6.0, "actuator_lag_s": 0.0015874641323876757,
+        "force_gain": 0.6113818735216275,
+        "velocity": {
+            "kind": "coefficients", "b": [0.3077470607887882, 0.34856017326868943, 0.2576932651713624],
+            "a": [1.0, -0.30589855239055985, 0.21989905161939996],
+        },
+        "operator": {"mass": 0.6394029453623218, "damping": 14.045320173845445, "stiffness": 201.78370413242644},
+    }  # fmt: skip
+    K, B = 1463.5712852079535, 329.14545150154464
+    (found,) = ask([("poles", loop, K, B)])
+    largest = max(abs(complex(*pole)) for pole in found)
+    assert largest == pytest.approx(Loop(**loop).points(K, B)["spectral_radius"].iloc[0], rel=1e-9)
