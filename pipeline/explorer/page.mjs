@@ -139,8 +139,7 @@ export function explore(root, entries) {
   const of = () => loop.motion === "rotation" ? { K: "Nm/rad", B: "Nms/rad" } : { K: "N/m", B: "Ns/m" };
 
   // ------------------------------------------------------------------------------------------------------- controls
-  const controls = make("div", { class: "controls" }), message = make("p", { class: "message", role: "alert" });
-  const live = make("p", { class: "live", "aria-live": "polite" });
+  const controls = make("div", { class: "controls" }), message = make("p", { class: "message", role: "alert" }), live = make("p", { class: "live", "aria-live": "polite" });
   const rows = NUMBERS.map((row) => {
     const [path, label, , , , low, high, scale] = row, id = `explore-${path}`;
     const slider = make("input", { type: "range", id, min: 0, max: 1000, step: 1, oninput: () => set(path, fromSlider(Number(slider.value))) });
@@ -235,7 +234,8 @@ export function explore(root, entries) {
   root.replaceChildren(make("div", { class: "left" }, make("p", { class: "choice" }, make("label", { for: "explore-device" }, "device"), device), controls, buttons),
     make("div", { class: "middle" }, message, summary, plane, legend, tools, live),
     make("div", { class: "right" }, make("h3", {}, "Response to a step"), step, make("h3", {}, "This wall"),
-      make("p", { class: "fields" }, ...fields.map(({ element }) => element)), make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Walls" }, facts), make("p", { class: "note" }, MEANING), circle),
+      make("p", { class: "fields" }, ...fields.map(({ element }) => element)),
+      make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Walls" }, facts), make("p", { class: "note" }, MEANING), circle),
     make("div", { class: "lower" }, make("div", {}, make("h3", {}, "What limits me"), bars),
       make("div", {}, make("h3", {}, make("label", { for: "explore-sweep" }, "Largest stiffness over "), over), sweep),
       make("p", { class: "line" }, "The same in Python: ", line)));
