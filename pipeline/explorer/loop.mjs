@@ -428,12 +428,16 @@ function nodes(loop) {
   // at no simple part of a turn, where a window's velocity is real or 0
   for (let k = 1; k <= turns; k++) angles.add((k - 0.382) * Math.PI / turns);
   for (let t = SMALLEST; t < 2 * Math.PI / turns; t *= 1.4) angles.add(t), angles.add(Math.PI - t);
-  const at = (theta, event = -1) => {
+  const [re, im] = eigenvalues(loop.A, loop.n);
+  im.map((turn) => Math.acos(Math.cos(turn))).forEach((turn, i) => {  // closely about the device's resonances, over which H all but vanishes
+    for (let far = Math.max(-re[i], SMALLEST); turn > 0 && far < Math.PI / turns; far *= 2) angles.add(turn - far), angles.add(turn), angles.add(turn + far);
+  });
+  const at = (theta) => {
     const v = new Float64Array(8);
     onCircle(loop, theta, v);
-    return { theta, v, event };
+    return { theta, v, event: -1 };
   };
-  const sorted = [...angles].sort((a, b) => a - b).map((theta) => at(theta));
+  const sorted = [...angles].filter((theta) => theta >= SMALLEST && theta <= Math.PI - SMALLEST).sort((a, b) => a - b).map(at);
   /** @type {{theta: number, v: Float64Array, event: number}[]} */
   const result = [sorted[0]];
   const bends = (p, q, h) => {
