@@ -308,10 +308,8 @@ function velocityFilter(velocity, T) {
 function ratio(b, a, theta, out) {
   const c = Math.cos(theta), s = -Math.sin(theta), half = Math.sin(theta / 2);
   const [br, bi, bsr, bsi] = horner(b, c, s).slice(), [ar, ai, asr, asi] = horner(a, c, s), size = ar * ar + ai * ai;
-  const fr = (br * ar + bi * ai) / size, fi = (bi * ar - br * ai) / size;
-  const er = bsr - (fr * asr - fi * asi), ei = bsi - (fr * asi + fi * asr);
-  const gr = (er * ar + ei * ai) / size, gi = (ei * ar - er * ai) / size;
-  const pr = 2 * half * half, pi = -s;
+  const fr = (br * ar + bi * ai) / size, fi = (bi * ar - br * ai) / size, er = bsr - (fr * asr - fi * asi), ei = bsi - (fr * asi + fi * asr);
+  const gr = (er * ar + ei * ai) / size, gi = (ei * ar - er * ai) / size, pr = 2 * half * half, pi = -s;
   out[4] = pr * fr - pi * fi, out[5] = pr * fi + pi * fr;
   const dr = pr * gr - pi * gi - fr, di = pr * gi + pi * gr - fi;  // by u = 1/z; times du/dtheta = -j u
   out[6] = dr * s + di * c, out[7] = -(dr * c - di * s);
@@ -396,8 +394,7 @@ function onCircle(loop, theta, out) {
   const qr = (cw * tr + sw * ti) / size, qi = (sw * tr - cw * ti) / size;  // z^whole/top
   const hr = -(qr * br - qi * bi), hi = -(qr * bi + qi * br);
   // dH/dz = -q (whole b/z + b' - b top'/top), times dz/dtheta = j z
-  const gr = (dtr * tr + dti * ti) / size, gi = (dti * tr - dtr * ti) / size;
-  const sr = loop.whole * (br * zr + bi * zi) + dbr - (br * gr - bi * gi);
+  const gr = (dtr * tr + dti * ti) / size, gi = (dti * tr - dtr * ti) / size, sr = loop.whole * (br * zr + bi * zi) + dbr - (br * gr - bi * gi);
   const si = loop.whole * (bi * zr - br * zi) + dbi - (br * gi + bi * gr);
   const ur = qr * sr - qi * si, ui = qr * si + qi * sr;
   out[0] = hr, out[1] = hi, out[2] = ur * zi + ui * zr, out[3] = -(ur * zr - ui * zi);
@@ -496,7 +493,8 @@ function zero(loop, of, p, q, event) {
  */
 function curve(loop) {
   if (loop.curve) return loop.curve;
-  const found = nodes(loop), v = new Float64Array(8);
+  // where N is 0 beta is infinite; all other events meet there
+  const found = nodes(loop).filter(({ v, event }) => event < 1 || Math.hypot(v[4], v[5]) > 1e-12), v = new Float64Array(8);
   /** @type {Line[]} */ const lines = [];
   /** @type {Cell[]} */ const cells = [];
   const soft = [], turning = [];
@@ -521,8 +519,7 @@ function curve(loop) {
     return [beta, node.event === 3 ? 0 : w[0] - (Math.abs(w[4]) > (node.event === 0 ? 1e-12 : 0) ? beta * w[4] : 0)];
   };
   for (let i = 1; i < found.length; i++) {
-    const p = found[i - 1], q = found[i], [b0, a0] = point(p, q), [b1, a1] = point(q, p);
-    const rate = p.event === 0 ? q.v[5] : p.v[5];
+    const p = found[i - 1], q = found[i], [b0, a0] = point(p, q), [b1, a1] = point(q, p), rate = p.event === 0 ? q.v[5] : p.v[5];
     cells.push({ t0: p.theta, t1: q.theta, b0, b1, a0, a1, turn: (b1 > b0) === (rate > 0) ? 2 : -2, edge: false });
   }
   // at both ends alpha and beta are even functions of the angle
@@ -559,6 +556,7 @@ const scratch = new Float64Array(8);
  */
 function crossing(loop, cell, beta) {
   const share = (beta - cell.b0) / (cell.b1 - cell.b0);
+  const least = Math.min(cell.a0, cell.a1) >= 0 ? Number.MIN_VALUE : -Infinity;  // rounding leaves no cell
   if (cell.edge) return cell.a0 + share * (cell.a1 - cell.a0);
   let low = cell.t0, high = cell.t1, theta = Number.isFinite(share) && Math.abs(cell.b1 - cell.b0) < 1e100 ? low + share * (high - low) : (low + high) / 2;
   const rises = cell.turn > 0, v = scratch;
@@ -568,11 +566,11 @@ function crossing(loop, cell, beta) {
     if (miss === 0) break;
     if ((miss > 0) === rises) high = theta; else low = theta;
     const change = -miss / slope, next = theta + change;
-    if (Math.abs(change) <= 1e-8 * theta && next >= cell.t0 && next <= cell.t1) return v[0] - beta * v[4] + change * (v[2] - beta * v[6]);
+    if (Math.abs(change) <= 1e-8 * theta && next >= cell.t0 && next <= cell.t1) return Math.max(least, v[0] - beta * v[4] + change * (v[2] - beta * v[6]));
     theta = next > low && next < high ? next : (low + high) / 2;
     if (high - low <= 1e-15 * high) break;
   }
-  return v[0] - beta * v[4];
+  return Math.max(least, v[0] - beta * v[4]);
 }
 
 /**
@@ -1002,8 +1000,7 @@ const INTEGRALS = [0, 1, 2].map((power) => Float64Array.from({ length: (DEGREE +
  */
 function pieces(loop) {
   if (loop.pieces) return loop.pieces;
-  const { n, q, A, B, C } = loop, w = n + 1, [re, im] = eigenvalues(A, n);
-  const M = augmented(A, B, n), parts = [], terms = DEGREE + 1;
+  const { n, q, A, B, C } = loop, w = n + 1, [re, im] = eigenvalues(A, n), M = augmented(A, B, n), parts = [], terms = DEGREE + 1;
   const rows = new Float64Array(terms * w);  // of the position's derivatives over k!
   rows.set(C);
   for (let k = 1; k <= DEGREE; k++) rows.set(product(rows.subarray(k * w - w, k * w), M, 1, w, w).map((value) => value / k), k * w);
@@ -1297,8 +1294,7 @@ export function margins(file, stiffness, damping) {
   }
   onCircle(loop, Math.PI, v);
   gains.push(factor(v));
-  const least = (values) => values.length ? Math.min(...values) : null;
-  const down = gains.filter((x) => x > 0 && x < 1);
+  const least = (values) => values.length ? Math.min(...values) : null, down = gains.filter((x) => x > 0 && x < 1);
   return {
     gain: least(gains.filter((x) => x > 1)), gain_down: down.length ? Math.max(...down) : null, phase: least(phases),
     delay: least(delays.sort((p, q) => p[0] - q[0]).slice(0, 2).map(([added, theta]) => delayAt(loop, alpha, beta, theta, added)).filter((added) => added !== null)),
