@@ -241,3 +241,31 @@ def test_poles_at_which_plain_iterations_go_round_in_circles(ask):
     (found,) = ask([("poles", loop, K, B)])
     largest = max(abs(complex(*pole)) for pole in found)
     assert largest == pytest.approx(Loop(**loop).points(K, B)["spectral_radius"].iloc[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        # soft walls are stable between two dampings alone, in a resonance narrower than angles lie apart
+        {
+            "mass": 13.9, "damping": 2.91, "stiffness": 5560.0, "sampling_period_s": 0.00446, "delay_samples": 8.17,
+            "velocity": {"kind": "butterworth", "order": 1, "cutoff_hz": 3.13},
+        },
+        # a velocity of 0 at z = exp(j pi/3)
+        {
+            "mass": 0.119, "damping": 2.6, "stiffness": 3.75, "sampling_period_s": 0.000363, "delay_samples": 1.83,
+            "velocity": {"kind": "difference", "samples": 6},
+        },
+        # the limit ends where another branch is higher
+        {
+            "mass": 1.68, "damping": 20.3, "sampling_period_s": 0.000548, "delay_samples": 3,
+            "velocity": {"kind": "kalman", "acceleration": 0.112, "noise": 1e-6},
+            "mode": {"frequency_hz": 105.6, "damping_ratio": 0.00756, "mass": 0.522},
+        },
+    ],
+)  # fmt: skip
+def test_the_largest_limit_of_hard_loops(ask, parts):
+    (found,) = ask([("boundary", parts, 60)])
+    expected = Loop(**parts).boundary(60).attrs
+    assert found["stiffness_max"] == pytest.approx(expected["stiffness_max"], rel=1e-7)
+    assert found["damping_at_stiffness_max"] == pytest.approx(expected["damping_at_stiffness_max"], rel=1e-4)
