@@ -255,7 +255,8 @@ def test_poles_at_which_plain_iterations_go_round_in_circles(ask):
         {
             "mass": 0.07628056274166418, "sampling_period_s": 0.0003634204482694437,
             "delay_samples": 1.8313525676926323, "velocity": {"kind": "difference", "samples": 6},
-            "mode": {"frequency_hz": 527.7487578036873, "damping_ratio": 0.19497230131805554, "mass": 0.03788901950954632, "sensor": "motor", "load_damping": 0.0},
+            "mode": {"frequency_hz": 527.7487578036873, "damping_ratio": 0.19497230131805554,
+            "mass": 0.03788901950954632, "sensor": "motor", "load_damping": 0.0},
             "operator": {"mass": 0.04238014963283846, "damping": 2.5970627548056884, "stiffness": 3.7514375171301575},
             "damping": 0.0,
         },
@@ -264,7 +265,8 @@ def test_poles_at_which_plain_iterations_go_round_in_circles(ask):
             "mass": 1.6803625173099, "damping": 20.342153451242908, "sampling_period_s": 0.000548212325374661,
             "delay_samples": 3.0,
             "velocity": {"kind": "kalman", "acceleration": 0.11174835889249472, "noise": 1e-06},
-            "mode": {"frequency_hz": 105.63532330347773, "damping_ratio": 0.007559482503786295, "mass": 0.5218241942185898, "sensor": "motor", "load_damping": 0.0},
+            "mode": {"frequency_hz": 105.63532330347773, "damping_ratio": 0.007559482503786295,
+            "mass": 0.5218241942185898, "sensor": "motor"},
         },
     ],
 )  # fmt: skip
