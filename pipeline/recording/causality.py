@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from pipeline.recording.motion import free_response, residual_with_impulses
-from pipeline.recording.rows import ordinal, spacing
-from pipeline.recording.samples import LAW_RESIDUAL, NOISE_GAIN, Samples, middle
+from pipeline.recording.growth import acceleration, growth_before_edges, growth_from_rest
+from pipeline.recording.motion import free_response
+from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
 from pipeline.records.findings import Finding, FindingCode
 
 BASELINE = 8
 """Fewest rows at rest before an edge that show whether the position leaves its rest too early."""
 
-CLEAR = 8.0
-"""Standard deviations of the noise of the baseline by which the position at the edge has left its rest."""
+LIKELIER = 6.0
+"""Logarithm of the likelihood ratio of a growth from rest and a decay that is no chance of a filtered noise."""
 
-CONVEX = 4.0
-"""Way in the second half of the rows before an edge relative to that in the first: a drift is as fast in both."""
+CLEAR = 6.0
+"""Way of a growth from rest in standard deviations of what it leaves."""
 
-FASTER = 3.0
-"""Acceleration just before an edge relative to the largest one in the first half of the rows before it."""
+OF_THE_ANSWER = 0.15
+"""Least way of a growth in accelerations by the edge times its squared time constant: a filter of both directions
+spreads half of it before the edge, and a motion that is rows ahead has gone farther. Noise goes any way."""
 
-GOES_ON = 1.5
-"""Largest way from rest behind the edge relative to that before it."""
+SURELY = 30.0
+"""Logarithm of the likelihood ratio of a growth and a decay before edges within a motion."""
+
+BETTER = 5.0
+"""Sum of squares that the decay leaves before them relative to that of the growth: of more, both explain parts of the
+device badly."""
+
+SPREAD = (0.3, 1.0)
+"""Way of such a growth in the same measure: a filter of both directions makes 0.5."""
 
 EARLY = 0.75
 """Rows by which a fitted delay is negative from which on the position comes first."""
@@ -38,18 +44,6 @@ BY_CHANCE = 20.0
 
 MOST_RESIDUAL = 0.06
 """Largest part of the motion that the best delay may leave: of more, parts of the device may look like a delay."""
-
-AHEAD = 3.2
-"""Residual without the commands of the future relative to that with them from which on they move the device."""
-
-LEAST_RESIDUAL = 3e-3
-"""Part of the motion below which a residual is that of the regression itself."""
-
-OWN_STEPS = 1.25
-"""Residual of a command of ramps on an even grid, relative to that of steps inside them, from which on it was steps."""
-
-MOST_RAMPS = 40
-"""Ramps of a command that are taken for steps one by one."""
 
 CLEARLY_LATE = 5.0
 """What the law leaves with the rows as they are relative to that with the command some rows earlier."""
@@ -66,9 +60,9 @@ REMEDY = (
 def moves_before_command(samples: Samples) -> Finding | None:
     """Return whether the position responds before its command, and by how many rows.
 
-    From rest the position may not leave its baseline before the edge of the command. In free motion the delay that
-    explains the whole log best, a negative one included, may not be negative. A wall whose command is that of the
-    position in its row acted on that very reading.
+    From rest the position may not leave its baseline before the edge of the command, nor its way before a later one. In
+    free motion the delay that explains the whole log best, a negative one included, may not be negative. A wall whose
+    command is that of the position in its row acted on that very reading.
     """
     if samples.obeys_wall:
         return None
@@ -87,9 +81,12 @@ def moves_before_command(samples: Samples) -> Finding | None:
     if shift is not None:
         found = f"The command obeys the wall with the position {late} rows before: it was logged that much late."
         return _noncausal(samples, found, shift, None, "command_shifted")
-    if _follows_the_future(samples):
+    ahead = _turns_early(samples)
+    if ahead is not None:
+        edges, constant = ahead
         found = (
-            "Commands of later rows explain the motion better than those of the past alone: the position was filtered."
+            f"Before each of {edges} edges of the command the position already turns towards its answer, within about "
+            f"{constant:.2g} rows: it was filtered in both directions."
         )
         return _noncausal(samples, found, "if it was logged late", None)
     return None
@@ -108,38 +105,29 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
         return None
     if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
         return None
-    x = samples.position
-    half = edge // 2
-    rest = middle(x[:half])
-    away = np.abs(x[: edge + 1] - rest)
-    largest = float(away[half:].max())
-    if largest <= 1.5 * samples.least_change:
+    growth = growth_from_rest(samples, edge)
+    if growth is None or growth.score < LIKELIER or growth.amplitude <= CLEAR * growth.noise:
         return None
-    first_half, second = float(away[:half].max()), samples.bend[: edge - 1]
-    noise = (float(second @ second) / len(second) / NOISE_GAIN) ** 0.5
-    clear = max(CLEAR * noise, 1.5 * samples.least_change)
-    if largest <= clear or (largest <= CONVEX * first_half and not _speeds_up(samples, edge, noise)):
+    if growth.amplitude <= max(OF_THE_ANSWER * acceleration(samples, edge) * growth.time_constant**2, 0.0):
         return None
-    # the response goes on behind the edge, and is larger there
-    ahead = x[edge : edge + 4 * half]
-    if float(np.abs(ahead - rest).max()) < GOES_ON * largest:
-        return None
-    still = np.flatnonzero(away[: half + int(away[half:].argmax())] <= clear)
-    row = int(still[-1]) + 1 if len(still) else 0
-    return (edge, row) if row < edge else None
-
-
-def _speeds_up(samples: Samples, edge: int, noise: float) -> bool:
-    """Return whether the acceleration grows towards an edge: what is left of an earlier motion only decays.
-
-    A filter of both directions spreads a response over all rows before it.
-    """
-    width = max(edge // 8, 2)
+    clear = CLEAR / 2 * growth.noise
     x = samples.position[: edge + 1]
-    bend = np.abs(x[2 * width :] - 2 * x[width:-width] + x[: -2 * width])
-    last = float(bend[-max(width // 2, 1) :].max())
-    least = max(CLEAR * NOISE_GAIN**0.5 * noise, FASTER * samples.least_change)
-    return last > least and last > FASTER * float(bend[: len(bend) // 2].max())
+    away = np.abs(x - middle(x[: edge // 2]))
+    still = np.flatnonzero(away <= max(clear, 1.5 * samples.least_change))
+    row = int(still[-1]) + 1 if len(still) else 0
+    return edge, min(row, edge - 1)
+
+
+def _turns_early(samples: Samples) -> tuple[int, float] | None:
+    """Return before how many edges a free motion turns towards its answer, and the time constant of that [rows]."""
+    response = free_response(samples)
+    if response is None or response.gain <= 0:
+        return None
+    growth = growth_before_edges(samples)
+    if growth is None or growth.score < SURELY or growth.ratio < BETTER:
+        return None
+    of_answer = growth.amplitude / (response.gain * response.largest_jump * growth.time_constant**2)
+    return (growth.edges, growth.time_constant) if SPREAD[0] < of_answer < SPREAD[1] else None
 
 
 def _first_edge(samples: Samples) -> int:
@@ -163,16 +151,6 @@ def _negative_delay(samples: Samples) -> float | None:
     return -response.delay if ratio >= CLEARLY[1] and response.residual <= MOST_RESIDUAL * response.motion else None
 
 
-def _follows_the_future(samples: Samples) -> bool:
-    """Return whether commands that were not given yet move a free device, as after a filter of both directions."""
-    response = free_response(samples)
-    if response is None or not response.is_driven:
-        return False
-    past, future = response.residual_past, max(response.residual_future, 1e-12 * response.motion)
-    seen = past > max(LEAST_RESIDUAL * response.motion, response.noise)
-    return seen and past >= AHEAD * future and future <= MOST_RESIDUAL * response.motion
-
-
 def _late_command(samples: Samples) -> int | None:
     """Return by how many rows the command of a wall is late to its position; None where it is not, or no law fits.
 
@@ -187,51 +165,3 @@ def _late_command(samples: Samples) -> int | None:
     rest = [samples.wall_residual(shift) for shift in shifts]
     best = int(np.argmin(rest))
     return shifts[best] if rest[best] <= LAW_RESIDUAL * size and CLEARLY_LATE * rest[best] < now else None
-
-
-def interpolated_command(samples: Samples) -> Finding | None:
-    """Return whether the command lies on straight lines between fewer values, and its own steps explain the motion.
-
-    The bends of a command that was sampled every n-th row and joined by lines lie n rows apart. A command that is meant
-    to be a ramp explains the motion as it is.
-    """
-    if not samples.is_free:
-        return None
-    jumps = samples.jumps
-    bend = np.abs(jumps[1:] - jumps[:-1])
-    bends = np.flatnonzero(bend > 1e-3 * max(float(np.abs(jumps).max()), 1e-300)) + 1
-    factor = spacing(bends)
-    if factor < 2 or len(bends) < 4:
-        return None
-    logged = free_response(samples)
-    if logged is None or logged.is_at_noise:
-        return None
-    if logged.residual <= OWN_STEPS * min(
-        _residual_held(samples, int(bends[0]), factor), _residual_of_steps(samples, factor)
-    ):
-        return None
-    return samples.finding(
-        "interpolated_rows",
-        "unsafe",
-        f"The command lies on straight lines between every {ordinal(factor)} row, and steps inside them explain the "
-        "motion better: it was interpolated, and begins before its steps.",
-        "Export the command as it was sent (held, not interpolated), at the rate of the controller.",
-    )
-
-
-def _residual_held(samples: Samples, first: int, factor: int) -> float:
-    """Return what is left where every n-th command is held up to the next one, at the best delay."""
-    knots = np.arange(first % factor, len(samples), factor)
-    place = np.clip(np.searchsorted(knots, np.arange(len(samples)), side="right") - 1, 0, len(knots) - 1)
-    held = free_response(replace(samples, command=samples.command[knots][place]))
-    return np.inf if held is None else held.residual
-
-
-def _residual_of_steps(samples: Samples, factor: int) -> float:
-    """Return what is left where each ramp of the command between two levels is a step at a free time."""
-    moves = samples.jumps != 0
-    starts = np.flatnonzero(moves & ~np.concatenate([[False], moves[:-1]]))
-    ends = np.flatnonzero(moves & ~np.concatenate([moves[1:], [False]])) + 1
-    if not 2 <= len(starts) <= MOST_RAMPS or (ends - starts != factor).any():
-        return np.inf
-    return residual_with_impulses(samples, starts + factor // 2)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from pipeline.recording.causality import interpolated_command, moves_before_command
+from pipeline.recording.causality import moves_before_command
+from pipeline.recording.ramps import interpolated_command
 from pipeline.recording.rows import frozen_position, interpolated_position, repeated_rows
 from pipeline.recording.samples import Samples
 from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sign

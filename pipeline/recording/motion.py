@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 
 import numpy as np
 
 from pipeline.recording.samples import Samples
-from pipeline.records.trials import Floats, Integers
+from pipeline.records.trials import Floats
 
 BLOCK = 512
 """Rows of a block, each with its start: over more of them friction and other unmodelled forces add up."""
@@ -37,8 +36,8 @@ ARITHMETIC = 1e-9
 BY_COMMAND = 4.0
 """Residual without a command relative to that with it from which on the command is seen in the motion."""
 
-WINDOWS = (0, 1, 3, 7, 15, 31, 63)
-"""Ends of the windows of the command, in rows back and ahead."""
+LIKELY_SHIFT = 40
+"""Largest delay, of either sign, at which signs are compared [rows]: by more of them a command may repeat itself."""
 
 _DEGREE = 2
 
@@ -57,15 +56,13 @@ class FreeResponse:
         Root mean square of the residual of the best fit.
     residual_causal : float
         The same for the best delay of 0 and more.
-    residual_past : float
-        The same with the means of the command over windows of the past, up to 63 rows back, as more regressors: what
-        lags, filters and short vibrations make of a command.
-    residual_future : float
-        The same with as many windows of the future, too.
-    residual_same_sign : float
-        The same for the best delay at which the position follows the command in its direction.
+    residual_with, residual_against : float
+        The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the command
+        in its direction, or against it; infinite where there is none.
     residual_undriven : float
         The same without any command: of a motion that starts by itself.
+    largest_jump : float
+        Largest jump of the command, in the unit of the gain.
     motion : float
         Root mean square of the motion apart from the polynomial of its start.
     noise : float
@@ -77,10 +74,10 @@ class FreeResponse:
     gain: float
     residual: float
     residual_causal: float
-    residual_past: float
-    residual_future: float
-    residual_same_sign: float
+    residual_with: float
+    residual_against: float
     residual_undriven: float
+    largest_jump: float
     motion: float
     noise: float
     rows: int
@@ -96,24 +93,6 @@ class FreeResponse:
         return self.residual_undriven > BY_COMMAND * self.residual > ARITHMETIC * self.motion
 
 
-def residual_with_impulses(samples: Samples, rows: Integers) -> float:
-    """Return the root mean square that is left where the velocity may also change freely at some rows.
-
-    Parameters
-    ----------
-    samples : Samples
-        Of which `free_response` is not None.
-    rows : int64
-        At most a few dozen.
-    """
-    prepared = _prepared(samples)
-    response = free_response(samples)
-    assert prepared is not None, "a log with a response has a regression"
-    assert response is not None, "a log with a response has a regression"
-    fit, first = prepared
-    return fit.with_impulses(response.delay, rows - first)
-
-
 @lru_cache(maxsize=4)
 def free_response(samples: Samples) -> FreeResponse | None:
     """Return how the position follows the command; None behind a wall, without a change of command, or in few rows.
@@ -122,37 +101,36 @@ def free_response(samples: Samples) -> FreeResponse | None:
     -----
     The regression is solved for each delay of a grid; the best one is refined to a sixtieth of a row.
     """
-    prepared = _prepared(samples)
-    if prepared is None:
+    fit = _prepared(samples)
+    if fit is None:
         return None
-    fit, _ = prepared
     reach = fit.reach
     coarse = np.unique(np.concatenate([np.arange(-reach, reach + 1, 4.0), np.arange(-6.0, 7.0)]))
     left, signs = fit.residuals(coarse)
-    same_sign = float(left[signs > 0].min(initial=np.inf))
     best, causal = _refined(fit, coarse, left, -reach), _refined(fit, coarse, left, 0)
-    _, gains = fit.residuals(np.array([best[0]]))
-    without = float(np.sqrt(np.mean(fit.position**2)))
-    same_sign = min(same_sign, best[1]) if gains[0] > 0 else same_sign
-    past, future = fit.with_windows(causal[0])
+    gain = float(fit.residuals(np.array([best[0]]))[1][0])
+    likely = np.abs(coarse) <= LIKELY_SHIFT
+    by_sign = [float(left[likely & (sign * signs > 0)].min(initial=np.inf)) for sign in (1, -1)]
+    if by_sign[1] < by_sign[0]:
+        against = likely & (signs < 0)
+        by_sign[1] = min(by_sign[1], _refined(fit, coarse[against], left[against], -reach)[1])
     return FreeResponse(
-        best[0],
-        float(gains[0]),
-        best[1],
-        causal[1],
-        past,
-        future,
-        same_sign,
-        without,
-        fit.size,
-        samples.noise,
-        fit.count,
+        delay=best[0],
+        gain=gain,
+        residual=best[1],
+        residual_causal=causal[1],
+        residual_with=by_sign[0],
+        residual_against=by_sign[1],
+        residual_undriven=float(np.sqrt(np.mean(fit.position**2))),
+        largest_jump=float(np.abs(samples.jumps).max() / np.abs(samples.command).max()),
+        motion=fit.size,
+        noise=samples.noise,
+        rows=fit.count,
     )
 
 
-@lru_cache(maxsize=4)
-def _prepared(samples: Samples) -> tuple[_Regression, int] | None:
-    """Return the regression of a log, and its first row."""
+def _prepared(samples: Samples) -> _Regression | None:
+    """Return the regression of a log."""
     if not samples.is_free or not len(samples.jumps) or not samples.jumps.any():
         return None
     first = max(int(np.flatnonzero(samples.jumps)[0]) - LARGEST_SHIFT, 0)
@@ -161,7 +139,7 @@ def _prepared(samples: Samples) -> tuple[_Regression, int] | None:
     reach = min(LARGEST_SHIFT, len(x) // 4)
     if len(x) - reach < FEWEST:
         return None
-    return _Regression.of(x - x[0], u / np.abs(u).max(), reach), first
+    return _Regression.of(x - x[0], u / np.abs(samples.command).max(), reach)
 
 
 def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float) -> tuple[float, float]:
@@ -215,35 +193,6 @@ class _Regression:
         double = np.concatenate([[0.0], np.cumsum(velocity[:-1] + 0.5 * u)])
         size = float(np.sqrt(np.mean(moved * moved)))
         return cls(left, basis, polynomial, index, velocity, double, u, size, reach)
-
-    def with_windows(self, delay: float) -> tuple[float, float]:
-        """Return what is left at a delay with windows of the past command, and with those of the future too."""
-        total = np.concatenate([[0.0], np.cumsum(self.command)])
-        rows = np.arange(self.count)
-
-        def mean(first: int, behind: int) -> Floats:
-            ends = [np.clip(rows + place, 0, len(self.command)) for place in (first, behind)]
-            return _without_start((total[ends[1]] - total[ends[0]]) / (behind - first), self.polynomial)
-
-        at = self.index[None] - delay
-        driven = self._driven(at)[0]
-        past = np.stack([driven, *(mean(1 - b, 1 - a) for a, b in pairwise(WINDOWS))], axis=1)
-        future = np.stack([mean(1 + a, 1 + b) for a, b in pairwise(WINDOWS)], axis=1)
-        return self._residual(past), self._residual(np.concatenate([past, future], axis=1))
-
-    def with_impulses(self, delay: float, rows: Integers) -> float:
-        """Return what is left at a delay where the velocity may change freely at some rows."""
-        index = np.arange(self.count, dtype=np.float64)
-        impulses = [_without_start(np.maximum(index - row, 0.0), self.polynomial) for row in rows.tolist()]
-        return self._residual(np.stack([self._driven(self.index[None] - delay)[0], *impulses], axis=1))
-
-    def _residual(self, columns: Floats) -> float:
-        """Return what is left of the motion with some columns, (count, numbers), as more regressors."""
-        columns = columns - self.basis @ (self.basis.T @ columns)
-        norm = np.linalg.norm(columns, axis=0)
-        columns = columns[:, norm > 0] / norm[norm > 0]
-        rest = self.position - columns @ np.linalg.lstsq(columns, self.position, rcond=1e-10)[0]
-        return float(np.sqrt(rest @ rest / self.count))
 
     def _driven(self, at: Floats) -> Floats:
         """Return the twice integrated command at some rows, (delays, blocks, rows), without start, (delays, rows)."""

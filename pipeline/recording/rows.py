@@ -35,8 +35,11 @@ FEWEST = 3
 FROZEN = 10
 """Rows without any change that a position takes from moving to frozen."""
 
-FEWEST_KNOTS = 8
+FEWEST_KNOTS = 4
 """Bends of a position, or a command, that show a grid of fewer readings."""
+
+NO_CHANCE = 7.0
+"""Logarithm of the number of ways in which as many bends lie, of which one is on a grid, that is no chance."""
 
 STRAIGHT = 0.4
 """Share of the moving rows that lie on a straight line with their neighbours where a position is interpolated."""
@@ -49,6 +52,9 @@ NEARLY_STRAIGHT = 0.02
 
 BEND = 1e-6
 """Second difference, relative to the largest change, up to which three rows lie on a line."""
+
+EXACT = 1e-9
+"""The same of rows that were joined by arithmetic, and printed with all digits."""
 
 
 def repeated_rows(samples: Samples) -> Finding | None:
@@ -112,32 +118,50 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 
 def interpolated_position(samples: Samples) -> Finding | None:
-    """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them."""
-    size = samples.size
-    if samples.obeys_wall or len(size) < 4 * FEWEST_KNOTS:
+    """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them.
+
+    All bends of the position then lie on a grid of every n-th row, of which by chance one of n^(bends - 1) is.
+    """
+    if samples.obeys_wall or len(samples.size) < 4 * FEWEST_KNOTS:
         return None
-    bend = np.abs(samples.bend)
-    # most rows of a motion bend by more than a small part of their way
-    moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
-    if int(np.count_nonzero(bend <= NEARLY_STRAIGHT * size[1:])) - (len(size) - moves) < 0.5 * STRAIGHT * moves:
+    exact = EXACT * samples.fastest + 8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())
+    lines = _lines(samples, exact)
+    if lines is None and _may_be_printed(samples):
+        # a line between printed readings bends by two digits at most
+        lines = _lines(samples, max(BEND * samples.fastest, 2.1 * last_digit(samples.position)))
+    if lines is None:
         return None
-    # a line between printed readings bends by two digits at most
-    level = max(BEND * samples.fastest, 2.1 * last_digit(samples.position))
-    moving = (size[1:] > MOVING * level) & (size[:-1] > MOVING * level)
-    bent = bend > level
-    if int(np.sum(moving & ~bent)) < STRAIGHT * max(int(np.sum(moving)), 1):
-        return None
-    factor = spacing(np.flatnonzero(bent) + 1)
-    if factor < 2 or np.sum(bent) < FEWEST_KNOTS:
-        return None
+    factor, rows = lines
     return samples.finding(
         "interpolated_rows",
         "unsafe",
         f"The positions lie on straight lines between every {ordinal(factor)} row: the others are "
         "interpolated, and move before their commands.",
         "Export the position without interpolation, or at the rate at which it was read.",
-        rows=int(np.sum(moving & ~bent)),
+        rows=rows,
     )
+
+
+def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
+    """Return the distance of the readings that lines join, and the rows on lines; None where bends are no such grid."""
+    bent = np.abs(samples.bend) > level
+    if (bent[1:] & bent[:-1]).any():
+        return None
+    bends = np.flatnonzero(bent)
+    factor = spacing(bends)
+    if factor < 2 or len(bends) < FEWEST_KNOTS or (len(bends) - 1) * np.log(factor) < NO_CHANCE:
+        return None
+    moving = (samples.size[1:] > MOVING * level) & (samples.size[:-1] > MOVING * level)
+    on_line = int(np.count_nonzero(moving & ~bent))
+    return (factor, on_line) if on_line >= max(STRAIGHT * int(np.count_nonzero(moving)), 1) else None
+
+
+def _may_be_printed(samples: Samples) -> bool:
+    """Return whether as many rows hardly bend as lines between printed readings leave: most rows of a motion do."""
+    size = samples.size
+    moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
+    straight = int(np.count_nonzero(np.abs(samples.bend) <= NEARLY_STRAIGHT * size[1:]))
+    return straight - (len(size) - moves) >= 0.5 * STRAIGHT * moves
 
 
 def spacing(rows: Integers) -> int:

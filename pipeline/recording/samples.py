@@ -39,9 +39,6 @@ ON_DIGIT = 1e-4
 QUIET = 0.15
 """Part of the step by which the command of a wall may differ from 0 before it, and from the step in its first row."""
 
-LARGE_JUMP = 0.3
-"""Smallest change of a command between two rows, relative to its range, that is an edge."""
-
 
 def middle(values: Floats) -> float:
     """Return the median of values, of two the larger one, at least one."""
@@ -182,9 +179,12 @@ class Samples:
         force[1:] -= per_row * self.change[:-1]
         return force
 
-    def wall_residual(self, rows: int) -> float:
-        """Return what the stated wall leaves of the changes of the command some rows later (rms), but for the step."""
-        rest = self.jumps[rows:] + self.wall_steps[: len(self.jumps) - rows]
+    def wall_residual(self, rows: int, sign: float = 1.0) -> float:
+        """Return what the stated wall leaves of the changes of the command some rows later (rms), but for the step.
+
+        With a sign of -1 those of a wall that pushes where the stated one pulls.
+        """
+        rest = self.jumps[rows:] + sign * self.wall_steps[: len(self.jumps) - rows]
         size = np.abs(rest)
         largest = float(size.max())
         return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
@@ -198,12 +198,12 @@ class Samples:
         return self.wall_residual(0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
 
     @cached_property
-    def edges(self) -> Integers:
-        """Rows in which the command of a free motion jumps: the first row of each new level."""
-        size = np.abs(self.jumps)
-        span = float(self.command.max() - self.command.min())
-        found = np.flatnonzero(size > LARGE_JUMP * span) if span > 0 else np.zeros(0, dtype=np.int64)
-        return np.asarray(found + 1, dtype=np.int64)
+    def obeys_reversed_wall(self) -> bool:
+        """Whether the command is that of the stated wall with the position of its row, of which one is reversed."""
+        if self.is_free:
+            return False
+        force = self.wall_steps
+        return self.wall_residual(0, -1.0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
 
     @cached_property
     def wall_edge(self) -> int:

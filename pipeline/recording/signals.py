@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.motion import LARGEST_SHIFT, free_response
+from pipeline.recording.motion import free_response
 from pipeline.recording.samples import Samples, middle
 from pipeline.records.findings import Finding
 
@@ -19,6 +19,12 @@ CLEAR = 8.0
 
 OTHER_SIGN = 2.0
 """Residual with the sign of the log relative to that with the other one from which on the other one is right."""
+
+DRIVEN = 3.0
+"""Residual without a command relative to that with it against the motion from which on the motion is its answer."""
+
+AS_GOOD = 1.3
+"""Residual of the best likely delay against the motion relative to that of any delay, of either sign, at most."""
 
 BASELINE = 5
 """Fewest rows at rest before a step that show noise."""
@@ -80,25 +86,33 @@ def coarse_sensor(samples: Samples) -> Finding | None:
 def wrong_sign(samples: Samples) -> Finding | None:
     """Return whether the position moves against its command.
 
-    In free motion by the response to all commands; behind a wall by the first motion from rest after the step.
+    In free motion by the response to all commands at likely delays; behind a wall by its law, or by the first motion
+    from rest after the step.
     """
     if samples.obeys_wall:
         return None
+    remedy = "Set the other `sign` of the command or of the position in the profile."
     if samples.is_free:
         response = free_response(samples)
-        if response is None or not response.is_driven or response.gain >= 0:
+        if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
             return None
-        if response.residual_same_sign <= OTHER_SIGN * response.residual or abs(response.delay) > LARGEST_SHIFT / 2:
+        if response.residual_with <= OTHER_SIGN * response.residual_against:
+            return None
+        if response.residual_against > AS_GOOD * response.residual:
             return None
         evidence = "The position moves against its command: its acceleration has the other sign in all of the log."
+    elif samples.obeys_reversed_wall:
+        jump = samples.jumps - samples.wall_steps
+        towards = float(jump[np.abs(jump).argmax()] * samples.step)
+        column = "position" if towards > 0 else "command" if towards < 0 else "command or position"
+        evidence = f"The command obeys the wall with the other sign: the sign of the {column} is reversed."
+        remedy = f"Set the other `sign` of the {column} in the profile."
     else:
         row = _first_motion_against(samples)
         if row is None:
             return None
         evidence = f"The position moves against its command, first in row {row} after the step."
-    return samples.finding(
-        "wrong_sign", "unsafe", evidence, "Set the other `sign` of the command or of the position in the profile."
-    )
+    return samples.finding("wrong_sign", "unsafe", evidence, remedy)
 
 
 def _first_motion_against(samples: Samples) -> int | None:

@@ -6,15 +6,26 @@ import numpy as np
 
 from pipeline.recording.samples import Samples
 from pipeline.records.findings import Finding
+from pipeline.records.trials import Booleans
 
 AT_EXTREME = 0.02
 """Distance from the largest or smallest position, relative to the range, within which rows are at it."""
 
 IMPACT = 3.0
-"""Change of the velocity at a stop relative to the largest one behind it; before it to twice that."""
+"""Change of the velocity at a stop relative to the largest one in a row before it and behind it."""
 
 BEFORE, BEHIND = 10, 5
 """Rows before and behind an impact in which the device moves freely."""
+
+OVER = 3
+"""Rows over which a blow changes the velocity."""
+
+STAYS = 12
+"""Rows at an extreme from which on the position stays there."""
+
+HARDER = 1.4
+"""Change of the velocity at a stop relative to the largest one over as many rows away from the extremes: commands and
+friction may stop a device, too, as hard as they move it elsewhere."""
 
 SLOWER = 1.5
 """Speed before a stop relative to that behind it: a free motion turns as fast as it came."""
@@ -25,37 +36,39 @@ FAST = 0.05
 STEPS = 8.0
 """Change of the velocity at a stop in steps of the sensor a row."""
 
-ANSWERED = 40
-"""Rows behind a jump of the command in which a change of the velocity may be the answer to it."""
+STILL = (1.01, 4.0, 0.02)
+"""Distance from a stop at which the position stays: in steps of the sensor, standard deviations of its noise, and in
+rows at the speed before."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:
     """Return from which row on a travel stop moves the device.
 
-    At a stop the velocity changes within two rows by several times as much as in the rows before, at the largest or
-    smallest position of the log, and the device leaves it more slowly than it came.
+    At a stop the velocity changes within two rows by more than the command and friction change it anywhere else, at the
+    largest or smallest position of the log, and the device stays there, or leaves more slowly than it came.
     """
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:
         return None
     size, low, high = samples.size, float(x.min()), float(x.max())
     near = AT_EXTREME * (high - low)
-    rows = np.flatnonzero((x[BEFORE:-2] >= high - near) | (x[BEFORE:-2] <= low + near)) + BEFORE
+    at_extreme = (x >= high - near) | (x <= low + near)
+    rows = np.flatnonzero(at_extreme[BEFORE:-2]) + BEFORE
     least = max(STEPS * samples.least_change, FAST * samples.fastest)
     rows = rows[(size[rows - 2] > least) & (size[rows - 2] > SLOWER * size[rows + 1])]
+    rows = rows[(x[rows] - 0.5 * (high + low)) * change[rows - 2] > 0]
+    if not len(rows):
+        return None
+    elsewhere = HARDER * _hardest(samples, at_extreme)
     for row in rows.tolist():
-        hit = abs(change[row + 1] - change[row - 2])
-        brake = np.abs(samples.bend[row - BEFORE : row - 2])
-        free = np.abs(samples.bend[row + 1 : row + BEHIND])
-        outwards = (x[row] - 0.5 * (high + low)) * change[row - 2] > 0
-        is_blow = hit > 2 * IMPACT * float(brake.max()) and hit > IMPACT * float(free.max(initial=0.0))
-        if not outwards or not is_blow or _is_answer(samples, row, float(hit)):
+        hit = abs(change[row + 1] - change[row + 1 - OVER])
+        if hit <= elsewhere or not (_is_blow(samples, row, hit) or _stays(samples, row)):
             continue
         return samples.finding(
             "travel_stop",
             "cut",
             f"The position is stopped at {x[row]:.5g} in row {row}, which it reached at a speed of "
-            f"{abs(change[row - 2]) / samples.period:.3g} per second: a travel stop.",
+            f"{size[row - 2] / samples.period:.3g} per second: a travel stop.",
             "Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
             first_row=row,
             rows=len(x) - row,
@@ -63,11 +76,26 @@ def travel_stop(samples: Samples) -> Finding | None:
     return None
 
 
-def _is_answer(samples: Samples, row: int, hit: float) -> bool:
-    """Return whether a command jumped shortly before, which may brake as much as another jump of it did elsewhere."""
-    edges = samples.edges
-    if not samples.is_free or not ((edges <= row) & (edges > row - ANSWERED)).any():
-        return False
-    over_three = np.abs(samples.change[3:] - samples.change[:-3])
-    elsewhere = np.concatenate([over_three[: max(row - BEFORE, 0)], over_three[row + BEFORE :]])
-    return hit <= IMPACT * float(elsewhere.max(initial=0.0))
+def _hardest(samples: Samples, at_extreme: Booleans) -> float:
+    """Return the largest change of the velocity over three rows, away from the extremes."""
+    change = samples.change
+    over = np.abs(change[OVER:] - change[:-OVER])
+    # rows of which one is at an extreme are those of a stop, and of its way there
+    beyond = np.concatenate([[0], np.cumsum(at_extreme)])
+    last = np.minimum(np.arange(len(over)) + OVER + 2, len(at_extreme))
+    return float(over[beyond[last] == beyond[: len(over)]].max(initial=0.0))
+
+
+def _is_blow(samples: Samples, row: int, hit: float) -> bool:
+    """Return whether the velocity changes by several times as much in a row as in the rows around it."""
+    brake = float(np.abs(samples.bend[row - BEFORE : row - 2]).max())
+    free = float(np.abs(samples.bend[row + 1 : row + BEHIND]).max(initial=0.0))
+    return hit > IMPACT * brake and hit > 2 * IMPACT * free
+
+
+def _stays(samples: Samples, row: int) -> bool:
+    """Return whether the position stays where it was stopped."""
+    x = samples.position[row + 1 : row + 1 + STAYS]
+    steps, deviations, ways = STILL
+    still = max(steps * samples.least_change, deviations * samples.noise, ways * samples.size[row - 2])
+    return len(x) == STAYS and bool((np.abs(x - x[0]) <= still).all())

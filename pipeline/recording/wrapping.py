@@ -37,7 +37,7 @@ SMALL_DOUBT = 3.0
 """Doubt of another modulus, in errors of a reading, up to which it may be taken as its jumps show it."""
 
 LEAST_ROWS = 3
-"""Rows behind a jump that show that the motion goes on."""
+"""Rows behind the first jump that show that the motion goes on."""
 
 REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 
@@ -94,7 +94,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     is_jump = np.zeros(len(change), dtype=np.bool_)
     is_jump[jumps] = True
     others = np.flatnonzero(~is_jump)
-    if jumps[-1] + LEAST_ROWS > len(change) or len(others) < LEAST_ROWS:
+    if jumps[0] + LEAST_ROWS > len(change) or len(others) < LEAST_ROWS:
         return None
     # the motion meanwhile: by the nearest changes that are no jump, two on each side
     place = np.searchsorted(others, jumps)

@@ -1,0 +1,220 @@
+"""Ramps of a command between readings of a grid: was it sent so, or were steps inside them joined by lines?
+
+A step that begins at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau))
+with z = k - t from t on; a ramp of n rows, held in each row, is the mean of n such steps. Around each ramp both are
+compared, with a parabola of third degree and friction for all other motion. Ramps that were sent share their delay; the
+steps inside ramps of a grid have their own one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.recording.motion import free_response
+from pipeline.recording.rows import FEWEST_KNOTS, ordinal, spacing
+from pipeline.recording.samples import Samples
+from pipeline.records.findings import Finding
+from pipeline.records.trials import Floats, Integers
+
+KINK = 1e-3
+"""Change of the slope of a command, relative to its largest change in a row, from which on it bends."""
+
+OWN_STEPS = 1.25
+"""Residual of a command on lines relative to that of the held one from which on it was held."""
+
+MOST_RAMPS = 40
+"""Ramps of a command that are looked at one by one."""
+
+AROUND = (10, 32)
+"""Fewest and most rows before and behind a ramp that are used: no other ramp lies in them."""
+
+LAGS = (0.0, 1.0, 2.0, 4.0, 8.0)
+"""Lags of a device [rows]."""
+
+LATEST = 16
+"""Largest delay of a device [rows]."""
+
+LIKELIER = (-15.0, 20.0)
+"""Logarithm of the likelihood of steps inside ramps relative to that of the ramps: up to the first the command was a
+ramp, from the second on it was steps."""
+
+BETTER = 2.0
+"""Sum of squares that ramps of one delay leave relative to that of steps from which on the command was steps."""
+
+ITERATIONS = 6
+"""Of the times of steps and their common gain in turns: three are enough."""
+
+_DEGREE = 3
+
+
+@dataclass(frozen=True)
+class RampFit:
+    """How steps explain the motion around ramps relative to the ramps themselves.
+
+    Parameters
+    ----------
+    score : float
+        Logarithm of the likelihood ratio, for white noise, where each step and each ramp has a gain and a delay.
+    ratio : float
+        Sum of squares that ramps of one gain and one delay leave relative to that of steps of one gain.
+    """
+
+    score: float
+    ratio: float
+
+
+def interpolated_command(samples: Samples) -> Finding | None:
+    """Return whether the command lies on straight lines between fewer values, and its own steps explain the motion.
+
+    The bends of a command that was sampled every n-th row and joined by lines lie n rows apart. A command that is meant
+    to be a ramp explains the motion as it is; where noise hides which of both it is, the finding is a note.
+    """
+    if not samples.is_free:
+        return None
+    jumps = samples.jumps
+    largest = float(np.abs(jumps).max())
+    bends = np.flatnonzero(np.abs(jumps[1:] - jumps[:-1]) > KINK * largest) + 1
+    factor = spacing(bends)
+    if factor < 2 or len(bends) < FEWEST_KNOTS:
+        return None
+    moves = np.abs(jumps) > KINK * largest / factor
+    starts = np.flatnonzero(moves & ~np.concatenate([[False], moves[:-1]]))
+    ends = np.flatnonzero(moves & ~np.concatenate([moves[1:], [False]])) + 1
+    single = ends - starts == factor
+    if single.any() and len(starts) <= MOST_RAMPS:
+        gap = int((starts[1:] - ends[:-1]).min(initial=AROUND[1]))
+        fit = compared_ramps(samples, starts[single], factor, min(max(gap, AROUND[0]), AROUND[1]))
+        if fit is not None and fit.score <= LIKELIER[0]:
+            return None
+        is_step = fit is not None and fit.score >= LIKELIER[1] and fit.ratio >= BETTER
+    else:
+        logged = free_response(samples)
+        if logged is None or logged.is_at_noise:
+            return None
+        is_step = logged.residual > OWN_STEPS * _residual_held(samples, int(bends[0]), factor)
+        if not is_step:
+            return None
+    lines = f"The command lies on straight lines between every {ordinal(factor)} row, and"
+    if is_step:
+        return samples.finding(
+            "interpolated_rows",
+            "unsafe",
+            f"{lines} steps inside them explain the motion better: it was interpolated, and begins before its steps.",
+            "Export the command as it was sent (held, not interpolated), at the rate of the controller.",
+        )
+    return samples.finding(
+        "interpolated_rows",
+        "note",
+        f"{lines} the motion does not show whether it was sent so: a delay is uncertain by {factor} rows.",
+        "Export the command as it was sent (held, not interpolated); a command that is meant to be a ramp is right.",
+    )
+
+
+def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -> RampFit | None:
+    """Return how steps inside some ramps explain the motion relative to these; None where no rows are around any.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of a free motion.
+    starts : int64, shape (ramps,)
+        Last row before each ramp.
+    rows, around : int
+        Rows of a ramp, and before and behind it.
+    """
+    starts = starts[(starts >= around) & (starts + rows + around < len(samples))]
+    if not len(starts):
+        return None
+    jumps = samples.command[starts + rows] - samples.command[starts]
+    jumps /= np.abs(jumps).max()
+    every = max(1.0, rows / 16) / 2
+    latest = min(LATEST, around - 2)
+    k = np.arange(-around, rows + around + 1.0)
+    sent = [_ramps(k, np.arange(0, latest, every), rows, lag) for lag in LAGS]
+    held = [_steps(k, np.arange(0, rows + latest, every), lag) for lag in LAGS]
+    curves = np.concatenate([*sent, *held], axis=1)
+    products, powers, sizes = _projected(samples, starts, jumps, k, curves)
+    ends = np.cumsum([0, *(each.shape[1] for each in (*sent, *held))])
+    groups = [slice(first, behind) for first, behind in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+    ramps, steps = groups[: len(LAGS)], groups[len(LAGS) :]
+
+    common = [_of_one_delay(products[group], powers[group], sizes) for group in ramps]
+    gain = min(common)[1]
+    inside = min(_of_one_gain(products[group], powers[group], sizes, gain) for group in steps)
+    alone = [min(_alone(products[group], powers[group], sizes) for group in kind) for kind in (ramps, steps)]
+    # all that arithmetic leaves of a motion without noise
+    least = (8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())) ** 2 * len(k) * len(starts)
+    freedom = len(starts) * (len(k) - _DEGREE - 1)
+    score = 0.5 * freedom * float(np.log((alone[0] + least) / (alone[1] + least)))
+    return RampFit(score, (min(common)[0] + least) / (inside + least))
+
+
+def _steps(k: Floats, times: Floats, lag: float) -> Floats:
+    """Return the motions by a unit step of acceleration at some times, shape (rows, times)."""
+    z = np.maximum(k[:, None] - times, 0.0)
+    motion = 0.5 * z * z
+    return motion - lag * z - lag * lag * np.expm1(-z / lag) if lag else motion
+
+
+def _ramps(k: Floats, times: Floats, rows: int, lag: float) -> Floats:
+    """Return the motions by a ramp of acceleration over some rows to 1 that begins at some times."""
+    return np.asarray(sum(_steps(k, times + row, lag) for row in range(rows)) / rows)
+
+
+def _projected(
+    samples: Samples, starts: Integers, jumps: Floats, k: Floats, curves: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return products of curves and motion, and powers, (curves, ramps), and the power of the motion, (ramps,).
+
+    All without a polynomial and the motion by a force of constant size against the velocity.
+    """
+    polynomial = np.polynomial.legendre.legvander(2 * (k - k[0]) / (k[-1] - k[0]) - 1, _DEGREE)
+    products, powers = np.empty((curves.shape[1], len(starts))), np.empty((curves.shape[1], len(starts)))
+    sizes = np.empty(len(starts))
+    for place, (start, jump) in enumerate(zip(starts.tolist(), jumps.tolist(), strict=True)):
+        first = start + int(k[0])
+        x = samples.position[first : first + len(k)] - samples.position[first]
+        way = np.sign(np.diff(x, prepend=x[0]))
+        columns = [polynomial]
+        if (way > 0).any() and (way < 0).any():
+            columns.append(np.cumsum(np.cumsum(way))[:, None])
+        basis, _ = np.linalg.qr(np.concatenate(columns, axis=1))
+        rest, free = x - basis @ (basis.T @ x), curves - basis @ (basis.T @ curves)
+        products[:, place] = jump * (free.T @ rest)
+        powers[:, place] = jump * jump * np.einsum("ij,ij->j", free, free)
+        sizes[place] = rest @ rest
+    return products, np.maximum(powers, 1e-12 * powers.max()), sizes
+
+
+def _of_one_delay(products: Floats, powers: Floats, sizes: Floats) -> tuple[float, float]:
+    """Return the sum of squares that curves of one delay and one gain leave, and the gain."""
+    product, power = products.sum(axis=1), powers.sum(axis=1)
+    explained = np.maximum(product, 0.0) ** 2 / power
+    best = int(explained.argmax())
+    return float(sizes.sum() - explained[best]), float(product[best] / power[best])
+
+
+def _of_one_gain(products: Floats, powers: Floats, sizes: Floats, gain: float) -> float:
+    """Return the sum of squares that curves of one gain leave, each with the best delay."""
+    left, each = np.inf, np.arange(len(sizes))
+    for _ in range(ITERATIONS):
+        rest = sizes - 2 * gain * products + gain * gain * powers
+        best = rest.argmin(axis=0)
+        left = float(rest[best, each].sum())
+        gain = float(products[best, each].sum() / powers[best, each].sum())
+    return left
+
+
+def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
+    """Return the sum of squares that curves leave, each with the best delay and gain."""
+    return float((sizes - (np.maximum(products, 0.0) ** 2 / powers).max(axis=0)).sum())
+
+
+def _residual_held(samples: Samples, first: int, factor: int) -> float:
+    """Return what is left where every n-th command is held up to the next one, at the best delay."""
+    knots = np.arange(first % factor, len(samples), factor)
+    place = np.clip(np.searchsorted(knots, np.arange(len(samples)), side="right") - 1, 0, len(knots) - 1)
+    held = free_response(replace(samples, command=samples.command[knots][place]))
+    return np.inf if held is None else held.residual
