@@ -15,8 +15,12 @@ BASELINE = 8
 LIKELIER = 6.0
 """Logarithm of the likelihood ratio of a growth from rest and a decay that is no chance of a filtered noise."""
 
-CLEAR = 6.0
-"""Way of a growth from rest in standard deviations of what it leaves."""
+CLEAR = (6.0, 20.0)
+"""Way of a growth from rest in standard deviations of what it leaves: where it is likelier than a decay, and where it is
+not, as before few rows, but convex."""
+
+CONVEX = 4.0
+"""Way at the edge relative to the largest one in the first half of the rows before it: a drift goes twice as far."""
 
 OF_THE_ANSWER = 0.15
 """Least way of a growth in accelerations by the edge times its squared time constant: a filter of both directions
@@ -106,14 +110,17 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
     if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
         return None
     growth = growth_from_rest(samples, edge)
-    if growth is None or growth.score < LIKELIER or growth.amplitude <= CLEAR * growth.noise:
+    if growth is None or growth.amplitude <= CLEAR[0] * growth.noise:
+        return None
+    x = samples.position[: edge + 1]
+    away = np.abs(x - middle(x[: edge // 2]))
+    is_convex = growth.amplitude > CLEAR[1] * growth.noise and away[-1] > CONVEX * away[: edge // 2].max()
+    if growth.score < LIKELIER and not is_convex:
         return None
     if growth.amplitude <= max(OF_THE_ANSWER * acceleration(samples, edge) * growth.time_constant**2, 0.0):
         return None
-    clear = CLEAR / 2 * growth.noise
-    x = samples.position[: edge + 1]
-    away = np.abs(x - middle(x[: edge // 2]))
-    still = np.flatnonzero(away <= max(clear, 1.5 * samples.least_change))
+    clear = max(0.5 * CLEAR[0] * growth.noise, 1.5 * samples.least_change)
+    still = np.flatnonzero(away <= clear)
     row = int(still[-1]) + 1 if len(still) else 0
     return edge, min(row, edge - 1)
 

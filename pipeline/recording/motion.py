@@ -57,8 +57,8 @@ class FreeResponse:
     residual_causal : float
         The same for the best delay of 0 and more.
     residual_with, residual_against : float
-        The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the command
-        in its direction, or against it; infinite where there is none.
+        The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the
+        command in its direction, or against it; infinite where there is none.
     residual_undriven : float
         The same without any command: of a motion that starts by itself.
     largest_jump : float

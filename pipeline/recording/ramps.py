@@ -1,7 +1,7 @@
 """Ramps of a command between readings of a grid: was it sent so, or were steps inside them joined by lines?
 
-A step that begins at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau))
-with z = k - t from t on; a ramp of n rows, held in each row, is the mean of n such steps. Around each ramp both are
+A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with
+z = k - t from t on; a ramp of n rows, held in each row, is the mean of n such steps. Around each ramp both are
 compared, with a parabola of third degree and friction for all other motion. Ramps that were sent share their delay; the
 steps inside ramps of a grid have their own one.
 """
@@ -43,6 +43,9 @@ ramp, from the second on it was steps."""
 BETTER = 2.0
 """Sum of squares that ramps of one delay leave relative to that of steps from which on the command was steps."""
 
+OTHER_DELAYS = 8.0
+"""The same from which on ramps whose shapes fit better are in doubt: their delays are those of steps of a grid."""
+
 ITERATIONS = 6
 """Of the times of steps and their common gain in turns: three are enough."""
 
@@ -64,6 +67,16 @@ class RampFit:
     score: float
     ratio: float
 
+    @property
+    def is_sent(self) -> bool:
+        """Whether the command was sent as ramps."""
+        return self.score <= LIKELIER[0] and self.ratio < OTHER_DELAYS
+
+    @property
+    def is_step(self) -> bool:
+        """Whether steps were sent."""
+        return self.score >= LIKELIER[1] and self.ratio >= BETTER
+
 
 def interpolated_command(samples: Samples) -> Finding | None:
     """Return whether the command lies on straight lines between fewer values, and its own steps explain the motion.
@@ -77,25 +90,27 @@ def interpolated_command(samples: Samples) -> Finding | None:
     largest = float(np.abs(jumps).max())
     bends = np.flatnonzero(np.abs(jumps[1:] - jumps[:-1]) > KINK * largest) + 1
     factor = spacing(bends)
-    if factor < 2 or len(bends) < FEWEST_KNOTS:
+    if factor < 2:
         return None
     moves = np.abs(jumps) > KINK * largest / factor
     starts = np.flatnonzero(moves & ~np.concatenate([[False], moves[:-1]]))
     ends = np.flatnonzero(moves & ~np.concatenate([moves[1:], [False]])) + 1
     single = ends - starts == factor
+    has_grid = len(np.union1d(bends, np.concatenate([starts, ends]))) >= FEWEST_KNOTS
     if single.any() and len(starts) <= MOST_RAMPS:
         gap = int((starts[1:] - ends[:-1]).min(initial=AROUND[1]))
         fit = compared_ramps(samples, starts[single], factor, min(max(gap, AROUND[0]), AROUND[1]))
-        if fit is not None and fit.score <= LIKELIER[0]:
+        if fit is not None and fit.is_sent:
             return None
-        is_step = fit is not None and fit.score >= LIKELIER[1] and fit.ratio >= BETTER
+        is_step = fit is not None and fit.is_step
     else:
-        logged = free_response(samples)
+        logged = free_response(samples) if has_grid else None
         if logged is None or logged.is_at_noise:
             return None
         is_step = logged.residual > OWN_STEPS * _residual_held(samples, int(bends[0]), factor)
-        if not is_step:
-            return None
+        has_grid = False
+    if not (is_step or has_grid):
+        return None
     lines = f"The command lies on straight lines between every {ordinal(factor)} row, and"
     if is_step:
         return samples.finding(
@@ -148,7 +163,7 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
     least = (8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())) ** 2 * len(k) * len(starts)
     freedom = len(starts) * (len(k) - _DEGREE - 1)
     score = 0.5 * freedom * float(np.log((alone[0] + least) / (alone[1] + least)))
-    return RampFit(score, (min(common)[0] + least) / (inside + least))
+    return RampFit(score, float((min(common)[0] + least) / (inside + least)))
 
 
 def _steps(k: Floats, times: Floats, lag: float) -> Floats:

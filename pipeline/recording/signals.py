@@ -17,7 +17,7 @@ COARSE = 0.05
 CLEAR = 8.0
 """Standard deviations of noise, and steps of the sensor, by which a first motion is clear."""
 
-OTHER_SIGN = 2.0
+OTHER_SIGN = 2.5
 """Residual with the sign of the log relative to that with the other one from which on the other one is right."""
 
 DRIVEN = 3.0
