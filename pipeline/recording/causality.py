@@ -15,26 +15,27 @@ BASELINE = 8
 LIKELIER = 6.0
 """Logarithm of the likelihood ratio of a growth from rest and a decay that is no chance of a filtered noise."""
 
-CLEAR = (6.0, 20.0)
-"""Way of a growth from rest in standard deviations of what it leaves: where it is likelier than a decay, and where it is
-not, as before few rows, but convex."""
+SURE = {False: 10.0, True: 18.0}
+"""Acceleration of a growth at an edge in standard errors, of a plain one and of one that turns: noise that was filtered
+in one direction looks like more than white noise does."""
 
-CONVEX = 4.0
-"""Way at the edge relative to the largest one in the first half of the rows before it: a drift goes twice as far."""
+OF_THE_ANSWER = {False: 0.15, True: 0.015}
+"""The same in accelerations of the answer to the edge. A filter of both directions makes up to 0.5 of them, less where
+a mode of vibration answers later; noise, which has no share in the answer, makes next to nothing."""
 
-OF_THE_ANSWER = 0.15
-"""Least way of a growth in accelerations by the edge times its squared time constant: a filter of both directions
-spreads half of it before the edge, and a motion that is rows ahead has gone farther. Noise goes any way."""
+CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
+"""Way at the edge relative to the largest one in the first half of the rows before it, which of a drift is 2, from
+which on a growth need not be likelier than a decay, as before few rows; and the two measures above for it."""
 
 SURELY = 30.0
 """Logarithm of the likelihood ratio of a growth and a decay before edges within a motion."""
 
-BETTER = 5.0
+BETTER = 4.0
 """Sum of squares that the decay leaves before them relative to that of the growth: of more, both explain parts of the
 device badly."""
 
-SPREAD = (0.3, 1.0)
-"""Way of such a growth in the same measure: a filter of both directions makes 0.5."""
+SPREAD = (0.1, 0.75)
+"""Acceleration of such a growth in those of the answer."""
 
 EARLY = 0.75
 """Rows by which a fitted delay is negative from which on the position comes first."""
@@ -109,20 +110,25 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
         return None
     if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
         return None
-    growth = growth_from_rest(samples, edge)
-    if growth is None or growth.amplitude <= CLEAR[0] * growth.noise:
-        return None
+    answer = acceleration(samples, edge)
     x = samples.position[: edge + 1]
     away = np.abs(x - middle(x[: edge // 2]))
-    is_convex = growth.amplitude > CLEAR[1] * growth.noise and away[-1] > CONVEX * away[: edge // 2].max()
-    if growth.score < LIKELIER and not is_convex:
+    usual = float(away[: edge // 2].max())
+    if answer <= 0 or not any(_grows(samples, edge, turning, answer, away[-1] > CONVEX * usual) for turning in SURE):
         return None
-    if growth.amplitude <= max(OF_THE_ANSWER * acceleration(samples, edge) * growth.time_constant**2, 0.0):
-        return None
-    clear = max(0.5 * CLEAR[0] * growth.noise, 1.5 * samples.least_change)
-    still = np.flatnonzero(away <= clear)
-    row = int(still[-1]) + 1 if len(still) else 0
-    return edge, min(row, edge - 1)
+    still = np.flatnonzero(away <= max(usual, 1.5 * samples.least_change))
+    return edge, min(int(still[-1]) + 1, edge - 1)
+
+
+def _grows(samples: Samples, edge: int, turning: bool, answer: float, is_convex: bool) -> bool:
+    """Return whether the position grows from its rest towards an edge, as a part of the answer to it."""
+    growth = growth_from_rest(samples, edge, turning=turning)
+    if growth is None or growth.acceleration <= OF_THE_ANSWER[turning] * answer:
+        return False
+    if growth.acceleration <= SURE[turning] * growth.error:
+        return False
+    is_clear = growth.acceleration > max(CONVEX_SURE * growth.error, CONVEX_PART * answer)
+    return growth.score >= LIKELIER or (is_convex and is_clear)
 
 
 def _turns_early(samples: Samples) -> tuple[int, float] | None:
@@ -133,8 +139,8 @@ def _turns_early(samples: Samples) -> tuple[int, float] | None:
     growth = growth_before_edges(samples)
     if growth is None or growth.score < SURELY or growth.ratio < BETTER:
         return None
-    of_answer = growth.amplitude / (response.gain * response.largest_jump * growth.time_constant**2)
-    return (growth.edges, growth.time_constant) if SPREAD[0] < of_answer < SPREAD[1] else None
+    part = growth.acceleration / (response.gain * response.largest_jump)
+    return (growth.edges, growth.time_constant) if SPREAD[0] < part < SPREAD[1] else None
 
 
 def _first_edge(samples: Samples) -> int:

@@ -70,3 +70,7 @@ def _found(samples: Samples) -> Iterator[Finding]:
         if finding is not None:
             codes.add(finding.code)
             yield finding
+            if finding.severity == "cut" and finding.first_row is not None:
+                samples = samples.before(finding.first_row)
+                if samples.range == 0:
+                    return

@@ -7,8 +7,9 @@ beginning of a motion whose command was logged late. Either is compared with a d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,6 +40,9 @@ FEWEST, MOST = 16, 64
 BEHIND = 64
 """Rows behind an edge from which the acceleration by it is taken."""
 
+SINGULAR = 1e-10
+"""Power of a curve relative to that of the other one of a pair that is nothing but rounding."""
+
 LATEST = 32
 """Largest delay of that acceleration [rows]."""
 
@@ -53,37 +57,40 @@ class Growth:
         Logarithm of the likelihood of a growth relative to that of a decay, for white noise.
     ratio : float
         Sum of squares that the decay leaves relative to that of the growth.
-    amplitude : float
-        Way by the growth up to an edge of the largest jump, in the direction of the jump [m, rad].
+    acceleration, error : float
+        Of the growth in the row of an edge of the largest jump, in the direction of the jump, and its standard error
+        for white noise [position/row^2].
     time_constant : float
         Of the growth [rows].
-    noise : float
-        Root mean square that the growth leaves [m, rad].
     edges : int
         Edges before which it was looked for.
     """
 
     score: float
     ratio: float
-    amplitude: float
+    acceleration: float
+    error: float
     time_constant: float
-    noise: float
     edges: int
 
 
-def growth_from_rest(samples: Samples, edge: int) -> Growth | None:
-    """Return the likeliest growth of a position from its rest before an edge; None where nothing changes in it."""
+def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | None:
+    """Return the likeliest growth of a position from its rest before an edge; None where nothing changes in it.
+
+    A ``turning`` one is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as the filters of second order make it; the
+    other one is a exp(z).
+    """
     first = max(edge - MOST_AT_REST, 0)
     x = samples.position[first : edge + 1] - samples.position[first]
     if not x.any():
         return None
     jump = float(np.sign(samples.jumps[edge - 1]))
     constants = [each for each in TIME_CONSTANTS if each <= len(x) / 2]
-    return _likeliest([_compared([(x, jump, 2)], each, constants) for each in constants])
+    return _likeliest([_compared([(x, jump, 2)], each, constants, turning) for each in constants])
 
 
 def growth_before_edges(samples: Samples) -> Growth | None:
-    """Return the likeliest growth of a free motion towards all edges, in proportion to their jumps.
+    """Return the likeliest growth, a turning one, of a free motion towards all edges, in proportion to their jumps.
 
     A growth of each time constant has a window of so many rows before each edge.
     """
@@ -91,8 +98,8 @@ def growth_before_edges(samples: Samples) -> Growth | None:
     edges = np.flatnonzero(size > LARGE * size.max()) + 1
     if len(edges) > MOST_EDGES:
         return None
-    constants = TIME_CONSTANTS[:-1]
-    return _likeliest([_compared(list(_windows(samples, edges.tolist(), each)), each, constants) for each in constants])
+    tried = TIME_CONSTANTS[:-1]
+    return _likeliest([_compared(list(_windows(samples, edges.tolist(), each)), each, tried, True) for each in tried])
 
 
 def acceleration(samples: Samples, edge: int) -> float:
@@ -129,32 +136,48 @@ def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterat
             yield x, float(samples.jumps[edge - 1]) / largest, 3 if first else 2
 
 
-def _compared(windows: list[_Window], time_constant: float, decays: list[float] | tuple[float, ...]) -> Growth | None:
+def _compared(windows: list[_Window], growth: float, decays: Sequence[float], turning: bool) -> Growth | None:
     """Return how much better a growth of a time constant explains windows than the best one of some decays."""
+    curves_of_each = 2 if turning else 1
     total, freedom = 0.0, 0
-    product, power = np.zeros(1 + len(decays)), np.zeros(1 + len(decays))
+    product = np.zeros((1 + len(decays), curves_of_each))
+    power = np.zeros((*product.shape, curves_of_each))
     for x, jump, degree in windows:
-        rows = len(x)
-        basis, curves = _curves(rows, degree, time_constant, tuple(decays))
+        basis, curves = _curves(len(x), degree, (growth, *decays), turning)
         rest = x - basis @ (basis.T @ x)
         total += float(rest @ rest)
-        freedom += rows - degree - 1
-        product += jump * (curves.T @ rest)
-        power += jump * jump * np.einsum("ij,ij->j", curves, curves)
-    if not total > 0 or not (power > 0).all():
+        freedom += len(x) - degree - 1 - curves_of_each
+        product += jump * np.einsum("kij,i->kj", curves, rest)
+        power += jump * jump * np.einsum("kij,kil->kjl", curves, curves)
+    if not total > 0 or freedom <= 0:
         return None
-    left = np.maximum(total - product * product / power, np.finfo(np.float64).eps * total)
-    ratio = float(left[1:].min() / left[0])
-    amplitude, noise = float(product[0] / power[0]), float(np.sqrt(left[0] / freedom))
-    return Growth(0.5 * freedom * float(np.log(ratio)), ratio, amplitude, time_constant, noise, len(windows))
+    inverse = np.linalg.pinv(power, rcond=SINGULAR, hermitian=True)
+    ways = np.einsum("kij,kj->ki", inverse, product)
+    left = np.maximum(total - np.einsum("ki,ki->k", product, ways), np.finfo(np.float64).eps * total)
+    ratio, noise = float(left[1:].min() / left[0]), float(np.sqrt(left[0] / freedom))
+    # of exp(z) (a cos z + b sin z) the second derivative is 2 b at z = 0, of a exp(z) it is a
+    scale = curves_of_each / growth**2
+    return Growth(
+        score=0.5 * freedom * float(np.log(ratio)),
+        ratio=ratio,
+        acceleration=scale * float(ways[0, -1]),
+        error=scale * noise * float(np.sqrt(inverse[0, -1, -1])),
+        time_constant=growth,
+        edges=len(windows),
+    )
 
 
-def _curves(rows: int, degree: int, growth: float, decays: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Return an orthonormal basis of polynomials, and a growth and decays without what these explain."""
+@lru_cache(maxsize=64)
+def _curves(rows: int, degree: int, constants: tuple[float, ...], turning: bool) -> tuple[Floats, Floats]:
+    """Return an orthonormal basis of polynomials, and a growth and decays without what these explain.
+
+    Shapes (rows, degree + 1) and (constants, rows, 1 or 2); the first constant is that of the growth.
+    """
     k = np.arange(rows, dtype=np.float64)
     basis, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * k / (rows - 1) - 1, degree))
-    curves = np.exp(np.stack([(k + 1 - rows) / growth, *(-k / each for each in decays)], axis=1))
-    return basis, curves - basis @ (basis.T @ curves)
+    z = np.stack([(k + 1 - rows) / constants[0], *(-k / each for each in constants[1:])])
+    curves = np.exp(z)[:, :, None] * (np.stack([np.cos(z), np.sin(z)], axis=2) if turning else 1.0)
+    return basis, curves - np.einsum("ij,kjl->kil", basis, np.einsum("ij,kil->kjl", basis, curves))
 
 
 def _likeliest(found: list[Growth | None]) -> Growth | None:

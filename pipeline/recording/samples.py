@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import sqrt
 from statistics import NormalDist
@@ -119,6 +119,11 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def before(self, row: int) -> Samples:
+        """Return the samples before a row, at least two."""
+        rows = max(row, 2)
+        return replace(self, time=self.time[:rows], command=self.command[:rows], position=self.position[:rows])
 
     @property
     def resting(self) -> int:
