@@ -71,15 +71,15 @@ def repeated_rows(samples: Samples) -> Finding | None:
         return None
     rows = single + 1
     # where noise is that much larger than a step, equal readings are rare
-    noisy = len(single) < RARE * len(size) and samples.noise > NOISY * samples.least_change
+    noisy = len(single) < RARE * len(size) and samples.is_noisier_than(NOISY * samples.least_change)
     by_chance = EQUAL * len(size) * samples.least_change / samples.noise if noisy else np.inf
     if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
+        single = single[size[single - 1] >= MOVES * samples.least_change]
         before, behind = samples.change[single - 1], samples.change[single + 1]
-        goes_on = (before * behind > 0) & (np.abs(before) >= MOVES * samples.least_change)
-        goes_on &= np.abs(behind) > MADE_UP * np.abs(before)
-        rows = single[goes_on] + 1
-        if len(rows) >= FEWEST:
-            rows = rows[np.abs(behind[goes_on]) > CLEAR * samples.noise]
+        single = single[(before * behind > 0) & (np.abs(behind) > MADE_UP * np.abs(before))]
+        if len(single) >= FEWEST:
+            single = single[size[single + 1] > CLEAR * samples.noise]
+        rows = single + 1
     if len(rows) < FEWEST:
         return None
     both = int(np.sum(samples.jumps[rows - 1] == 0))
@@ -96,7 +96,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
 
 def frozen_position(samples: Samples) -> Finding | None:
     """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
-    if samples.resting < FROZEN:
+    if samples.resting < FROZEN or samples.pauses.max(initial=0) < FROZEN:
         return None
     size, least = samples.size, MOVES * samples.least_change
     for place in np.flatnonzero(samples.pauses >= FROZEN).tolist():

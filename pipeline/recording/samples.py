@@ -21,6 +21,9 @@ THIRD_GAIN = 20.0
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
 
+THIRD_MEDIAN = NORMAL_QUARTILE * sqrt(THIRD_GAIN)
+"""Median of the size of the third difference of white noise relative to its standard deviation."""
+
 FINE = 1e-6
 """Step of a sensor relative to the range of the position below which it is none, but that of the digits."""
 
@@ -107,15 +110,18 @@ class Samples:
         change = x[1:] - x[:-1]
         size = np.abs(change)
         reach = float(x.max() - x.min())
-        moves = np.flatnonzero(change)
-        seen = size[moves]
-        least = float(seen.min()) if len(seen) else 0.0
+        moves = change.nonzero()[0]
+        fastest = float(size.max())
+        seen = size if len(moves) == len(size) else size[moves]
+        least = float(seen.min()) if fastest > 0 else 0.0
         if least <= SMALLEST_STEP * reach:
-            least = float(seen[seen > SMALLEST_STEP * reach].min(initial=np.inf)) if len(seen) else 0.0
-        made = {"change": change, "size": size, "moves": moves, "range": reach}
-        made |= {"fastest": float(seen.max()) if len(seen) else 0.0, "least_change": least if least < np.inf else 0.0}
-        for name, value in made.items():
-            object.__setattr__(self, name, value)
+            least = float(seen[seen > SMALLEST_STEP * reach].min(initial=np.inf))
+        self.__dict__.update(
+            {
+                **{"change": change, "size": size, "moves": moves, "range": reach},
+                **{"fastest": fastest, "least_change": least if least < np.inf else 0.0},
+            }
+        )
 
     def __len__(self) -> int:
         return len(self.position)
@@ -169,19 +175,29 @@ class Samples:
         return self.command[1:] - self.command[:-1]
 
     @cached_property
+    def third(self) -> Floats:
+        """Size of the change of `bend` from row to row, shape (rows - 3,)."""
+        return np.abs(self.bend[1:] - self.bend[:-1])
+
+    @cached_property
     def noise(self) -> float:
         """Standard deviation of a reading: of third differences, which motion hardly has, and of rounding."""
-        third = np.abs(self.bend[1:] - self.bend[:-1])
-        of_readings = middle(third) / (NORMAL_QUARTILE * THIRD_GAIN**0.5) if len(third) else 0.0
+        of_readings = middle(self.third) / THIRD_MEDIAN if len(self.third) else 0.0
         steps = self.least_change / 12.0**0.5 if self.least_change > FINE * self.range else 0.0
         return max(of_readings, steps)
+
+    def is_noisier_than(self, size: float) -> bool:
+        """Return whether the third differences show a noise of more than a size, without looking for their median."""
+        above = int(np.count_nonzero(self.third > size * THIRD_MEDIAN))
+        return above >= len(self.third) - len(self.third) // 2 > 0
 
     @cached_property
     def wall_steps(self) -> Floats:
         """Change of the wall force K x + B dx/T from row to row [N, Nm], shape (rows - 1,)."""
         per_row = self.damping / self.period
         force = (self.stiffness + per_row) * self.change
-        force[1:] -= per_row * self.change[:-1]
+        if per_row:
+            force[1:] -= per_row * self.change[:-1]
         return force
 
     def wall_residual(self, rows: int, sign: float = 1.0) -> float:

@@ -36,7 +36,7 @@ FAST = 0.05
 STEPS = 8.0
 """Change of the velocity at a stop in steps of the sensor a row."""
 
-STILL = (1.01, 4.0, 0.02)
+STILL = (1.2, 4.0, 0.02)
 """Distance from a stop at which the position stays: in steps of the sensor, standard deviations of its noise, and in
 rows at the speed before."""
 
@@ -53,16 +53,17 @@ def travel_stop(samples: Samples) -> Finding | None:
     size, low, high = samples.size, float(x.min()), float(x.max())
     near = AT_EXTREME * (high - low)
     at_extreme = (x >= high - near) | (x <= low + near)
-    rows = np.flatnonzero(at_extreme[BEFORE:-2]) + BEFORE
     least = max(STEPS * samples.least_change, FAST * samples.fastest)
-    rows = rows[(size[rows - 2] > least) & (size[rows - 2] > SLOWER * size[rows + 1])]
+    rows = (at_extreme[BEFORE:-2] & (size[BEFORE - 2 : -3] > least)).nonzero()[0] + BEFORE
+    rows = rows[size[rows - 2] > SLOWER * size[rows + 1]]
     rows = rows[(x[rows] - 0.5 * (high + low)) * change[rows - 2] > 0]
-    if not len(rows):
-        return None
-    elsewhere = HARDER * _hardest(samples, at_extreme)
+    elsewhere = None
     for row in rows.tolist():
-        hit = abs(change[row + 1] - change[row + 1 - OVER])
-        if hit <= elsewhere or not (_is_blow(samples, row, hit) or _stays(samples, row)):
+        hit = float(abs(change[row + 1] - change[row + 1 - OVER]))
+        if not (_is_blow(samples, row, hit) or _stays(samples, row)):
+            continue
+        elsewhere = _hardest(samples, at_extreme) if elsewhere is None else elsewhere
+        if hit <= HARDER * elsewhere:
             continue
         return samples.finding(
             "travel_stop",
@@ -88,14 +89,18 @@ def _hardest(samples: Samples, at_extreme: Booleans) -> float:
 
 def _is_blow(samples: Samples, row: int, hit: float) -> bool:
     """Return whether the velocity changes by several times as much in a row as in the rows around it."""
-    brake = float(np.abs(samples.bend[row - BEFORE : row - 2]).max())
-    free = float(np.abs(samples.bend[row + 1 : row + BEHIND]).max(initial=0.0))
-    return hit > IMPACT * brake and hit > 2 * IMPACT * free
+    brake, free = samples.bend[row - BEFORE : row - 2], samples.bend[row + 1 : row + BEHIND]
+    if hit <= IMPACT * abs(brake[-1]) or hit <= 2 * IMPACT * abs(free[:1]).sum():
+        return False
+    return bool(hit > IMPACT * np.abs(brake).max() and hit > 2 * IMPACT * np.abs(free).max(initial=0.0))
 
 
 def _stays(samples: Samples, row: int) -> bool:
     """Return whether the position stays where it was stopped."""
     x = samples.position[row + 1 : row + 1 + STAYS]
+    if len(x) < STAYS:
+        return False
     steps, deviations, ways = STILL
-    still = max(steps * samples.least_change, deviations * samples.noise, ways * samples.size[row - 2])
-    return len(x) == STAYS and bool((np.abs(x - x[0]) <= still).all())
+    away = float(np.abs(x - x[0]).max())
+    still = max(steps * samples.least_change, ways * float(samples.size[row - 2]))
+    return away <= still or samples.is_noisier_than(away / deviations)

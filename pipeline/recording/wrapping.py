@@ -117,7 +117,9 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     inside = float(position.max() - position.min()) <= 1.02 * modulus + fastest
     if not (at_ends and alike and smooth and inside):
         return None
-    # a single row at the other end may be a wrong reading of any size
+    # a single jump may be the largest change of a noise, a single row at the other end a wrong reading of any size
+    if not known and len(jumps) == 1 and fastest > SLOW * modulus:
+        return None
     if not known and len(jumps) > 1 and (np.diff(jumps) == 1).all():
         return None
     reading = step if step > 1e-6 * modulus else 0.0
