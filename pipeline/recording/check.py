@@ -8,6 +8,7 @@ from pipeline.recording.causality import moves_before_command
 from pipeline.recording.ramps import interpolated_command
 from pipeline.recording.rows import frozen_position, interpolated_position, repeated_rows
 from pipeline.recording.samples import Samples
+from pipeline.recording.screen import may_be_wrong
 from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sign
 from pipeline.recording.timing import missing_rows, sampling_period
 from pipeline.recording.travel import travel_stop
@@ -44,6 +45,8 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     A position that lies on straight lines between fewer readings moves before its command and changes its speed at
     once: these are then no further findings.
     """
+    if not may_be_wrong(samples):
+        return ()
     nothing = unusable_signal(samples)
     if nothing is None:
         return tuple(_found(samples))

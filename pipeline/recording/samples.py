@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
 from statistics import NormalDist
@@ -92,37 +92,6 @@ class Samples:
     step: float = 0.0
     step_row: int | None = None
 
-    change: Floats = field(init=False, repr=False)
-    """Change of the position from row to row, shape (rows - 1,)."""
-    size: Floats = field(init=False, repr=False)
-    """Size of `change`."""
-    moves: Integers = field(init=False, repr=False)
-    """Where in `change` the position changes."""
-    range: float = field(init=False, repr=False)
-    """Largest minus smallest position."""
-    fastest: float = field(init=False, repr=False)
-    """Largest change of the position from row to row."""
-    least_change: float = field(init=False, repr=False)
-    """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
-
-    def __post_init__(self) -> None:
-        x = self.position
-        change = x[1:] - x[:-1]
-        size = np.abs(change)
-        reach = float(x.max() - x.min())
-        moves = change.nonzero()[0]
-        fastest = float(size.max())
-        seen = size if len(moves) == len(size) else size[moves]
-        least = float(seen.min()) if fastest > 0 else 0.0
-        if least <= SMALLEST_STEP * reach:
-            least = float(seen[seen > SMALLEST_STEP * reach].min(initial=np.inf))
-        self.__dict__.update(
-            {
-                **{"change": change, "size": size, "moves": moves, "range": reach},
-                **{"fastest": fastest, "least_change": least if least < np.inf else 0.0},
-            }
-        )
-
     def __len__(self) -> int:
         return len(self.position)
 
@@ -130,6 +99,43 @@ class Samples:
         """Return the samples before a row, at least two."""
         rows = max(row, 2)
         return replace(self, time=self.time[:rows], command=self.command[:rows], position=self.position[:rows])
+
+    @cached_property
+    def change(self) -> Floats:
+        """Change of the position from row to row, shape (rows - 1,)."""
+        return self.position[1:] - self.position[:-1]
+
+    @cached_property
+    def size(self) -> Floats:
+        """Size of `change`."""
+        return np.abs(self.change)
+
+    @cached_property
+    def moves(self) -> Integers:
+        """Where in `change` the position changes."""
+        return self.change.nonzero()[0]
+
+    @cached_property
+    def range(self) -> float:
+        """Largest minus smallest position."""
+        return float(self.position.max() - self.position.min())
+
+    @cached_property
+    def fastest(self) -> float:
+        """Largest change of the position from row to row."""
+        return float(self.size.max())
+
+    @cached_property
+    def least_change(self) -> float:
+        """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
+        if self.fastest == 0:
+            return 0.0
+        seen = self.size[self.moves] if self.resting else self.size
+        least = float(seen.min())
+        if least > SMALLEST_STEP * self.range:
+            return least
+        least = float(seen[seen > SMALLEST_STEP * self.range].min(initial=np.inf))
+        return least if least < np.inf else 0.0
 
     @property
     def resting(self) -> int:
