@@ -235,7 +235,7 @@ def accepted_logs(
         is_safe = not any(finding.is_unsafe for finding in log.findings)
         if is_safe and (text := other_gains(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
-            log = replace(log, header=header, warnings=(*log.warnings, text))
+            log = log.with_warning(header, text)
         row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}
         row["extra"] = json.dumps(log.header.extra, sort_keys=True, ensure_ascii=False)
         row["trial_id"] = trial_id(sha256, log.label, source.told)

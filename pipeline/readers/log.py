@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
 
@@ -98,6 +98,12 @@ class Log:
         for values in (self.command, self.position):
             joined.update(np.ascontiguousarray(values).data)
         return joined.hexdigest()
+
+    def with_warning(self, header: NativeHeader, warning: str) -> Log:
+        """Return the log with another header of the same conditions, and one more warning; its findings stay."""
+        log = replace(self, header=header, warnings=(*self.warnings, warning))
+        log.__dict__["findings"] = self.findings
+        return log
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

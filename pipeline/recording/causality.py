@@ -172,9 +172,8 @@ def _late_command(samples: Samples) -> int | None:
     """
     if samples.is_free or samples.obeys_wall:
         return None
-    force, now = samples.wall_steps, samples.wall_residual(0)
+    force = samples.wall_steps
     size = float(np.sqrt(np.mean(force * force)))
-    shifts = range(1, min(MOST_LATE, len(samples) // 4) + 1)
-    rest = [samples.wall_residual(shift) for shift in shifts]
-    best = int(np.argmin(rest))
-    return shifts[best] if rest[best] <= LAW_RESIDUAL * size and CLEARLY_LATE * rest[best] < now else None
+    rest = samples.wall_residuals(min(MOST_LATE, len(samples) // 4))
+    best = int(np.argmin(rest[1:])) + 1
+    return best if rest[best] <= LAW_RESIDUAL * size and CLEARLY_LATE * rest[best] < rest[0] else None

@@ -8,7 +8,7 @@ from pipeline.recording.causality import moves_before_command
 from pipeline.recording.ramps import interpolated_command
 from pipeline.recording.rows import frozen_position, interpolated_position, repeated_rows
 from pipeline.recording.samples import Samples
-from pipeline.recording.screen import may_be_wrong
+from pipeline.recording.screen import ANYTHING, REPEATED_ROWS, TRAVEL_STOP, may_be_wrong
 from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sign
 from pipeline.recording.timing import missing_rows, sampling_period
 from pipeline.recording.travel import travel_stop
@@ -31,6 +31,9 @@ CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
 )
 """Checks of a log in which something moves, in the order in which their findings are shown."""
 
+SCREENED = {REPEATED_ROWS: repeated_rows, TRAVEL_STOP: travel_stop}
+"""Checks of a log of which a screen shows that no other one has a finding, in the same order."""
+
 
 def check_recording(samples: Samples) -> tuple[Finding, ...]:
     """Return what is wrong with the recording of a log; empty for a good one.
@@ -45,8 +48,10 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     A position that lies on straight lines between fewer readings moves before its command and changes its speed at
     once: these are then no further findings.
     """
-    if not may_be_wrong(samples):
-        return ()
+    may_be = may_be_wrong(samples)
+    if may_be != ANYTHING:
+        checks = [check for what, check in SCREENED.items() if what & may_be]
+        return tuple(finding for check in checks if (finding := check(samples)) is not None)
     nothing = unusable_signal(samples)
     if nothing is None:
         return tuple(_found(samples))

@@ -206,15 +206,25 @@ class Samples:
             force[1:] -= per_row * self.change[:-1]
         return force
 
-    def wall_residual(self, rows: int, sign: float = 1.0) -> float:
-        """Return what the stated wall leaves of the changes of the command some rows later (rms), but for the step.
+    def wall_residual(self, sign: float = 1.0) -> float:
+        """Return what the stated wall leaves of the changes of the command (rms), but for the step.
 
         With a sign of -1 those of a wall that pushes where the stated one pulls.
         """
-        rest = self.jumps[rows:] + sign * self.wall_steps[: len(self.jumps) - rows]
-        size = np.abs(rest)
-        largest = float(size.max())
+        rest = np.abs(self.jumps + sign * self.wall_steps)
+        largest = float(rest.max())
         return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
+
+    def wall_residuals(self, most: int) -> Floats:
+        """Return the same for a command that is 0, 1, ... or so many rows late, shape (most + 1,)."""
+        count = len(self.jumps)
+        later = np.lib.stride_tricks.sliding_window_view(np.append(self.jumps, np.zeros(most)), count)
+        rest = later + self.wall_steps
+        for late in range(1, most + 1):  # rows behind the end
+            rest[late, count - late :] = 0.0
+        largest = np.maximum(rest.max(axis=1), -rest.min(axis=1))
+        power = np.maximum(np.einsum("ij,ij->i", rest, rest) - largest * largest, 0.0)
+        return np.asarray(np.sqrt(power / (count - np.arange(most + 1))))
 
     @cached_property
     def obeys_wall(self) -> bool:
@@ -222,7 +232,7 @@ class Samples:
         if self.is_free:
             return False
         force = self.wall_steps
-        return self.wall_residual(0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
+        return self.wall_residual() <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
 
     @cached_property
     def obeys_reversed_wall(self) -> bool:
@@ -230,7 +240,7 @@ class Samples:
         if self.is_free:
             return False
         force = self.wall_steps
-        return self.wall_residual(0, -1.0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
+        return self.wall_residual(-1.0) <= LAW_RESIDUAL * sqrt(float(force @ force) / len(force))
 
     @cached_property
     def wall_edge(self) -> int:

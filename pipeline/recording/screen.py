@@ -12,10 +12,13 @@ import numpy as np
 from pipeline.base.compiled import compiled
 from pipeline.recording import rows, signals, timing, travel, wrapping
 from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN, Samples
-from pipeline.records.trials import Floats, Integers
+from pipeline.records.trials import Floats
 
 MANY = 100
 """Logs of a process from which on loading machine code takes less time than it saves."""
+
+NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
+"""What a check may find: the sum of both in the middle, or anything."""
 
 _checked = count()
 """Numbers of the logs that a process checks."""
@@ -25,45 +28,41 @@ _LIMITS = np.array(
         *(signals.FEWEST_ROWS, signals.COARSE, wrapping.JUMP, timing.EVEN, timing.MISSING, LAW_RESIDUAL, SMALLEST_STEP),
         *(rows.FEWEST, rows.FROZEN, rows.RARE, rows.NOISY * THIRD_MEDIAN, rows.MOVES, rows.MADE_UP),
         *(travel.AT_EXTREME, travel.FAST, travel.STEPS, travel.SLOWER, travel.IMPACT, travel.HARDER),
-        *(travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
+        *(travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2], ANYTHING),
     ]
 )
-"""Limits of the checks, in the order in which `_may_be_wrong` takes them: machine code would keep those of a module."""
+"""Limits of the checks, in the order in which `_screen` takes them: machine code would keep those of a module."""
 
 
-def may_be_wrong(samples: Samples) -> bool:
-    """Return whether a check may have a finding; the first logs of a process are not screened.
+def may_be_wrong(samples: Samples) -> int:
+    """Return what a check may find: nothing, repeated rows or a travel stop alone, or anything (`NOTHING`, ...).
+
+    The first logs of a process are not screened.
 
     Parameters
     ----------
     samples : Samples
     """
     if samples.is_free or len(samples) < 2 * travel.BEFORE or next(_checked) < MANY:
-        return True
-    result = np.ones(1, dtype=np.int64)
-    time, command, position = map(np.ascontiguousarray, (samples.time, samples.command, samples.position))
-    per_row, period = samples.damping / samples.period, samples.period
-    _may_be_wrong(time, command, position, period, samples.stiffness, per_row, samples.step, _LIMITS, result)
-    return bool(result[0])
+        return ANYTHING
+    columns = np.concatenate((samples.time, samples.command, samples.position))
+    numbers = _LIMITS.copy()
+    period = samples.period
+    _screen(columns, numbers, period, samples.stiffness, samples.damping / period, samples.step)
+    return int(numbers[-1])
 
 
-@compiled("void(f8[::1],f8[::1],f8[::1],f8,f8,f8,f8,f8[::1],i8[::1])")
-def _may_be_wrong(
-    time: Floats,
-    command: Floats,
-    position: Floats,
-    period: float,
-    stiffness: float,
-    damping_per_row: float,
-    step: float,
-    limits: Floats,
-    result: Integers,
+@compiled("void(f8[::1],f8[::1],f8,f8,f8,f8)")
+def _screen(
+    columns: Floats, numbers: Floats, period: float, stiffness: float, damping_per_row: float, step: float
 ) -> None:
-    """Set the result to 0 where no check has a finding."""
-    fewest_rows, coarse, jump, even, missing, law, smallest = limits[:7]
-    fewest, frozen, rare, noisy, moving, made_up = limits[7:13]
-    at_extreme, fast, steps_at_stop, slower, impact, harder, still, deviations, ways = limits[13:22]
-    size, x = len(position), position
+    """Set the last number to what a check of time, command and position, one behind the other, may find."""
+    fewest_rows, coarse, jump, even, missing, law, smallest = numbers[:7]
+    fewest, frozen, rare, noisy, moving, made_up = numbers[7:13]
+    at_extreme, fast, steps_at_stop, slower, impact, harder, still, deviations, ways = numbers[13:22]
+    size = len(columns) // 3
+    time, command, x = columns[:size], columns[size : 2 * size], columns[2 * size :]
+    may_repeat, may_stop = 1.0, 2.0
 
     low = high = x[0]
     longest = fastest = force_power = rest_power = largest = total_third = 0.0
@@ -116,6 +115,7 @@ def _may_be_wrong(
     if least > coarse * reach:
         return
 
+    found = 0.0
     # repeated rows
     if resting >= fewest and singles >= fewest:
         above = repeats = 0
@@ -126,8 +126,7 @@ def _may_be_wrong(
                 goes_on = ahead * behind > 0 and abs(ahead) >= moving * least
                 repeats += goes_on and abs(behind) > made_up * abs(ahead)
         is_noisy = singles < rare * (size - 1) and above >= (size - 3) - (size - 3) // 2
-        if is_noisy or repeats >= fewest:
-            return
+        found += may_repeat if is_noisy or repeats >= fewest else 0.0
 
     # travel stop
     near, speed = at_extreme * reach, max(steps_at_stop * least, fast * fastest)
@@ -160,5 +159,6 @@ def _may_be_wrong(
                     over = abs((x[place + 4] - x[place + 3]) - (x[place + 1] - x[place]))
                     hardest = max(hardest, over)
         if hit > harder * hardest:
-            return
-    result[0] = 0
+            found += may_stop
+            break
+    numbers[-1] = found
