@@ -17,7 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from glob import escape
 from itertools import islice
 from pathlib import Path
@@ -28,11 +28,14 @@ from pipeline.base.paths import open_regular, path_text, storable
 from pipeline.device.parameters import drive_of
 from pipeline.profiles.profile_files import claim, load_profile, shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, conditions_in_name, number_in_name
-from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers import Log, RawLog, find_together, reader_of
 from pipeline.readers.frame import LARGEST_LOG
 from pipeline.readers.sheets import with_sheet
 from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
+
+MANY = 400
+"""Sources from which on to check their recordings together saves more time than it takes to load machine code."""
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20
@@ -385,7 +388,9 @@ class Read:
     result: tuple[Log, ...] | LogError | None
 
 
-def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], bool]) -> list[Read]:
+def read_and_check(
+    sources: Sequence[Source], known: Callable[[Source, str], bool], *, together: bool = False
+) -> list[Read]:
     """Read, hash, parse and check sources of one profile, in the order given.
 
     It writes and keeps nothing, so that it may run in a thread.
@@ -396,6 +401,8 @@ def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], boo
         All claimed by the same profile, or by none; at most some MB together, which are held in memory.
     known : callable
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
+    together : bool, optional
+        Whether their recordings are checked together, as is worth it for `MANY`.
     """
     reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
@@ -414,6 +421,8 @@ def read_and_check(sources: Sequence[Source], known: Callable[[Source, str], boo
         if isinstance(why := read.result, LogError):
             # frames in which it was raised hold the bytes of logs until cycles are collected
             why.__traceback__ = why.__cause__ = why.__context__ = None
+    if together:
+        find_together([log for read in reads if isinstance(read.result, tuple) for log in read.result])
     return reads
 
 
@@ -522,9 +531,10 @@ def reads_of(sources: Sequence[Source], known: Callable[[Source, str], bool], jo
     At most so many batches are ahead, so that memory is bounded. Parameters as for `read_and_check`.
     """
     batches, running = batches_of(sources), list[Future[list[Read]]]()
+    read = partial(read_and_check, known=known, together=len(sources) >= MANY)
     with ThreadPoolExecutor(jobs) as pool:
         while True:
-            running += [pool.submit(read_and_check, batch, known) for batch in islice(batches, jobs - len(running))]
+            running += [pool.submit(read, batch) for batch in islice(batches, jobs - len(running))]
             if not running:
                 return
             yield running.pop(0).result()

@@ -12,9 +12,9 @@ from typing import Any
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.log import Log, RawLog, check_samples
+from pipeline.readers.log import Log, RawLog, check_samples, find_together
 
-__all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "reader_of"]
+__all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "find_together", "reader_of"]
 
 Outcome = tuple[Log, ...] | LogError
 """What a raw log holds, one log or several, or why it is refused."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import LogError, refusal
 from pipeline.device.parameters import is_rotation
-from pipeline.recording.check import check_recording
+from pipeline.recording.check import check_recording, check_recordings
 from pipeline.recording.samples import Samples
 from pipeline.recording.wrapping import unwrapped
 from pipeline.records.findings import Finding
@@ -105,16 +105,31 @@ class Log:
         log.__dict__["findings"] = self.findings
         return log
 
-    @cached_property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the recording: what is known beforehand, and what its samples show."""
+    @property
+    def recording(self) -> Samples:
+        """Its samples, with the conditions that checks need."""
         header = self.header
         row = header.extra.get("step_row")
-        samples = Samples(
+        return Samples(
             *(self.time, self.command, self.position, header.sampling_period_s),
             *(header.stiffness, header.damping, header.step, None if row is None else int(row)),
         )
-        return (*self.noted, *check_recording(samples))
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the recording: what is known beforehand, and what its samples show."""
+        return (*self.noted, *check_recording(self.recording))
+
+
+def find_together(logs: Sequence[Log]) -> None:
+    """Look for the findings of many logs at once; each has them afterwards.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+    """
+    for log, found in zip(logs, check_recordings([each.recording for each in logs]), strict=True):
+        log.__dict__["findings"] = (*log.noted, *found)
 
 
 def check_samples(

@@ -174,6 +174,9 @@ def _late_command(samples: Samples) -> int | None:
         return None
     force = samples.wall_steps
     size = float(np.sqrt(np.mean(force * force)))
-    rest = samples.wall_residuals(min(MOST_LATE, len(samples) // 4))
+    most = min(MOST_LATE, len(samples) // 4)
+    if samples.least_wall_residuals(most)[1:].min() > LAW_RESIDUAL * size:
+        return None
+    rest = samples.wall_residuals(most)
     best = int(np.argmin(rest[1:])) + 1
     return best if rest[best] <= LAW_RESIDUAL * size and CLEARLY_LATE * rest[best] < rest[0] else None

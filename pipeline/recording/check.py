@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from pipeline.recording.causality import moves_before_command
 from pipeline.recording.ramps import interpolated_command
 from pipeline.recording.rows import frozen_position, interpolated_position, repeated_rows
 from pipeline.recording.samples import Samples
-from pipeline.recording.screen import ANYTHING, REPEATED_ROWS, TRAVEL_STOP, may_be_wrong
+from pipeline.recording.screen import ANYTHING, REPEATED_ROWS, TRAVEL_STOP, screened
 from pipeline.recording.signals import coarse_sensor, unusable_signal, wrong_sign
 from pipeline.recording.timing import missing_rows, sampling_period
 from pipeline.recording.travel import travel_stop
@@ -48,15 +48,28 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
     A position that lies on straight lines between fewer readings moves before its command and changes its speed at
     once: these are then no further findings.
     """
-    may_be = may_be_wrong(samples)
-    if may_be != ANYTHING:
-        checks = [check for what, check in SCREENED.items() if what & may_be]
-        return tuple(finding for check in checks if (finding := check(samples)) is not None)
     nothing = unusable_signal(samples)
     if nothing is None:
         return tuple(_found(samples))
     period = sampling_period(samples)
     return (nothing,) if period is None else (nothing, period)
+
+
+def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
+    """Return the findings of each log, as `check_recording`: of hundreds of logs in a tenth of the time.
+
+    Parameters
+    ----------
+    logs : sequence of Samples
+    """
+    found = list[tuple[Finding, ...]]()
+    for samples, what in zip(logs, screened(logs), strict=True):
+        if what == ANYTHING:
+            found.append(check_recording(samples))
+        else:
+            checks = (check for code, check in SCREENED.items() if code & what)
+            found.append(tuple(finding for check in checks if (finding := check(samples)) is not None))
+    return found
 
 
 def check_trial(trial: Trial) -> tuple[Finding, ...]:

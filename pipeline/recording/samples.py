@@ -218,13 +218,26 @@ class Samples:
     def wall_residuals(self, most: int) -> Floats:
         """Return the same for a command that is 0, 1, ... or so many rows late, shape (most + 1,)."""
         count = len(self.jumps)
-        later = np.lib.stride_tricks.sliding_window_view(np.append(self.jumps, np.zeros(most)), count)
-        rest = later + self.wall_steps
+        rest = self._late_jumps(most) + self.wall_steps
         for late in range(1, most + 1):  # rows behind the end
             rest[late, count - late :] = 0.0
         largest = np.maximum(rest.max(axis=1), -rest.min(axis=1))
         power = np.maximum(np.einsum("ij,ij->i", rest, rest) - largest * largest, 0.0)
         return np.asarray(np.sqrt(power / (count - np.arange(most + 1))))
+
+    def least_wall_residuals(self, most: int) -> Floats:
+        """Return what `wall_residuals` are at least, by sums of squares and products alone."""
+        jumps, force, rows = self.jumps, self.wall_steps, np.arange(most + 1)
+        products = self._late_jumps(most) @ force
+        before = np.concatenate([[0.0], np.cumsum(jumps * jumps)])
+        behind = np.concatenate([[0.0], np.cumsum(force * force)])
+        power = before[-1] - before[rows] + behind[len(jumps) - rows] + 2 * products
+        largest = float(np.abs(jumps).max() + np.abs(force).max())
+        return np.asarray(np.sqrt(np.maximum(power - largest * largest, 0.0) / (len(jumps) - rows)))
+
+    def _late_jumps(self, most: int) -> Floats:
+        """Return the changes of the command 0, 1, ... rows later, 0 behind the end, shape (most + 1, rows - 1)."""
+        return np.lib.stride_tricks.sliding_window_view(np.append(self.jumps, np.zeros(most)), len(self.jumps))
 
     @cached_property
     def obeys_wall(self) -> bool:

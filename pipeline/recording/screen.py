@@ -1,68 +1,86 @@
-"""A screen in machine code: most logs behind a wall obey its law, and one pass over their rows shows that all is well.
+"""A screen of many logs in machine code: one pass over the rows of a wall that obeys its law shows that all is well.
 
-What it lets through no check has a finding for; each condition is one that a finding of a check needs (`check`).
+What it lets through no check has a finding for: each condition is one that a finding of some check needs (`check`).
 """
 
 from __future__ import annotations
 
-from itertools import count
+from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.base.compiled import compiled
+from pipeline.base.compiled import compiled, part
 from pipeline.recording import rows, signals, timing, travel, wrapping
 from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN, Samples
-from pipeline.records.trials import Floats
-
-MANY = 100
-"""Logs of a process from which on loading machine code takes less time than it saves."""
+from pipeline.records.trials import Floats, Integers
 
 NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
 """What a check may find: the sum of both in the middle, or anything."""
-
-_checked = count()
-"""Numbers of the logs that a process checks."""
 
 _LIMITS = np.array(
     [
         *(signals.FEWEST_ROWS, signals.COARSE, wrapping.JUMP, timing.EVEN, timing.MISSING, LAW_RESIDUAL, SMALLEST_STEP),
         *(rows.FEWEST, rows.FROZEN, rows.RARE, rows.NOISY * THIRD_MEDIAN, rows.MOVES, rows.MADE_UP),
         *(travel.AT_EXTREME, travel.FAST, travel.STEPS, travel.SLOWER, travel.IMPACT, travel.HARDER),
-        *(travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2], ANYTHING),
+        *(travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
-"""Limits of the checks, in the order in which `_screen` takes them: machine code would keep those of a module."""
+"""Limits of the checks, in the order in which `_found_in` takes them: machine code would keep those of a module."""
 
 
-def may_be_wrong(samples: Samples) -> int:
-    """Return what a check may find: nothing, repeated rows or a travel stop alone, or anything (`NOTHING`, ...).
-
-    The first logs of a process are not screened.
+def screened(logs: Sequence[Samples]) -> list[int]:
+    """Return what a check of each log may find: nothing, repeated rows or a travel stop alone, or anything.
 
     Parameters
     ----------
-    samples : Samples
+    logs : sequence of Samples
+
+    Returns
+    -------
+    list of int
+        `NOTHING`, a sum of `REPEATED_ROWS` and `TRAVEL_STOP`, or `ANYTHING`, as of all free motions.
     """
-    if samples.is_free or len(samples) < 2 * travel.BEFORE or next(_checked) < MANY:
-        return ANYTHING
-    columns = np.concatenate((samples.time, samples.command, samples.position))
-    numbers = _LIMITS.copy()
-    period = samples.period
-    _screen(columns, numbers, period, samples.stiffness, samples.damping / period, samples.step)
-    return int(numbers[-1])
+    result = np.full(len(logs), ANYTHING, dtype=np.int64)
+    walls = [place for place, log in enumerate(logs) if not log.is_free and len(log) >= 2 * travel.BEFORE]
+    if walls:
+        chosen = [logs[place] for place in walls]
+        time, command = np.concatenate([log.time for log in chosen]), np.concatenate([log.command for log in chosen])
+        position = np.concatenate([log.position for log in chosen])
+        ends = np.cumsum([0, *map(len, chosen)])
+        conditions = np.array([(log.period, log.stiffness, log.damping / log.period, log.step) for log in chosen])
+        found = np.empty(len(chosen), dtype=np.int64)
+        _screen(time, command, position, ends, conditions, _LIMITS, found)
+        result[walls] = found
+    return list(map(int, result))
 
 
-@compiled("void(f8[::1],f8[::1],f8,f8,f8,f8)")
+@compiled("void(f8[::1],f8[::1],f8[::1],i8[::1],f8[:,::1],f8[::1],i8[::1])")
 def _screen(
-    columns: Floats, numbers: Floats, period: float, stiffness: float, damping_per_row: float, step: float
+    time: Floats,
+    command: Floats,
+    position: Floats,
+    ends: Integers,
+    conditions: Floats,
+    limits: Floats,
+    found: Integers,
 ) -> None:
-    """Set the last number to what a check of time, command and position, one behind the other, may find."""
-    fewest_rows, coarse, jump, even, missing, law, smallest = numbers[:7]
-    fewest, frozen, rare, noisy, moving, made_up = numbers[7:13]
-    at_extreme, fast, steps_at_stop, slower, impact, harder, still, deviations, ways = numbers[13:22]
-    size = len(columns) // 3
-    time, command, x = columns[:size], columns[size : 2 * size], columns[2 * size :]
-    may_repeat, may_stop = 1.0, 2.0
+    """Fill in what a check of each log may find."""
+    for log in range(len(found)):
+        first, behind = ends[log], ends[log + 1]
+        found[log] = _found_in(
+            time[first:behind], command[first:behind], position[first:behind], conditions[log], limits
+        )
+
+
+@part
+def _found_in(time: Floats, command: Floats, x: Floats, conditions: Floats, limits: Floats) -> int:
+    """Return what a check of one log may find."""
+    fewest_rows, coarse, jump, even, missing, law, smallest = limits[:7]
+    fewest, frozen, rare, noisy, moving, made_up = limits[7:13]
+    at_extreme, fast, steps_at_stop, slower, impact, harder, still, deviations, ways = limits[13:22]
+    period, stiffness, damping_per_row, step = conditions
+    may_repeat, may_stop, anything = 1, 2, 4
+    size = len(x)
 
     low = high = x[0]
     longest = fastest = force_power = rest_power = largest = total_third = 0.0
@@ -105,7 +123,7 @@ def _screen(
         or longest_pause >= frozen
         or not rest_power - largest * largest <= law_power * (1 - 1e-9)
     ):
-        return
+        return anything
 
     least = fastest
     for row in range(size - 1):
@@ -113,9 +131,9 @@ def _screen(
         if change > smallest * reach:
             least = min(least, change)
     if least > coarse * reach:
-        return
+        return anything
 
-    found = 0.0
+    found = 0
     # repeated rows
     if resting >= fewest and singles >= fewest:
         above = repeats = 0
@@ -126,7 +144,7 @@ def _screen(
                 goes_on = ahead * behind > 0 and abs(ahead) >= moving * least
                 repeats += goes_on and abs(behind) > made_up * abs(ahead)
         is_noisy = singles < rare * (size - 1) and above >= (size - 3) - (size - 3) // 2
-        found += may_repeat if is_noisy or repeats >= fewest else 0.0
+        found += may_repeat if is_noisy or repeats >= fewest else 0
 
     # travel stop
     near, speed = at_extreme * reach, max(steps_at_stop * least, fast * fastest)
@@ -161,4 +179,4 @@ def _screen(
         if hit > harder * hardest:
             found += may_stop
             break
-    numbers[-1] = found
+    return found

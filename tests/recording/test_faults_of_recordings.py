@@ -1,23 +1,20 @@
-"""Faults of random size in simulated logs: what share of each is found, and how often a good log has a finding."""
+"""Faults of random size in simulated logs: what share of each is found, and how often a good log has a finding.
+
+The limits of the checks were set by logs of the seeds 10000 to 15000; these tests use others.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from recorded_faults import FAULTS, found_of, found_without
+from recorded_faults import BOTH, FAULTS, found_in_filtered, found_in_ramps, found_of, found_without
 
-SHARE = dict.fromkeys(FAULTS, 0.9) | {
-    "joined positions": 0.85,
-    "joined commands": 0.6,
-    "zero-phase filter": 0.7,
-    "travel stop": 0.8,
-    "other sign": 0.85,
-}
-"""Least share of the logs with a fault in which it is found; noise, friction and the sensor hide some."""
+from pipeline.recording.check import check_recording, check_recordings
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found(name):
-    assert found_of(name, 10, seed=1000) >= SHARE[name] - 0.2
+    assert found_of(name, 10, seed=1000) >= 0.8
 
 
 def test_good_logs_have_no_findings():
@@ -26,10 +23,32 @@ def test_good_logs_have_no_findings():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FAULTS)
-def test_a_fault_is_found_in_most_of_sixty_logs(name):
-    assert found_of(name, 60, seed=2000) >= SHARE[name]
+def test_a_fault_is_found_in_95_percent_of_sixty_logs(name):
+    assert found_of(name, 60, seed=30000) >= 0.95
 
 
 @pytest.mark.slow
 def test_at_most_one_percent_of_six_hundred_good_logs_has_a_finding():
-    assert found_without(600, seed=8).total() <= 6
+    assert found_without(600, seed=30000).total() <= 6
+
+
+@pytest.mark.slow
+def test_a_filter_of_one_direction_is_no_motion_before_its_command():
+    assert found_in_filtered(300, seed=30000).total() <= 3
+
+
+@pytest.mark.slow
+def test_ramps_that_were_sent_are_at_most_in_doubt():
+    assert found_in_ramps(300, seed=30000)["unsafe"] <= 0.06 * 300
+
+
+def test_many_recordings_have_the_findings_that_each_has_alone():
+    """The screen of many logs lets no fault of any kind through; both find something in half of these logs."""
+    logs = []
+    for number, (_, fault, kinds) in enumerate(3 * list(FAULTS.values())):
+        rng = np.random.default_rng([4000, number])
+        log = (BOTH if len(kinds) > 1 else kinds)[-1](rng)
+        logs += [log.samples, *([made] if (made := fault(rng, log)) is not None else [])]
+    alone = [check_recording(samples) for samples in logs]
+    assert check_recordings(logs) == alone
+    assert 0.3 < np.mean([found != () for found in alone]) < 0.7

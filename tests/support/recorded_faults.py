@@ -1,6 +1,6 @@
 """Simulated logs with and without a fault of their recording; as a script it prints how many of each are found.
 
-    python tests/support/recorded_faults.py 60 600
+    python tests/support/recorded_faults.py 60 600 30000
 
 The devices have what the checks do not model: two masses on a spring, friction, a lag, delays of any length, noise and
 sensors of any step. A log is a `Samples`; its faults have random size and place.
@@ -22,6 +22,7 @@ from pipeline.recording.samples import Samples
 from pipeline.recording.wrapping import unwrapped
 
 Random = np.random.Generator
+Commands = Callable[[Random, str, int, int, float], NDArray[np.float64]]
 FINE = 20
 """Fine steps of a sampling period."""
 
@@ -57,7 +58,7 @@ def command_of(rng: Random, kind: str, rows: int, rest: int, period: float) -> N
     return np.where(k >= 0, command, 0.0)
 
 
-def free(rng: Random, kind: str = "") -> Recorded:
+def free(rng: Random, kind: str = "", command_of: Commands = command_of) -> Recorded:
     """Return a log of a device without a wall."""
     period, mass = float(rng.choice([1e-3, 5e-4, 2e-3])), 10 ** rng.uniform(-2.5, 0.5)
     rows, rest = int(rng.integers(300, 1500)), int(rng.integers(10, 80))
@@ -162,6 +163,26 @@ def joined_command(rng: Random, log: Recorded) -> Samples | None:
     return replace(log.samples, command=np.interp(rows, knots, log.samples.command[knots]))
 
 
+def sent_ramps(rng: Random) -> Recorded:
+    """Return a log without a fault: its command was sent as ramps of a grid."""
+
+    def ramps(rng: Random, kind: str, rows: int, rest: int, period: float) -> NDArray[np.float64]:
+        steps, k = command_of(rng, kind, rows, rest, period), np.arange(rows)
+        knots = k[:: int(rng.integers(3, 40))]
+        return np.asarray(np.interp(k, knots, steps[knots]))
+
+    return free(rng, str(rng.choice(["square", "steps", "pulse"])), ramps)
+
+
+def filtered_once(rng: Random, log: Recorded) -> Samples:
+    """Return a log without a fault whose position went through a filter of one direction."""
+    from scipy.signal import butter, lfilter
+
+    width, x = np.exp(rng.uniform(0, 3)), log.samples.position
+    filtered = x[0] + lfilter(*butter(int(rng.integers(1, 5)), 1 / (np.pi * width)), x - x[0])
+    return replace(log.samples, position=filtered)
+
+
 def joined_position(rng: Random, log: Recorded) -> Samples | None:
     rows = np.arange(len(log.samples))
     knots = rows[:: int(rng.integers(2, 12))]
@@ -169,7 +190,7 @@ def joined_position(rng: Random, log: Recorded) -> Samples | None:
 
 
 def other_sign(rng: Random, log: Recorded) -> Samples | None:
-    return replace(log.samples, position=-log.samples.position)
+    return replace(log.samples, position=-log.samples.position) if log.samples.range else None
 
 
 def frozen(rng: Random, log: Recorded) -> Samples | None:
@@ -308,8 +329,30 @@ def found_without(count: int, seed: int = 0) -> Counter[str]:
     return total
 
 
+def found_in_filtered(count: int, seed: int = 0) -> Counter[str]:
+    """Return how many unsafe findings there are in logs whose position was filtered in one direction alone."""
+    total: Counter[str] = Counter()
+    for number in range(count):
+        rng = np.random.default_rng([seed, number, 1])
+        found = check_recording(filtered_once(rng, BOTH[number % 2](rng)))
+        total.update(finding.code for finding in found if finding.is_unsafe)
+    return total
+
+
+def found_in_ramps(count: int, seed: int = 0) -> Counter[str]:
+    """Return how often each severity is found in logs whose command was sent as ramps of a grid."""
+    total: Counter[str] = Counter()
+    for number in range(count):
+        found = check_recording(sent_ramps(np.random.default_rng([seed, number, 2])).samples)
+        total.update({finding.severity for finding in found if finding.code == "interpolated_rows"})
+    return total
+
+
 if __name__ == "__main__":
-    with_fault, without = int(sys.argv[1]), int(sys.argv[2])
+    with_fault, without, seed = int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     for name in FAULTS:
-        print(f"{name:20} {FAULTS[name][0]:20} {round(with_fault * found_of(name, with_fault)):4} of {with_fault}")
-    print(f"without a fault: {dict(found_without(without))} in {without}")
+        share = found_of(name, with_fault, seed)
+        print(f"{name:20} {FAULTS[name][0]:20} {round(with_fault * share):4} of {with_fault}", flush=True)
+    print(f"without a fault: {dict(found_without(without, seed))} in {without}")
+    print(f"filtered in one direction: {dict(found_in_filtered(without, seed))} in {without}")
+    print(f"sent as ramps: {dict(found_in_ramps(without, seed))} in {without}")
