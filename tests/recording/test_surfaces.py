@@ -59,6 +59,25 @@ def lost(time, command, position):
     return time[kept], command[kept], position[kept]
 
 
+def wrapped(time, command, position):
+    """Turn the sensor so that the motion crosses the end of its turn."""
+    return time, command, np.mod(position - position[0] - 0.3 * np.abs(position - position[0]).max(), 2 * np.pi)
+
+
+def stopped(time, command, position):
+    x = position.copy()
+    first = int(np.argmax(x - x[0] > 0.6 * (x - x[0]).max()))
+    x[first:] = x[first]
+    return time, command, x
+
+
+def repeated(time, command, position):
+    """Repeat every seventh row."""
+    source = np.arange(len(time))
+    source[7::7] -= 1
+    return time, command[source], position[source]
+
+
 FAULTS = {
     "none": lambda t, u, x: (t, u, x),
     "noncausal": late,
@@ -69,9 +88,15 @@ FAULTS = {
     "constant_position": lambda t, u, x: (t, u, 0 * x),
     "too_few_rows": lambda t, u, x: (t[:6], u[:6], x[:6]),
     "missing_rows": lost,
+    "wrapped_angle": wrapped,
+    "travel_stop": stopped,
+    "repeated_rows": repeated,
     "coarse_sensor": lambda t, u, x: (t, u, np.round(x / 2e-3) * 2e-3),
 }
 """By code: what it makes of the columns of a log."""
+
+ROTATING = {"wrapped_angle"}
+"""Faults of angles."""
 
 STATED = {"sampling_period": 0.0005}
 """Sampling period that headers and profile state, where it is another one [s]."""
@@ -92,9 +117,18 @@ def document(*arguments):
     return json.loads(out)
 
 
-def logs_with(code, folder):
+def profile_for(code):
+    text = PROFILE.replace("0.001", str(STATED.get(code, 0.001)))
+    if code not in ROTATING:
+        return text
+    return text.replace('"N"', '"Nm"').replace('"m"', '"rad"') + 'motion = "rotation"\n'
+
+
+def logs_with(code, folder, *, rotating=False):
     """Write the logs of a fault, natively and for the profile of a lab; return both folders."""
+    folder.mkdir(exist_ok=True)
     native, plain, period = folder / "logs", folder / "lab", STATED.get(code, 0.001)
+    motion = {"motion": "rotation"} if rotating or code in ROTATING else {}
     native.mkdir()
     plain.mkdir()
     for i, (K, B) in enumerate(WALLS):
@@ -107,6 +141,7 @@ def logs_with(code, folder):
             "damping": B,
             "step": 4.0,
             "sampling_period_s": period,
+            **motion,
         }
         lines = ["time_s,command,position", *rows, ""]
         (native / f"{i}.csv").write_text("\n".join([*(f"# {key}: {value}" for key, value in head.items()), *lines]))
@@ -131,7 +166,7 @@ def test_a_fault_is_told_alike_on_every_surface(code, tmp_path):
     warnings = document("ingest", native, *store)["warnings"]
     assert (code, sentence) in {(each["code"], each["warning"]) for each in warnings}
     assert sentence in call("look", first, "--out", tmp_path / "look.html")[1]
-    (tmp_path / "lab.toml").write_text(PROFILE.replace("0.001", str(STATED.get(code, 0.001))))
+    (tmp_path / "lab.toml").write_text(profile_for(code))
     status, out, _ = call("profile", "check", tmp_path / "lab.toml", plain / "K500_B5.csv")
     assert status in {0, 1}  # 1 where the command obeys another wall, too
     assert sentence in out
@@ -164,6 +199,25 @@ def test_a_fault_is_told_alike_on_every_surface(code, tmp_path):
         assert sentence in (tmp_path / "report.html").read_text().replace("&#39;", "'").replace(
             "\N{NO-BREAK SPACE}", " "
         )
+
+
+@pytest.mark.slow
+def test_the_numbers_of_a_repaired_recording_are_those_of_the_clean_one(tmp_path):
+    experiments = {}
+    for code in ("none", "wrapped_angle"):
+        native, _ = logs_with(code, tmp_path / code, rotating=True)
+        store = ["--processed", str(tmp_path / code / "processed")]
+        warnings = document("ingest", native, *store)["warnings"]
+        assert {each["code"] for each in warnings} == ({code} - {"none"})
+        (experiments[code],) = document("compare", "--device", "dev", *store)["experiments"]
+    clean, repaired = experiments["none"], experiments["wrapped_angle"]
+    for name, estimate in clean["estimates"].items():
+        assert estimate["low"] <= repaired["estimates"][name]["value"] <= estimate["high"]
+        assert repaired["estimates"][name]["value"] == pytest.approx(estimate["value"], rel=1e-3)
+    assert len(clean["loop_boundary"]) == len(repaired["loop_boundary"]) > 0
+    for one, other in zip(clean["loop_boundary"], repaired["loop_boundary"], strict=True):
+        assert one["low"] <= other["stiffness"] <= one["high"]
+    assert repaired["verdicts"] == clean["verdicts"]
 
 
 def test_one_wrong_log_among_good_ones_costs_that_log(tmp_path):
