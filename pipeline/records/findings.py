@@ -6,6 +6,7 @@ the motion of the device as in `models`.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
@@ -232,6 +233,12 @@ OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
 FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
 
+NO_FINDINGS = f'"{FINDINGS}": []'
+"""What the time quality of a trial holds whose recording is good."""
+
+BY_READING = frozenset({"same_samples"})
+"""Findings that only the reading of a log shows, as do all that it repaired: its stored samples do not."""
+
 
 class Finding(Record):
     """A fault of a recording: what it is, where, what shows it, and what to do.
@@ -271,9 +278,27 @@ class Finding(Record):
         return self.severity == "unsafe"
 
     @property
+    def is_by_reading(self) -> bool:
+        """Whether the stored samples do not show it."""
+        return self.severity == "repaired" or self.code in BY_READING
+
+    @property
     def leaves_out(self) -> bool:
         """Whether nothing is fitted to the log."""
         return self.severity in {"unsafe", "unusable"}
+
+
+def stored_findings(time_quality: str) -> list[Finding]:
+    """Return the findings of a recording as they were stored with its trial.
+
+    Parameters
+    ----------
+    time_quality : str
+        The stored column of the trial, JSON.
+    """
+    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # as of nearly all trials
+        return []
+    return [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
 
 
 def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:

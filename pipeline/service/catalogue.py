@@ -27,7 +27,7 @@ from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
-from pipeline.records.findings import FINDINGS, Finding
+from pipeline.records.findings import stored_findings
 from pipeline.records.tables import LOCATION
 from pipeline.service.database import Database, connected
 from pipeline.store.names import name_of_folder
@@ -48,9 +48,6 @@ LOOK_S = 0.5
 
 KEPT = 64
 """Answers that are kept of a state: readers turn pages, and look at the same."""
-
-NO_FINDINGS = f'"{FINDINGS}": []'
-"""What the time quality of a trial holds whose recording is good."""
 
 EXCLUDED = "excluded"
 """What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
@@ -369,10 +366,7 @@ class Catalogue:
 
 def _findings(time_quality: str) -> str:
     """Return the findings of a recording, each with its sentence, as JSON."""
-    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # as of nearly all trials
-        return "[]"
-    found = [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
-    return json.dumps([each.document for each in found])
+    return json.dumps([each.document for each in stored_findings(time_quality)])
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:

@@ -7,7 +7,7 @@ from pathlib import PurePath
 from pipeline.base.wording import counted
 from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.findings import Finding, are_unsafe
+from pipeline.records.findings import Finding, are_unsafe, stored_findings
 from pipeline.records.results import Cause, RecordingFault
 
 NAMED = 10
@@ -17,13 +17,16 @@ NAMED = 10
 def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
     """Return the faults of the recordings of an experiment by their codes, unsafe ones first, then the most frequent.
 
-    The sentence is that of the first log that has it.
+    The sentence is that of the first log that has it. What was found while the log was read, as what was repaired, is
+    stored with the trial.
     """
-    sources = dict(zip(*(stages.trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
-    logs = [PurePath(sources[trial]).name for trial in stages.texts("response", "trial_id")]
+    columns = (stages.trials.column(name).to_pylist() for name in ("trial_id", "source_path", "time_quality"))
+    trials = {trial: (PurePath(path).name, quality) for trial, path, quality in zip(*columns, strict=True)}
+    logs = [trials[trial][0] for trial in stages.texts("response", "trial_id")]
     found: dict[str, list[tuple[str, Finding]]] = {}
-    for log, findings in zip(logs, stages.once(recording_findings), strict=True):
-        for finding in findings:
+    for trial, findings in zip(stages.texts("response", "trial_id"), stages.once(recording_findings), strict=True):
+        log, quality = trials[trial]
+        for finding in (*findings, *(each for each in stored_findings(quality) if each.is_by_reading)):
             found.setdefault(finding.code, []).append((log, finding))
     faults = [
         RecordingFault(
