@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted, percent
-from pipeline.measured.law.stamps import EVEN
 from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.measured.student import CONFIDENCE, SIGMAS
+from pipeline.recording.timing import EVEN
 from pipeline.records.findings import Estimate
 from pipeline.records.trials import Floats, Integers, Trial
 

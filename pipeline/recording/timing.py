@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from math import pi, sqrt
+
 import numpy as np
 
-from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
+from pipeline.recording.samples import LAW_RESIDUAL, NORMAL_QUARTILE, Samples, middle
 from pipeline.records.findings import Finding
+from pipeline.records.trials import Floats
 
-EVEN = 0.02
-"""Part of a period by which the usual distance of two rows may differ from it: clocks drift by less."""
+EVEN = 0.01
+"""Part of a period up to which the usual distance of two rows is that of the header: clocks drift by less, and a
+hundredth of the period is two of the mass."""
 
 SURE = 4.0
-"""Standard errors by which that distance differs where the period is another one."""
+"""Standard errors of the usual distance of rows by which it differs from the sampling period where one is wrong: by
+chance in 6e-5 of the logs."""
 
 UNEVEN, MOST_EVEN = 0.05, 0.1
 """Part of the usual distance by which one is off, and share of such ones, from which on rows are uneven."""
@@ -20,21 +25,39 @@ MISSING = 1.5
 """Distance of two rows in periods from which on rows are missing between them."""
 
 
+def other_period(time: Floats, period: float) -> float | None:
+    """Return the usual distance of rows by their time stamps where it is not the stated sampling period [s].
+
+    The usual and the mean distance must both differ: lost rows move the mean alone, stamps of few digits the median.
+
+    Parameters
+    ----------
+    time : float64, shape (rows,)
+        Time stamps [s].
+    period : float
+        Stated sampling period [s].
+    """
+    mean = float(time[-1] - time[0]) / (len(time) - 1) / period - 1
+    if abs(mean) <= EVEN:
+        return None
+    steps = time[1:] - time[:-1]
+    usual = middle(steps)
+    deviation = middle(np.abs(steps - usual)) / NORMAL_QUARTILE
+    error = sqrt(0.5 * pi / len(steps)) * deviation / period  # of a median
+    off = usual / period - 1
+    return usual if abs(off) > EVEN + SURE * error and (off > 0) == (mean > 0) else None
+
+
 def sampling_period(samples: Samples) -> Finding | None:
     """Return whether the rows are as far apart as stated, by their time stamps.
 
-    Both the usual and the mean distance must differ: lost rows move the mean alone, stamps of few digits the usual one.
     Behind a wall the command shows which period the controller used; where that is the stated one, stamps are wrong.
     """
     steps, period = samples.steps, samples.period
-    mean = float(samples.time[-1] - samples.time[0]) / len(steps)
-    if abs(mean / period - 1) <= EVEN:
+    usual = other_period(samples.time, period)
+    if usual is None:
         return None
-    usual = middle(steps)
-    scatter = middle(np.abs(steps - usual)) / period
     off = usual / period - 1
-    if abs(off) <= EVEN + SURE * scatter / np.sqrt(len(steps)) or (off > 0) != (mean > period):
-        return None
     factor = usual / period if off > 0 else period / usual
     times = f"{factor:.4g} times {'longer' if off > 0 else 'shorter'}"
     evidence = f"Rows are {usual:.4g} s apart by their time stamps, the stated sampling period is {period:.4g} s: "

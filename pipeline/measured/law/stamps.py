@@ -13,15 +13,8 @@ import numpy as np
 
 from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.student import NORMAL_QUARTILE
+from pipeline.recording.timing import EVEN, other_period
 from pipeline.records.trials import Floats, Integers, Trial
-
-EVEN = 0.01
-"""Part of a period up to which distances of stamps are even, and that of the header: a hundredth of the period is two
-of the mass. An ingest separates logs of other periods."""
-
-SURE = 4.0
-"""Standard errors of the usual distance of stamps by which it differs from the sampling period where one is wrong: by
-chance in 6e-5 of the logs."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
@@ -76,12 +69,9 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     none = np.zeros(len(steps), dtype=np.int64)
     if len(time) < WINDOW or (np.abs(steps / period - 1) <= EVEN).all():
         return Stamps(none, period)
-    usual, mean = float(np.median(steps)), float(steps.mean())
-    # half of the stamps say so, and the whole log: lost rows move the mean alone, stamps of few digits the median
-    off = np.array([usual, mean]) / period - 1
-    error = np.sqrt(0.5 * np.pi / len(steps)) * _scatter(steps) / period
-    if (np.sign(off) * off[0] > EVEN + SURE * error).all() and (np.abs(off) > EVEN).all():
-        usual = float(f"{usual:.{SET_DIGITS}g}")
+    other = other_period(time, period)
+    if other is not None:
+        usual = float(f"{other:.{SET_DIGITS}g}")
         return Stamps(read_stamps(time, usual).skipped, usual)
     late = (time - time[0]) / period - np.arange(len(time))
     stays = late
