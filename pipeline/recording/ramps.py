@@ -24,6 +24,9 @@ KINK = 1e-3
 OWN_STEPS = 1.25
 """Residual of a command on lines relative to that of the held one from which on it was held."""
 
+SAME_DELAY = 2.5
+"""The same of ramps between steps at the grid, which share a delay as ramps do."""
+
 MOST_RAMPS = 40
 """Ramps of a command that are looked at one by one."""
 
@@ -102,12 +105,9 @@ def interpolated_command(samples: Samples) -> Finding | None:
         fit = compared_ramps(samples, starts[single], factor, min(max(gap, AROUND[0]), AROUND[1]))
         if fit is not None and fit.is_sent:
             return None
-        is_step = fit is not None and fit.is_step
+        is_step = (fit is not None and fit.is_step) or _was_held(samples, int(bends[0]), factor, SAME_DELAY)
     else:
-        logged = free_response(samples) if has_grid else None
-        if logged is None or logged.is_at_noise:
-            return None
-        is_step = logged.residual > OWN_STEPS * _residual_held(samples, int(bends[0]), factor)
+        is_step = has_grid and _was_held(samples, int(bends[0]), factor, OWN_STEPS)
         has_grid = False
     if not (is_step or has_grid):
         return None
@@ -151,6 +151,8 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
     held = [_steps(k, np.arange(0, rows + latest, every), lag) for lag in LAGS]
     curves = np.concatenate([*sent, *held], axis=1)
     products, powers, sizes = _projected(samples, starts, jumps, k, curves)
+    if not sizes.any():
+        return None
     ends = np.cumsum([0, *(each.shape[1] for each in (*sent, *held))])
     groups = [slice(first, behind) for first, behind in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
     ramps, steps = groups[: len(LAGS)], groups[len(LAGS) :]
@@ -227,9 +229,12 @@ def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
     return float((sizes - (np.maximum(products, 0.0) ** 2 / powers).max(axis=0)).sum())
 
 
-def _residual_held(samples: Samples, first: int, factor: int) -> float:
-    """Return what is left where every n-th command is held up to the next one, at the best delay."""
+def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
+    """Return whether every n-th command, held up to the next one, leaves so many times less than the command on lines."""
+    logged = free_response(samples)
+    if logged is None or logged.is_at_noise:
+        return False
     knots = np.arange(first % factor, len(samples), factor)
     place = np.clip(np.searchsorted(knots, np.arange(len(samples)), side="right") - 1, 0, len(knots) - 1)
     held = free_response(replace(samples, command=samples.command[knots][place]))
-    return np.inf if held is None else held.residual
+    return held is not None and logged.residual > better * held.residual

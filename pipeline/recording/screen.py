@@ -21,8 +21,8 @@ _LIMITS = np.array(
     [
         *(signals.FEWEST_ROWS, signals.COARSE, wrapping.JUMP, timing.EVEN, timing.MISSING, LAW_RESIDUAL, SMALLEST_STEP),
         *(rows.FEWEST, rows.FROZEN, rows.RARE, rows.NOISY * THIRD_MEDIAN, rows.MOVES, rows.MADE_UP),
-        *(travel.AT_EXTREME, travel.FAST, travel.STEPS, travel.SLOWER, travel.IMPACT, travel.HARDER),
-        *(travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
+        *(travel.AT_EXTREME, travel.FAST, travel.STEPS, travel.SLOWER, travel.IMPACT, travel.BRAKE),
+        *(travel.HARDER, travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
 """Limits of the checks, in the order in which `_found_in` takes them: machine code would keep those of a module."""
@@ -77,7 +77,7 @@ def _found_in(time: Floats, command: Floats, x: Floats, conditions: Floats, limi
     """Return what a check of one log may find."""
     fewest_rows, coarse, jump, even, missing, law, smallest = limits[:7]
     fewest, frozen, rare, noisy, moving, made_up = limits[7:13]
-    at_extreme, fast, steps_at_stop, slower, impact, harder, still, deviations, ways = limits[13:22]
+    at_extreme, fast, steps_at_stop, slower, impact, strong, harder, still, deviations, ways = limits[13:23]
     period, stiffness, damping_per_row, step = conditions
     may_repeat, may_stop, anything = 1, 2, 4
     size = len(x)
@@ -165,7 +165,10 @@ def _found_in(time: Floats, command: Floats, x: Floats, conditions: Floats, limi
         for place in range(row + 1, min(row + 13, size)):
             away = max(away, abs(x[place] - x[row + 1]))
         stays = away <= max(still * least, ways * abs(came), deviations * noise)
-        if not stays and (hit <= impact * brake or hit <= 2 * impact * free):
+        if hit > strong * brake and hit > impact * free:
+            found += may_stop
+            break
+        if not stays and (hit <= impact * brake or hit <= strong * free):
             continue
         if hardest < 0:
             hardest = 0.0

@@ -11,8 +11,9 @@ from pipeline.records.trials import Booleans
 AT_EXTREME = 0.02
 """Distance from the largest or smallest position, relative to the range, within which rows are at it."""
 
-IMPACT = 3.0
-"""Change of the velocity at a stop relative to the largest one in a row before it and behind it."""
+IMPACT, BRAKE = 3.0, 6.0
+"""Change of the velocity at a stop relative to the largest one in a row before it and behind it: one of both is the
+larger one."""
 
 BEFORE, BEHIND = 10, 5
 """Rows before and behind an impact in which the device moves freely."""
@@ -60,11 +61,15 @@ def travel_stop(samples: Samples) -> Finding | None:
     elsewhere = None
     for row in rows.tolist():
         hit = float(abs(change[row + 1] - change[row + 1 - OVER]))
-        if not (_is_blow(samples, row, hit) or _stays(samples, row)):
-            continue
-        elsewhere = _hardest(samples, at_extreme) if elsewhere is None else elsewhere
-        if hit <= HARDER * elsewhere:
-            continue
+        brake, free = _around(samples, row)
+        # a wall's command has no jumps behind its step
+        is_seen = not samples.is_free and hit > BRAKE * brake and hit > IMPACT * free
+        if not is_seen:
+            if not (hit > IMPACT * brake and hit > BRAKE * free) and not _stays(samples, row):
+                continue
+            elsewhere = _hardest(samples, at_extreme) if elsewhere is None else elsewhere
+            if hit <= HARDER * elsewhere:
+                continue
         return samples.finding(
             "travel_stop",
             "cut",
@@ -87,12 +92,10 @@ def _hardest(samples: Samples, at_extreme: Booleans) -> float:
     return float(over[beyond[last] == beyond[: len(over)]].max(initial=0.0))
 
 
-def _is_blow(samples: Samples, row: int, hit: float) -> bool:
-    """Return whether the velocity changes by several times as much in a row as in the rows around it."""
-    brake, free = samples.bend[row - BEFORE : row - 2], samples.bend[row + 1 : row + BEHIND]
-    if hit <= IMPACT * abs(brake[-1]) or hit <= 2 * IMPACT * abs(free[:1]).sum():
-        return False
-    return bool(hit > IMPACT * np.abs(brake).max() and hit > 2 * IMPACT * np.abs(free).max(initial=0.0))
+def _around(samples: Samples, row: int) -> tuple[float, float]:
+    """Return the largest change of the velocity in a row before an impact, and behind it."""
+    before, behind = samples.bend[row - BEFORE : row - 2], samples.bend[row + 1 : row + BEHIND]
+    return float(np.abs(before).max()), float(np.abs(behind).max(initial=0.0))
 
 
 def _stays(samples: Samples, row: int) -> bool:
