@@ -230,7 +230,7 @@ def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
 
 
 def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
-    """Return whether every n-th command, held up to the next one, leaves so many times less than the command on lines."""
+    """Return whether every n-th command, held up to the next one, leaves so many times less than lines between them."""
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return False
