@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt, lfilter
 
 from pipeline.recording.check import check_recording
 from pipeline.recording.motion import free_response
@@ -145,3 +146,41 @@ def test_a_short_log_has_that_finding_alone():
     log = motor(2.0, rows=60)
     few = Samples(log.time[:6], log.command[:6], log.position[:6], PERIOD)
     assert codes(few) == ["too_few_rows"]
+
+
+@pytest.mark.parametrize(("column", "sign"), [("position", (1, -1)), ("command", (-1, 1))])
+def test_a_wall_shows_which_of_its_signs_is_reversed(column, sign):
+    k = np.arange(200)
+    x = np.where(k < 20, 0.0, 1e-3 * (1 - np.cos((k - 20) / 9.0)))
+    command = np.where(k < 20, 0.0, 5.0) - 400.0 * x - 2.0 * np.diff(x, prepend=0.0) / PERIOD
+    right = Samples(PERIOD * k, command, x, PERIOD, 400.0, 2.0, 5.0)
+    assert codes(right) == []
+    (finding,) = check_recording(Samples(PERIOD * k, sign[0] * command, sign[1] * x, PERIOD, 400.0, 2.0, 5.0))
+    assert finding.code == "wrong_sign"
+    assert f"the sign of the {column} is reversed" in finding.evidence
+
+
+@pytest.mark.parametrize("first", [0, 60])
+def test_a_filter_of_both_directions_is_found_from_rest_and_within_a_motion(first):
+    log = motor(2.0, rows=1400, noise=1e-7)
+    one, both = (run(*butter(2, 0.04), log.position) for run in (lfilter, filtfilt))
+    assert codes(Samples(log.time[first:], log.command[first:], both[first:], PERIOD)) == ["noncausal"]
+    assert codes(Samples(log.time[first:], log.command[first:], one[first:], PERIOD)) == []
+
+
+def test_ramps_of_a_grid_are_right_where_the_motion_is_theirs_and_wrong_where_it_is_that_of_steps():
+    log, k = motor(2.0, noise=1e-9), np.arange(800)
+    joined = np.interp(k, k[::20], log.command[::20])
+    (finding,) = check_recording(Samples(log.time, joined, log.position, PERIOD))
+    assert (finding.code, finding.severity) == ("interpolated_rows", "unsafe")
+    velocity = np.concatenate([[0.0], np.cumsum(joined)[:-1]])
+    moved = np.concatenate([[0.0], np.cumsum(velocity + 0.5 * joined)[:-1]]) * PERIOD**2 / 2
+    assert codes(Samples(log.time, joined, moved, PERIOD)) == []
+
+
+def test_a_jump_in_the_last_rows_is_joined_as_those_before():
+    turned = np.linspace(0.0, 6 * np.pi + 0.02, 400)
+    joined, finding = unwrapped(np.mod(turned, 2 * np.pi))
+    assert joined == pytest.approx(turned, abs=1e-9)
+    assert finding.rows == 3
+    assert unwrapped(np.mod(turned[:135], 2 * np.pi))[1] is None  # a single one there may be a wrong reading

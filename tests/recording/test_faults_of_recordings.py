@@ -10,6 +10,7 @@ import pytest
 from recorded_faults import BOTH, FAULTS, found_in_filtered, found_in_ramps, found_of, found_without
 
 from pipeline.recording.check import check_recording, check_recordings
+from pipeline.recording.motion import free_response
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -40,6 +41,16 @@ def test_a_filter_of_one_direction_is_no_motion_before_its_command():
 @pytest.mark.slow
 def test_ramps_that_were_sent_are_at_most_in_doubt():
     assert found_in_ramps(300, seed=30000)["unsafe"] <= 0.06 * 300
+
+
+@pytest.mark.parametrize("seed", [10165, 10178, 10191])
+def test_signs_are_judged_by_the_rows_before_a_stop(seed):
+    """A device that rests at a stop seems to move against the command that brakes it elsewhere."""
+    rng = np.random.default_rng([seed, len("travel stop")])
+    stopped = FAULTS["travel stop"][1](rng, BOTH[0](rng))
+    response = free_response(stopped)
+    assert response.residual_against < response.residual_with
+    assert [finding.code for finding in check_recording(stopped)] == ["travel_stop"]
 
 
 def test_many_recordings_have_the_findings_that_each_has_alone():
