@@ -179,7 +179,9 @@ class Contents:
 
         def inside(name: str) -> str:
             rest = name.removeprefix(group)
-            return rest[1:] if rest != name and rest[:1] in _INSIDE else ""
+            if rest == name:
+                return ""
+            return rest if _ELEMENT.fullmatch(rest) else rest[1:] if rest[:1] in _INSIDE else ""
 
         return replace(
             self,
@@ -249,40 +251,91 @@ _INSIDE = ("/", ".", "@")
 """Signs between a group and what is in it: a column, a field, an attribute."""
 
 
+_ELEMENT = re.compile(r"\[\d+\]$")
+"""An element of a matrix whose columns are a trial."""
+
+
 def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
     """Return the groups that have all wanted columns, in the order in which they are found.
 
     >>> groups_of(["/a/t", "/a/x", "/b/t", "/b/x", "/c/t"], ["t", "x"])
     ['/a', '/b']
+    >>> groups_of(["up[0]", "up[1]", "down[0]", "down[1]"], ["[0]", "[1]"])
+    ['up', 'down']
     """
     known = set(names)
     first = next(iter(wanted), "")
-    found = (name[: -len(first) - 1] for name in names if name.endswith(tuple(f"{s}{first}" for s in _INSIDE[:2])))
+    found = (name[: -len(end)] for name in names for end in _ends(first) if name.endswith(end))
     return [
         group
         for group in dict.fromkeys(found)
-        if all(any(f"{group}{sign}{name}" in known for sign in _INSIDE[:2]) for name in wanted)
+        if all(any(f"{group}{end}" in known for end in _ends(name)) for name in wanted)
     ]
 
 
+def _ends(name: str) -> tuple[str, ...]:
+    """Return how the names of columns in groups end whose name in the group is this one."""
+    return (name,) if _ELEMENT.fullmatch(name) else tuple(f"{sign}{name}" for sign in _INSIDE[:2])
+
+
+_REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|filtered", re.IGNORECASE)
+"""Groups of what was wanted, or of the same motion once more, are no trials."""
+
+
 def trial_groups(contents: Contents) -> list[str]:
-    """Return groups that look like trials of one kind: numbered, and with the same columns of several rows.
+    """Return groups that look like trials of one kind, with the same columns of several rows.
+
+    They are numbered, or were recorded at other times, or each has one value of its own in a column that is constant.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(Contents("a", columns=dict.fromkeys(names, np.zeros(9))))
     ['run1', 'run2']
     """
+    families: dict[tuple[str, ...], list[str]] = {}
+    others: dict[tuple[str, ...], list[str]] = {}
+    for group, inside in (_leaves(contents, whole=True) | _leaves(contents, whole=False)).items():
+        key = tuple(sorted(inside))
+        if len(inside) > 1 and re.search(r"\d\]?$", group):
+            families.setdefault(key, []).append(group)
+        elif len(inside) > 2 and not _REFERENCE.search(group):
+            others.setdefault(key, []).append(group)
+    best = max(families.values(), key=len, default=[])
+    if len(best) > 1:
+        return best
+    names, best = max(others.items(), key=lambda family: len(family[1]), default=((), []))
+    return best if len(best) > 1 and _are_trials(contents, best, names) else []
+
+
+def _leaves(contents: Contents, whole: bool) -> dict[str, list[str]]:
+    """Return the columns of several rows in each group by their names in it: fields, or the elements of a matrix."""
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
-        at = max(name.rfind(sign) for sign in _INSIDE[:2])
-        if at > 0 and len(values) > 2 and values.dtype.kind != "U":
-            leaves.setdefault(name[:at], []).append(name[at + 1 :])
-    families: dict[tuple[str, ...], list[str]] = {}
-    for group, inside in leaves.items():
-        if len(inside) > 1 and re.search(r"\d\]?$", group):
-            families.setdefault(tuple(sorted(inside)), []).append(group)
-    best = max(families.values(), key=len, default=[])
-    return best if len(best) > 1 else []
+        element = None if whole else _ELEMENT.search(name)
+        at = max(name.rfind(sign) for sign in _INSIDE[:2]) if element is None else element.start()
+        if at > 0 and len(values) > 2 and values.dtype.kind != "U" and (whole or element):
+            leaves.setdefault(name[:at], []).append(name[at + (element is None) :])
+    # a matrix is a trial where it has a clock; else it is a vector
+    timed = (
+        group for group, inside in leaves.items() if whole or any(_rises(contents.columns[group + e]) for e in inside)
+    )
+    return {group: leaves[group] for group in timed}
+
+
+def _are_trials(contents: Contents, groups: Sequence[str], inside: Sequence[str]) -> bool:
+    """Return whether groups of the same columns are trials, and no two devices at the same time."""
+    clocks_differ = []
+    for name in inside:
+        places = (f"{group}{end}" for group in groups for end in _ends(name))
+        columns = [contents.columns[place] for place in places if place in contents.columns]
+        if all(map(_rises, columns)):
+            clocks_differ.append(not any(np.array_equal(columns[0], column) for column in columns[1:]))
+        elif all(column[0] and not np.ptp(column) for column in columns) and len({column[0] for column in columns}) > 1:
+            return True
+    return bool(clocks_differ) and all(clocks_differ)
+
+
+def _rises(values: Array) -> bool:
+    return bool((np.diff(values) > 0).all())
 
 
 def _is_part(column: str, path: str) -> bool:

@@ -22,7 +22,8 @@ from pipeline.profiles.profile_model import Kind, Profile, number_in_name, quant
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, Checked, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
-from pipeline.shell.profile.evidence import SAME, Answer, Answers, WallLaw, answers, common_laws, wall_law
+from pipeline.shell.profile.evidence import SAME, WallLaw, answers, common_laws, wall_law
+from pipeline.shell.profile.roles import Answer, Answers
 from pipeline.shell.profile.samples import Sample, open_sample
 
 SHEETS = (".csv", ".tsv", ".txt", ".xlsx", ".ods", ".xls")

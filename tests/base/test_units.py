@@ -26,6 +26,7 @@ EXPECTED = {
     **{f"{length}/s": LENGTHS[length] for length in ("m", "cm", "mm", "um")},
     "rad/s": 1.0,
     "deg/s": pi / 180,
+    "rev/s": 2 * pi,
     "rpm": 2 * pi / TIMES["min"],
     **{f"N/{length}": 1 / LENGTHS[length] for length in ("m", "cm", "mm")},
     "kN/m": 1e3,

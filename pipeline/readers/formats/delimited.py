@@ -296,10 +296,13 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
 
 @dataclass
 class Layout:
-    """Keys of a profile that lay out a text file, and questions about them by key."""
+    """Keys of a profile that lay out a file, questions about them by key, and what shows them; and the names that
+    remarks give to columns, with units in brackets, by the name in `Contents`."""
 
     keys: dict[str, Any] = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)
+    evidence: dict[str, str] = field(default_factory=dict)
+    titles: dict[str, str] = field(default_factory=dict)
 
 
 def text_layout(name: str, data: bytes) -> Layout:
@@ -344,8 +347,11 @@ def text_layout(name: str, data: bytes) -> Layout:
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
         keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
     if heads and (mark := keys.get("comment")) and any(line.lstrip().startswith(mark) for line in heads):
-        # names in remarks are none of the table
+        # names in remarks are none of the table: its columns are read by position
         keys.pop("unit_line", None)
+        *units, names = ([cell.strip(mark + " ") for cell in _parted(line, delimiter)] for line in heads)
+        behind = [f" [{unit.strip('[]() ')}]" if unit else "" for unit in units[0]] if units else [""] * len(names)
+        layout.titles = {str(i + 1): f"{name}{behind[i]}" for i, name in enumerate(names)}
         keys |= {"header": False, "skip_rows": len(above)}
     return layout
 

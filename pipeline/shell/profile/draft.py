@@ -15,7 +15,8 @@ from pathlib import Path
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import QUESTION
-from pipeline.shell.profile.evidence import Answer, answers
+from pipeline.shell.profile.evidence import answers
+from pipeline.shell.profile.roles import Answer
 from pipeline.shell.profile.samples import Sample, open_sample
 
 MOST_QUESTIONS = 5
@@ -73,7 +74,9 @@ def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
     short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
     yield f"files = [{_toml(file_pattern(sample.name))}] # names of the logs"
-    yield from (f"{key} = {_toml(value)}" for key, value in sample.layout.keys.items())
+    for key, value in sample.layout.keys.items():
+        told = sample.layout.evidence.get(key)
+        yield f"{key} = {_toml(value)}" + (f" # {told}" if told else "")
     asked = 0
     for key, words in sample.layout.questions.items():
         asked += 1
@@ -100,6 +103,7 @@ def _remarks(sample: Sample) -> Iterator[str]:
     yield "# Columns of the file:"
     for name, values in list(contents.columns.items())[:LISTED]:
         said = contents.units.get(name) or contents.hints.get(name)
+        said = sample.layout.titles.get(name) or said
         hint = f", the file says {said!r}" if said else ""
         yield f"#   {_toml(name)}: {len(values)} rows, {', '.join(map(str, values[:3]))[:80]}{hint}"
     if len(contents.columns) > LISTED:

@@ -28,12 +28,14 @@ _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
 
 
 class Sample(NamedTuple):
-    """A log of which nothing is known: its format, keys of its layout and questions about them, and what it holds."""
+    """A log of which nothing is known: its format, keys of its layout and questions about them, what it holds, and what
+    each trial of the file holds where it is one of several."""
 
     name: str
     kind: Format
     layout: Layout
     contents: Contents
+    trials: tuple[Contents, ...] = ()
 
     @property
     def numbers(self) -> dict[str, Floats]:
@@ -41,10 +43,14 @@ class Sample(NamedTuple):
         columns = self.contents.columns.items()
         return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
 
+    def title(self, name: str) -> str:
+        """Return the heading of a column, which may stand in a remark."""
+        return self.layout.titles.get(name, name)
+
     def unit(self, name: str, role: str) -> tuple[str, str]:
         """Return the last part of the name of a column without its unit, and the unit that the file states for it."""
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
-        plain, unit = unit_in_heading(name, allowed)
+        plain, unit = unit_in_heading(self.title(name), allowed)
         said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
         # what is called "data" is called like what it is of
         plain = _OF_ANOTHER.sub("", plain) or plain
@@ -70,14 +76,16 @@ def open_sample(path: Path) -> Sample:
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.keys)
-    contents = read_file(settings, (path.name,), (data,))
+    contents, trials = read_file(settings, (path.name,), (data,)), tuple[Contents, ...]()
     if kind in GROUPED:
         each = settings.model_copy(update={"trials": "each group"})
         whole = read_file(each, (path.name,), (data,)) if kind in ("json", "tdms") else contents
         if groups := trial_groups(whole):
             layout.keys["trials"] = "each group"
-            contents = whole.of_group(groups[0])
-    sample = Sample(path.name, kind, layout, contents)
+            layout.evidence["trials"] = f"{len(groups)} groups of the same columns: {groups[0].strip('/')}, ..."
+            trials = tuple(whole.of_group(group) for group in groups)
+            contents = trials[0]
+    sample = Sample(path.name, kind, layout, contents, trials)
     layout.keys |= {} if "trials" in layout.keys else sample.contents.keys
     if not sample.numbers:
         reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())

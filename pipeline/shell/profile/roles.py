@@ -1,0 +1,335 @@
+"""Which column of a log is its time, command and position: by names, stated units, and how one follows the other.
+
+A question is left where two columns may both be one of them; its candidates are listed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.base.units import DRIVES, UNITS, find_unit
+from pipeline.profiles.profile_model import QUANTITIES
+from pipeline.recording.motion import free_response
+from pipeline.recording.samples import Samples
+from pipeline.records.trials import Floats
+from pipeline.shell.profile.samples import SPEEDS, Sample
+
+MOST_TRIED = 8
+"""Columns of numbers that are tried as command and position."""
+
+CLEARLY = 3.0
+"""Factor by which one pair of columns must explain the motion better than all others to be taken."""
+
+AGREE = 0.02
+"""Part by which the sampling periods of two clocks may differ that are one."""
+
+REGULAR = 0.02
+"""Part by which the steps of a clock may differ where other columns rise in every row, too."""
+
+IS_RATE = 0.05
+"""Part of a motion that the integral of its velocity may leave: rows are few, and velocities are filtered."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Value of a key of a profile, and what shows it; or the question that has to be answered, with a proposal."""
+
+    value: Any
+    evidence: str = ""
+    question: str = ""
+
+
+Answers = dict[str, Answer]
+
+
+class Role(NamedTuple):
+    """Names that a column of this role may have, units in the order in which they are proposed, and the range [SI] of
+    sampling period, command and position in one log of a device."""
+
+    names: str
+    units: tuple[str, ...]
+    low: float
+    high: float
+
+
+_SPEED_NAMES = r"v|vel.*|speed|omega|dx|dq|geschwindigkeit"
+
+ROLES = {
+    "time": Role(r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time", ("s", "ms", "us", "ns"), 2e-5, 0.1),
+    "command": Role(
+        r"command|f|u|tau|m|kraft|moment|force|torque|((f|u|force|tau|torque)[ _-]?)?(cmd|soll|des(ired)?|command)",
+        ("N", "mN", "Nm", "mNm"),
+        1e-3,
+        1e4,
+    ),
+    "position": Role(
+        rf"pos.*|weg|lage|winkel|angle|x|q|s|phi|theta|x[ _-]?(ist|act|meas)|{_SPEED_NAMES}",
+        ("m", "mm", "um", "rad", "deg"),
+        1e-6,
+        0.8,
+    ),
+}
+_WORDS = {
+    "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|actions?",
+    "position": r"position|pos|angle|winkel|weg|lage|place|displacement|encoder|velocity|speed|geschwindigkeit",
+}
+"""Words in the names of columns that belong to a role, where no name is one by itself."""
+
+_ASKED = {
+    "time": 'which column holds the time stamps (without any: kind = "sampled")?',
+    "command": "which column holds the total force or torque that the controller commands?",
+    "position": "which column holds the position that the controller measures?",
+}
+
+
+def stated_unit(sample: Sample, role: str, name: str) -> str:
+    """Return the unit that the file states for a column, where it is one of its role; else an empty text."""
+    said = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
+    unit = find_unit(said)
+    allowed = {*QUANTITIES[role].values(), *(SPEEDS if role == "position" else DRIVES if role == "command" else ())}
+    return said if unit is not None and unit.quantity in allowed else ""
+
+
+def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[str]:
+    """Return the units in which the numbers of a column are those of a device; the stated one alone where it is one."""
+    _, units, low, high = ROLES[role]
+    fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
+    stated = stated_unit(sample, role, name)
+    symbol = next((symbol for symbol in UNITS if stated and find_unit(symbol) == find_unit(stated)), "")
+    if role != "time" and symbol and UNITS[symbol].quantity not in SPEEDS:
+        return [symbol]
+    return [stated] if stated in fits else fits
+
+
+def likely_roles(sample: Sample) -> dict[str, str]:
+    """Return for each role a column that is likely by its name; a clock rises in every row."""
+    likely, numbers = dict[str, str](), sample.numbers
+    for role in ROLES:
+        left = [name for name in numbers if name not in likely.values()]
+        good = _named(sample, role, left)
+        if role == "time" and not good:
+            good = [name for name in left[:MOST_TRIED] if (np.diff(numbers[name]) > 0).all()]
+        likely[role] = next(iter((*good, *left, *numbers)))
+    return likely
+
+
+def _named(sample: Sample, role: str, names: Iterable[str]) -> list[str]:
+    """Return the columns whose whole name is one of a role."""
+    return [name for name in names if re.fullmatch(ROLES[role].names, sample.unit(name, role)[0])]
+
+
+def named_roles(sample: Sample) -> dict[str, Answer]:
+    """Return the column of each role without a wall law: what its name or the motion shows, else the question."""
+    numbers, times = sample.numbers, sample.contents.units
+    rising = [name for name in numbers if (np.diff(numbers[name]) > 0).all()]
+    time = _clock(sample, rising)
+    # what rises in every row by equal steps is a counter, what has a unit of time by its type a stamp
+    moving = [name for name in numbers if name != time.value and np.ptp(numbers[name]) > 0 and name not in times]
+    others = [name for name in moving if name not in rising or np.ptp(np.diff(numbers[name])) > 0]
+    others = [name for name in others if name not in _named(sample, "time", others)]
+    constant = _constant_command(sample, str(time.value), [name for name in numbers if name not in moving])
+    others = _without_rates(sample, str(time.value), others, 1 if constant else 2)
+    if constant is not None and len(others) == 1:
+        told = f"{others[0]!r} is the only other column that changes, next to its rate"
+        return {"time": time, "command": constant, "position": Answer(others[0], told)}
+    pair, told = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
+    if pair is None:
+        pair, told = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
+    if pair is not None:
+        told = told.format(*pair)
+        return {"time": time, "command": Answer(pair[0], told), "position": Answer(pair[1], told)}
+    return {"time": time} | _by_names(sample, time, others, constant)
+
+
+def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Answer | None) -> dict[str, Answer]:
+    """Return command and position by stated units and names; the questions where these leave several."""
+    named: dict[str, list[str]] = {}
+    for role, words in _WORDS.items():
+        by_unit = [name for name in others if _has_unit_of(sample, role, name)]
+        by_word = [name for name in others if _has_word(sample.title(name).lower(), words)]
+        whole = _named(sample, role, others)
+        if role == "position":  # a velocity is one where there is no position
+            whole = [name for name in whole if not _is_speed(sample, name)] or whole
+        named[role] = by_unit or whole or by_word
+    sure = {role: names[0] for role, names in named.items() if len(names) == 1}
+    if len(set(sure.values())) < len(sure):
+        sure = {}
+    found: dict[str, Answer] = {} if constant is None else {"command": constant}
+    for role in _WORDS:
+        left = [name for name in others if name not in sure.values()]
+        if role in found:
+            continue
+        if role in sure:
+            told = "unit" if _has_unit_of(sample, role, sure[role]) else "name"
+            found[role] = Answer(sure[role], f"by its {told}, which no other column has")
+        elif sure and len(left) == 1:
+            found[role] = Answer(left[0], "the only other column that changes")
+        else:
+            taken = [time.value, *sure.values()]
+            order = [name for name in (*named[role], *left, *sample.numbers) if name not in taken]
+            found[role] = _asked(role, order or list(sample.numbers))
+            # two questions with one proposal would be one answer too many
+            if role == "position" and found["command"].question and found["command"].value == found[role].value:
+                rest = [name for name in order if name != found["command"].value]
+                found[role] = _asked(role, rest or order or list(sample.numbers))
+    return found
+
+
+def _has_word(title: str, words: str) -> bool:
+    """Return whether a heading has one of the words, and none of a switch or a limit."""
+    return all(
+        (re.search(rf"(?<![a-z])({each})(?![a-z])", title) is not None) == wanted
+        for each, wanted in ((words, True), (r"enabled?|limits?|modes?|status|flags?|supply", False))
+    )
+
+
+def _is_speed(sample: Sample, name: str) -> bool:
+    return re.fullmatch(_SPEED_NAMES, sample.unit(name, "position")[0]) is not None
+
+
+def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
+    """Return whether the file states a unit of a role apart from the name; of a position, that of no velocity.
+
+    What stands behind an underscore may be a part of the name, such as that of a supply in volts.
+    """
+    unit = find_unit(stated_unit(sample, role, name))
+    apart = sample.title(name).rstrip().endswith(("]", ")")) or name in sample.contents.hints
+    return unit is not None and unit.quantity not in SPEEDS and apart
+
+
+def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer | None:
+    """Return the command that has one value from the first row on, as its name or the other trials of the file show."""
+    constant = [name for name in still if name != time and sample.numbers[name][0] and not np.ptp(sample.numbers[name])]
+    differing = [name for name in constant if len(set(values_of_trials(sample, name))) > 1]
+    if len(differing) == 1:
+        return Answer(differing[0], "constant in each trial of the file, and another in the next")
+    named = _named(sample, "command", constant)
+    if len(named) == 1 and not _named(sample, "command", set(sample.numbers) - set(named)):
+        return Answer(named[0], "by its name, which no other column has; it is at its step from the first row on")
+    return None
+
+
+def values_of_trials(sample: Sample, name: str) -> list[float]:
+    """Return the value of a column in each trial of a file where it is constant; none where it changes in one."""
+    columns = [trial.columns[name] for trial in sample.trials if name in trial.columns]
+    changes = [column for column in columns if column.dtype.kind == "U" or np.ptp(column)]
+    return [] if changes else [float(column[0]) for column in columns]
+
+
+def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str, float] | None:
+    """Return the column that is the rate of another one, and the seconds of a unit of time by which it is; else None.
+
+    A velocity is the change of its position per second: what its integral over the stamps has to be multiplied by is
+    the unit of the stamps. It is told where it is that of a unit.
+    """
+    numbers = sample.numbers
+    for name in numbers:
+        columns = [numbers.get(key) for key in (time, place, name)]
+        if name in (time, place) or any(column is None or len(column) < fewest for column in columns):
+            continue
+        stamps, motion, speed = (column for column in columns if column is not None)
+        if not len(stamps) == len(motion) == len(speed) or not np.ptp(speed) or not np.ptp(motion):
+            continue
+        integral = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(stamps))])
+        moved = motion - motion[0]
+        if not integral @ integral:
+            continue
+        factor = float(integral @ moved / (integral @ integral))
+        left = float(np.sqrt(np.mean((moved - factor * integral) ** 2)))
+        units = (UNITS[unit].factor for unit in ROLES["time"].units)
+        seconds = next((unit for unit in units if abs(factor / unit - 1) <= IS_RATE), None)
+        if seconds is not None and left <= IS_RATE * float(np.ptp(moved)):
+            return name, seconds
+    return None
+
+
+def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> list[str]:
+    """Return columns without those that are the rate of another one, as long as so many are left."""
+    rates: list[str] = []
+    for name in names[:MOST_TRIED] if len(names) > fewest else ():
+        found = rate_of(sample, time, name) if name not in rates else None
+        if found is not None and found[0] in names and found[0] not in _named(sample, "command", names):
+            rates.append(found[0])
+    left = [name for name in names if name not in rates]
+    return left if len(left) >= fewest else names
+
+
+def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
+    """Return the column of time: the only one that rises in every row, or the most regular of clocks that agree."""
+    numbers = sample.numbers
+    fitting = _named(sample, "time", numbers)
+    clocks = [name for name in fitting if name in rising] or list(rising)
+    if not clocks and not fitting:
+        return Answer(None, "no column rises in every row: there are no stamps")
+    if len(clocks) == 1:
+        more = ", as its name says" if clocks[0] in fitting else ", as no other column"
+        return Answer(clocks[0], f"rises in every row{more}")
+    uneven = {name: float(np.std(np.diff(numbers[name])) / np.mean(np.diff(numbers[name]))) for name in clocks}
+    factors = [getattr(find_unit(stated_unit(sample, "time", name)), "factor", 0.0) for name in clocks]
+    paces = [float(np.median(np.diff(numbers[name]))) * factor for name, factor in zip(clocks, factors, strict=True)]
+    if clocks and min(paces) > 0 and max(paces) <= (1 + AGREE) * min(paces):
+        regular = min(clocks, key=lambda name: uneven[name])
+        return Answer(regular, f"rises in every row, the most regular of {', '.join(clocks)}, which agree")
+    regular = min(clocks, key=lambda name: uneven[name], default="")
+    others = [uneven[name] for name in clocks if name != regular]
+    if others and uneven[regular] <= REGULAR < min(others) / CLEARLY:
+        return Answer(regular, "rises in every row by equal steps, as no other column")
+    return _asked("time", clocks or fitting or list(numbers))
+
+
+def _asked(role: str, names: Sequence[str]) -> Answer:
+    """Return the question which column has a role, with the candidates."""
+    candidates = list(dict.fromkeys(names))
+    listing = f" Candidates: {', '.join(candidates[:MOST_TRIED])}." if len(candidates) > 1 else ""
+    return Answer(candidates[0], question=f"{_ASKED[role]}{listing}")
+
+
+def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return the command and the position that follows it, where one pair explains the motion clearly best."""
+    numbers = sample.numbers
+    stamps = numbers.get(time)
+    if stamps is None or len(names) > MOST_TRIED:
+        return None
+    pace = float(np.median(np.diff(stamps)))
+    scores: dict[tuple[str, str], float] = {}
+    for command, position in permutations(names, 2):
+        if len({len(stamps), len(numbers[command]), len(numbers[position])}) != 1 or pace <= 0:
+            continue
+        with suppress(ValueError, ArithmeticError, np.linalg.LinAlgError):
+            found = free_response(free_samples(stamps, numbers[command], numbers[position], pace))
+            if found is not None and found.is_driven and found.delay >= 0:
+                scores[command, position] = found.residual_undriven / max(found.residual, 1e-300)
+    ranked = sorted(scores, key=lambda pair: -scores[pair])
+    if not ranked or (len(ranked) > 1 and scores[ranked[0]] < CLEARLY * scores[ranked[1]]):
+        return None
+    return ranked[0]
+
+
+def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | None:
+    """Return command and position of two columns, where one has few values and changes before the other moves."""
+    columns = [sample.numbers[name] for name in names]
+    if len(columns) != 2 or len(columns[0]) != len(columns[1]):
+        return None
+    units = {sample.unit(name, "position")[1] for name in names}
+    begins = [int(np.argmax(column != column[0])) for column in columns]
+    values = [len(np.unique(column)) for column in columns]
+    if len(units) == 1 and units != {""}:  # a set-point has the unit of its position
+        return None
+    for at, other in ((0, 1), (1, 0)):
+        # a reading that flickers comes back before the device moves
+        stays = (columns[at][begins[at] : begins[other] + 1] != columns[at][0]).all()
+        if begins[at] < begins[other] and stays and values[at] <= values[other]:
+            return names[at], names[other]
+    return None
+
+
+def free_samples(stamps: Floats, command: Floats, position: Floats, pace: float) -> Samples:
+    """Return the rows of a motion without a wall, in any units."""
+    return Samples(stamps, command, position, pace, 0.0, 0.0, 0.0, None)
