@@ -39,6 +39,19 @@ QUANTITIES: dict[str, dict[Kind, str]] = {
 }
 """Physical quantity of each column by what the device does, where its command is a force or torque."""
 
+Excitation = Literal["step", "release", "hit", "free", "staircase"]
+"""What moves the device in a trial: a step of the command against a wall; the release from a position behind a wall, or
+a hit, with no step; any command without a wall; a command without a wall that is constant between a few steps."""
+
+IMPLIED: dict[Excitation, tuple[str, ...]] = {
+    "step": (),
+    "release": ("step",),
+    "hit": ("step",),
+    "free": FREE,
+    "staircase": FREE,
+}
+"""Conditions that are 0 in a trial of each kind."""
+
 _DIMENSIONS: dict[str, Dimension] = {
     "time": "time",
     "command": "force",
@@ -684,6 +697,10 @@ class Profile(TextLayout, StepTime):
         Reader; a native log brings columns and conditions itself.
     files : tuple of str
         Patterns of the file names that are claimed (``*``, ``?``, ``[...]``; case does not matter).
+    kind : {"step", "release", "hit", "free", "staircase"}
+        What moves the device. "release" (from a position behind a wall) and "hit" have no step: what the command shows
+        of it is judged. "free" has no wall, "staircase" none and a command that is constant between a few steps, each
+        of which is a trial.
     records : str, optional
         Key of the list of records inside a JSON file, with dots where it is nested.
     partner : Partner, optional
@@ -722,6 +739,7 @@ class Profile(TextLayout, StepTime):
     title: str = ""
     format: Format
     files: Annotated[tuple[Name, ...], Field(min_length=1)]
+    kind: Excitation = "step"
     records: Name | None = None
     partner: Partner | None = None
     columns: Columns | None = None
@@ -793,6 +811,9 @@ class Profile(TextLayout, StepTime):
             yield ("steps",), "given beside trial_column or a window; expected one of them"
         varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
+        constant = 0.0 if self.kind != "step" else constant
+        if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
+            yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no step that is stated. Remove it"
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
         # an entry that says nothing beside one that does is refused with the files that it reads
         if (
@@ -805,9 +826,19 @@ class Profile(TextLayout, StepTime):
     def conditions(self) -> set[str]:
         """Return the conditions that anything gives."""
         tables = {key for table in (self.constants, *self.file, *self.steps) for key in table.given()}
-        return tables | {*self.name_groups(), *self.attributes, *self.condition_columns}
+        return tables | {*self.name_groups(), *self.attributes, *self.condition_columns, *IMPLIED[self.kind]}
+
+    def _implied_problems(self) -> Iterator[Problem]:
+        """Yield conditions that are given where the kind of the trials has none."""
+        varying = {*self.name_groups(), *self.attributes, *self.condition_columns}
+        for key in IMPLIED[self.kind]:
+            stated = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
+            if stated or key in varying:
+                text = f"a trial of kind {self.kind!r} has none. Remove it, or correct `kind`"
+                yield ("constants" if stated else "kind", *((key,) if stated else ())), f"{key}: {text}"
 
     def _condition_problems(self) -> Iterator[Problem]:
+        yield from self._implied_problems()
         for key in CONDITION_QUANTITIES:
             try:
                 self.condition_factor(key)
@@ -884,7 +915,7 @@ class Profile(TextLayout, StepTime):
         return {key: factor(key, source, self.motion, self.gain) for key, source in units}
 
     @property
-    def kind(self) -> Kind:
+    def motion_kind(self) -> Kind:
         """What the device does: as it is stated, else as the unit of its position shows."""
         if self.constants.motion is not None:
             return self.constants.motion
@@ -907,7 +938,7 @@ class Profile(TextLayout, StepTime):
         ParameterError
             If it is no gain.
         """
-        return None if self.units.gain is None else Gain.read(self.units.gain, self.kind)
+        return None if self.units.gain is None else Gain.read(self.units.gain, self.motion_kind)
 
     def _gain_or_none(self) -> Gain | None:
         """Return a gain that is right: one that is wrong is a mistake of its own."""
@@ -919,8 +950,8 @@ class Profile(TextLayout, StepTime):
     def motion(self) -> Motion:
         """Kind of motion with the unit of the command: that of a drive where no gain turns it into force."""
         if not self.drive or self.units.gain is not None:
-            return self.kind
-        return cast(Motion, f"{self.kind} in {next(iter(DRIVES[self.drive]))}")
+            return self.motion_kind
+        return cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
 
     def unit_factor(self, key: str, unit: str) -> float:
         """Return the factor from a unit of a condition to SI, or to the unit of the drive.
@@ -932,7 +963,7 @@ class Profile(TextLayout, StepTime):
         """
         allowed = quantity(key, self.motion)
         if (gain := self.gain) is not None and key in FREE:
-            drive = cast(Motion, f"{self.kind} in {next(iter(DRIVES[gain.drive]))}")
+            drive = cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[gain.drive]))}")
             if (known := find_unit(unit)) is not None and known.quantity == quantity(key, drive):
                 return known.factor * gain.factor
         return factor_to_si(unit, (allowed,))
@@ -950,8 +981,8 @@ class Profile(TextLayout, StepTime):
             constants = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None}
             varies = key in {*self.name_groups(), *self.attributes, *self.condition_columns}
             if getattr(self.units, key) is None and (varies or constants - {0.0}):
-                drive = cast(Motion, f"{self.kind} in {next(iter(DRIVES[self.drive]))}")
-                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.kind))
+                drive = cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
+                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.motion_kind))
                 text = f"missing; the command is in {unit}, so that a number alone may be either. Add {key} = {wanted}"
                 yield ("units", key), text
         if self.units.gain is None:
@@ -960,7 +991,7 @@ class Profile(TextLayout, StepTime):
             yield ("units", "gain"), f"the command is in {unit}, which needs no gain. Remove it, or correct the unit"
             return
         try:
-            gain = Gain.read(self.units.gain, self.kind)
+            gain = Gain.read(self.units.gain, self.motion_kind)
         except ParameterError as error:
             yield ("units", "gain"), str(error)
             return

@@ -17,6 +17,7 @@ from pipeline.base.paths import storable
 from pipeline.base.units import DRIVES, find_unit, unit_in_heading
 from pipeline.profiles.profile_model import (
     CONDITION_QUANTITIES,
+    IMPLIED,
     QUANTITIES,
     REQUIRED_CONDITIONS,
     STEP_MISSING,
@@ -193,7 +194,10 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) 
         source = profile, frame, table, counts
         if not profile.steps:
             log = _log(source, where, given, step, window, label)
-            logs += _steps_of(log) if step.step_at == "command edge" else [log]
+            if profile.kind == "staircase":
+                logs += _stairs_of(where, log)
+            else:
+                logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
             place = f"{where}, step {part.label!r}"
             of_part = conditions_of(profile, (name, place), frame, index, (entry, part))
@@ -206,14 +210,45 @@ def _steps_of(log: Log) -> list[Log]:
 
     Each part begins with the change before and ends with the next one; its step is that of the command.
     """
-    header, command = log.header, log.command
-    changes = np.flatnonzero(np.diff(command)) + 1
+    header, changes = log.header, changes_of(log.command)
     if header.stiffness or header.damping or not header.step or len(changes) < 2:
         return [log]
-    ends = [0, *changes.tolist(), len(command)]
-    if len(changes) > MOST_STEPS or min(np.diff(ends[1:])) < SHORTEST_STEP:
+    if not is_staircase(log.command):
         text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
         return [replace(log, warnings=(*log.warnings, text))]
+    return _parts_of(log)
+
+
+def changes_of(command: Floats) -> Integers:
+    """Return the rows in which a command has another value than in the row before."""
+    return np.flatnonzero(np.diff(command)) + 1
+
+
+def is_staircase(command: Floats) -> bool:
+    """Return whether a command is constant between a few changes, each for as long as a response takes to be seen."""
+    changes = changes_of(command)
+    return 0 < len(changes) <= MOST_STEPS and min(np.diff([*changes, len(command)])) >= SHORTEST_STEP
+
+
+def _stairs_of(where: str, log: Log) -> list[Log]:
+    """Return a log of a staircase step by step.
+
+    Raises
+    ------
+    LogError
+        If its command is none.
+    """
+    if is_staircase(log.command):
+        return _parts_of(log)
+    found = f"kind is 'staircase', but the command changes {len(changes_of(log.command))} times"
+    expected = f"1 to {MOST_STEPS} changes, with {SHORTEST_STEP} rows between them"
+    raise refusal("profile-wrong", where, found, expected, line='kind = "free"')
+
+
+def _parts_of(log: Log) -> list[Log]:
+    """Return the part of a log around each change of its command; a part ends with the next change."""
+    header, command, changes = log.header, log.command, changes_of(log.command)
+    ends = [0, *changes.tolist(), len(command)]
     parts = []
     for number, (first, row, end) in enumerate(zip(ends, ends[1:], ends[2:], strict=False), start=1):
         size = float(command[row] - command[row - 1])
@@ -271,6 +306,7 @@ def _log(
         began = table["number"] >= command.from_row if by_row else time >= (command.from_s or 0.0)
         columns["command"] = np.where(began, command.value * factors["command"], 0.0)
     extra = _extra(profile, frame, _step_row(where, step, table, period))
+    extra |= {} if profile.kind == "step" else {"kind": profile.kind}
     if isinstance(position, PositionSource) and (rule := position.integrate):
         extra["integrated"] = rule
         columns["velocity"] = columns["position"]
@@ -372,7 +408,8 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
         If the file name does not fit the profile.
     """
     entry, step = part
-    found = {key: ("constants", value) for key, value in profile.constants.given().items()}
+    found: dict[str, tuple[str, Any]] = dict.fromkeys(IMPLIED[profile.kind], (f"kind = {profile.kind!r}", 0.0))
+    found |= {key: ("constants", value) for key, value in profile.constants.given().items()}
     try:
         told = {} if profile.name_pattern is None else conditions_in_name(profile.name_pattern, name)
     except ParameterError as error:

@@ -51,6 +51,9 @@ LIMIT_ROWS = 3
 
 LEAST_ROWS = 12
 
+PULSE_PARTS = (0.02, 0.05, 0.1, 0.2, 0.4)
+"""Parts of a log after which the pulse of a hit may have ended."""
+
 MOST_EDGES = 4
 """Jumps that are tried as the step: before it, noise and the sensor's step make one or two that stand out."""
 
@@ -90,7 +93,9 @@ def obeyed(log: Log) -> Obeyed | None:
     gains, size = np.array([*stated.values()]), _size(command)
     terms = _best_terms(log.time, command, log.position, header.extra.get("step_row"))
     off = command - gains @ terms
-    if not header.step or not size or _size(off) <= EXACT * size:
+    if not header.step:
+        return _obeyed_freely(log, stated)
+    if not size or _size(off) <= EXACT * size:
         return None
     free = _free(command)
     if free.sum() < LEAST_ROWS:
@@ -116,6 +121,23 @@ def obeyed(log: Log) -> Obeyed | None:
     return Obeyed(found | ({} if 1 / FACTOR < step < FACTOR else {"step": float(step * header.step)}), stated)
 
 
+def _obeyed_freely(log: Log, stated: dict[str, float]) -> Obeyed | None:
+    """Return which other gains the command of a released or hit device obeys, as `obeyed`."""
+    gains = (log.header.stiffness, log.header.damping)
+    fitted = _free_fit(log.time, log.command, log.position) if any(gains) else None
+    if fitted is None or not fitted[0].stiffness:
+        return None
+    law, error = fitted
+    # a position that is logged a row or two beside its command looks like B + K T
+    slack = (0.0, SHIFTED_ROWS * abs(law.stiffness) * log.header.sampling_period_s)
+    found = {
+        name: value
+        for name, value, gain, more, sigma in zip(("stiffness", "damping"), law[:2], gains, slack, error, strict=False)
+        if value and abs(value - gain) > max(TOLERANCE * abs(gain), more, SURE * sigma)
+    }
+    return Obeyed(found, stated) if found else None
+
+
 class Law(NamedTuple):
     """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds.
 
@@ -137,16 +159,56 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     command, position : float64, shape (rows,)
         In any unit.
     """
-    if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
+    if not _may_obey(time, command, position):
         return None
-    terms, free = _best_terms(time, command, position), _free(command)
+    fitted = _fitted(_best_terms(time, command, position), command)
+    return None if fitted is None else fitted[0]
+
+
+def free_law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
+    """Return the law of a released or hit device: a step of the force is the release, a pulse of it the hit.
+
+    Parameters as of `law_of`. Where no law explains all rows, it is that of those behind the pulse.
+    """
+    fitted = _free_fit(time, command, position)
+    return None if fitted is None else fitted[0]
+
+
+def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[Law, Floats] | None:
+    """Return the law of a released or hit device and the standard errors of its gains; None where none explains it."""
+    if not _may_obey(time, command, position):
+        return None
+    peak = float(np.abs(command).max())
+    fitted = _fitted(_best_terms(time, command, position), command)
+    for part in PULSE_PARTS if fitted is None else ():
+        behind = slice(int(part * len(time)), None)
+        rows = (time[behind], command[behind], position[behind])
+        if not _may_obey(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
+            return None
+        # what the position has moved before is a constant part of the command
+        fitted = _fitted(_terms(*rows, 0), command[behind])
+        if fitted is not None:
+            return fitted[0]._replace(step=0.0), fitted[1]
+    return fitted
+
+
+def _may_obey(time: Floats, command: Floats, position: Floats) -> bool:
+    """Return whether a law may be seen in some rows."""
+    if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all():
+        return False
+    return bool(np.ptp(command) and np.ptp(position))
+
+
+def _fitted(terms: Floats, command: Floats) -> tuple[Law, Floats] | None:
+    """Return the law that explains a command, and the standard errors of its gains; None where none does."""
+    free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
-    values, _, left = _fit(terms[:, free], command[free])
+    values, error, left = _fit(terms[:, free], command[free])
     if left > EXACT * _size(command):
         return None
     told = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
-    return Law(*map(float, np.where(told, values, 0.0)))
+    return Law(*map(float, np.where(told, values, 0.0))), error
 
 
 def _edges(command: Floats) -> list[int]:

@@ -18,7 +18,7 @@ from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
-from pipeline.profiles.profile_model import Kind, Profile, number_in_name, quantity, si_unit
+from pipeline.profiles.profile_model import IMPLIED, Kind, Profile, number_in_name, quantity, si_unit
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, Checked, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
@@ -183,6 +183,8 @@ def propose(folder: Folder) -> Proposal:
     }
     table = None if folder.sheet is None else read_sheet(folder.sheet)
     given = _from_sheet(table, laws, samples) if table is not None else {}
+    if any(key.startswith("units.") for key in given) and not laws:
+        found.pop("kind", None)  # the sheet knows of walls that no command shows
     named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given})
     found |= given | named
     for key in CONDITIONS:
@@ -194,9 +196,12 @@ def propose(folder: Folder) -> Proposal:
     found["constants.device"] = Answer(re.sub(r"[^\w .-]+", "-", name) or "bench", "the name of the folder")
     found["constants.experiment"] = Answer("1", "any name")
     if any(key.startswith(("sheet", "name_pattern")) for key in found) or "constants.stiffness" in found:
-        found.setdefault("step_at", Answer("command edge", "the step is where the command jumps"))
+        kind = found.get("kind")
+        without = IMPLIED[kind.value] if kind is not None else ()
+        if kind is None:
+            found.setdefault("step_at", Answer("command edge", "the step is where the command jumps"))
         for key in CONDITIONS:
-            if not _is_mapped(found, key) and f"constants.{key}" not in found:
+            if key not in without and not _is_mapped(found, key) and f"constants.{key}" not in found:
                 unit = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
                 words = f"{key} of the walls [{unit}]: neither the files nor their commands show one for all?"
                 found[f"constants.{key}"] = Answer(0, question=words)

@@ -8,6 +8,7 @@ it is. From the row on from which it is constant the motion is free, and its gro
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +22,9 @@ NOISE_ROWS = 10
 CONSTANT = 1e-3
 """Change of the external force relative to the largest force of the wall up to which it is rounding of printed digits:
 a hand moves the device, not the controller."""
+
+SUDDEN = 0.25
+"""Part of its first swing in which a device that a hand hits is fastest; one that is let go is so half-way."""
 
 CHANGES = "the external force goes on to change: the motion is not free"
 RESTS = "nothing moves"
@@ -43,6 +47,8 @@ class Release:
         External force from then on, less that before [N, Nm]: 0 after a hit.
     size : float
         Largest change of the external force; where there is none, the force of the wall at the first turn [N, Nm].
+    kind : {"", "release", "hit"}
+        Whether the device was released from a position, or hit.
     reason : str
         Why there is no free motion; empty where there is.
     """
@@ -51,6 +57,7 @@ class Release:
     free: int = NO_ROW
     level: float = 0.0
     size: float = np.nan
+    kind: Literal["", "release", "hit"] = ""
     reason: str = ""
 
 
@@ -87,7 +94,7 @@ def find_release(trial: Trial) -> Release:
     off = np.flatnonzero(np.abs(change - level) > LEVEL * size)
     free = int(off[-1]) + 1 if len(off) else begin
     if free <= begin + (len(change) - begin) // 2:
-        return Release(begin, free, level, size)
+        return Release(begin, free, level, size, "hit" if level == 0 else "release")
     return _bent(change, onset)
 
 
@@ -106,10 +113,10 @@ def _bent(change: Floats, onset: int) -> Release:
     ahead = change[begin:] * np.sign(change[begin])
     high = ahead > 0.5 * size
     if size > 0 and high.all():
-        return Release(begin, begin, float(np.sign(change[begin]) * size), size)
+        return Release(begin, begin, float(np.sign(change[begin]) * size), size, "release")
     back = begin + int(np.argmin(high))
     if size > 0 and len(change) - back >= EDGE_SAMPLES and (np.abs(change[back:]) <= 0.5 * size).all():
-        return Release(begin, back, 0.0, size)
+        return Release(begin, back, 0.0, size, "hit")
     return Release(reason=CHANGES)
 
 
@@ -124,7 +131,8 @@ def _by_hand(wall: Floats, displacement: Floats, onset: int) -> Release:
     swing = np.abs(speed[: int(turns[0])]) if len(turns) else speed[:1]
     fastest = begin + int(np.argmax(swing))
     size = float(np.abs(wall[begin : begin + len(swing) + 1] - wall[begin]).max())
-    return Release(begin, fastest, 0.0, max(size, float(np.finfo(np.float64).tiny)))
+    kind: Literal["hit", "release"] = "hit" if fastest - begin <= SUDDEN * len(swing) else "release"
+    return Release(begin, fastest, 0.0, max(size, float(np.finfo(np.float64).tiny)), kind)
 
 
 def at_rest_before(trial: Trial, begin: int) -> tuple[float, float]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pipeline.profiles.profile_model import Profile
     from pipeline.shell.start import Folder, Proposal
 
-TABLES = ("columns", "name_pattern", "sheet", "units", "step_at", "attributes", "constants", "decimal")
+TABLES = ("kind", "columns", "name_pattern", "sheet", "units", "step_at", "attributes", "constants", "decimal")
 """Keys of a proposal in the order in which they are shown."""
 
 LONGEST_VALUE = 40

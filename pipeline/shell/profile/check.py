@@ -22,6 +22,7 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
 from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.marks import gaps, jumps, rests
+from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
@@ -114,6 +115,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
             *(each.sentence for each in log.findings),
             *filter(None, (c.pop("fault") for c in conditions)),
             *_other_step(log, step_row),
+            *_other_kind(profile, log),
         ],
     }
 
@@ -157,11 +159,31 @@ def step_of(log: Log) -> tuple[int | None, str]:
     if "step_row" in header.extra:
         row = int(header.extra["step_row"])
         return row, f"declared, at {log.time[row]:.9g} s"
-    wall = header.stiffness, header.damping, header.step, header.sampling_period_s
-    edge = find_edge(Trial("sample", *wall, log.time, log.command, log.position))
+    trial = _trial_of(log)
+    if header.step == 0 and (release := find_release(trial)).kind:
+        what = {"release": "released", "hit": "hit"}[release.kind]
+        return release.begin, f"none: the device is {what} at {log.time[release.begin]:.9g} s"
+    edge = find_edge(trial)
     if edge.row == NO_ROW:
         return None, edge.reason
     return edge.row, f"found in the command, at {log.time[edge.row]:.9g} s"
+
+
+def _trial_of(log: Log) -> Trial:
+    header = log.header
+    wall = header.stiffness, header.damping, header.step, header.sampling_period_s
+    return Trial("sample", *wall, log.time, log.command, log.position)
+
+
+def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
+    """Yield where a log of a release or a hit shows another one, or none."""
+    if profile.kind not in ("release", "hit"):
+        return
+    found = find_release(_trial_of(log))
+    if found.kind and found.kind != profile.kind:
+        yield f"kind is {profile.kind!r}, but the log shows a {found.kind}: which is right?"
+    elif not found.kind:
+        yield f"kind is {profile.kind!r}, but no free motion is seen ({found.reason}), so that there will be no verdict"
 
 
 def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
@@ -188,7 +210,8 @@ def check_lines(samples: Sequence[Checked]) -> list[str]:
         line = f"{path}: {counted(len(trials), 'trial')} would be stored"
         if lines:
             value = {condition["name"]: condition["value"] for condition in trials[0]["conditions"]}
-            step = "no step is known" if (row := trials[0]["step_row"]) is None else f"step in row {row}"
+            row = trials[0]["step_row"]
+            step = "no step is known" if row is None else f"{'step' if value['step'] else 'it moves'} in row {row}"
             line += f"; K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trials[0]['rows']} rows, {step}"
         lines += [line] if lines else [line, *map(_full, trials)]
         told += [(path, text) for trial in trials for text in trial["warnings"]]

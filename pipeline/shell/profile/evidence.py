@@ -18,8 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.units import DRIVES, UNITS, find_unit, unit_between
+from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import (
     QUANTITIES,
+    Excitation,
     Kind,
     conditions_in_name,
     find_groups,
@@ -27,8 +29,10 @@ from pipeline.profiles.profile_model import (
     quantity,
     si_unit,
 )
-from pipeline.readers.obeyed import Law, law_of
+from pipeline.readers.mapping import changes_of, is_staircase
+from pipeline.readers.obeyed import Law, free_law_of
 from pipeline.recording.motion import free_response
+from pipeline.records.trials import Floats, Trial
 from pipeline.shell.profile.columns import round_period
 from pipeline.shell.profile.roles import (
     MOST_TRIED,
@@ -61,7 +65,7 @@ _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORE
 class WallLaw(NamedTuple):
     """The wall law that the command of a log obeys, its columns by role, and the units in which they are plausible.
 
-    ``first_row`` says whether the command is at its step from the first row on.
+    ``first_row`` says whether the command is at its step from the first row on; ``kind`` what moves the device.
     """
 
     law: Law
@@ -69,6 +73,7 @@ class WallLaw(NamedTuple):
     units: dict[str, list[str]]
     period_s: float
     first_row: bool
+    kind: Excitation
 
     @property
     def in_si(self) -> dict[str, float]:
@@ -108,12 +113,35 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
     names = _names(sample, paths, law)
     walls = _walls(samples, law, laws, names)
     found: Answers = {}
-    if "constants.step" in walls or any(key.startswith(("file", "units", "name_pattern")) for key in (*walls, *names)):
+    if (kind := _kind_answer(sample, laws, columns, names)) is not None:
+        found["kind"] = kind
+    elif "constants.step" in walls or any(key.startswith(("units", "name_pattern")) for key in (*walls, *names)):
         at_once = bool(laws) and all(each.first_row for each in laws)
         told = "the command is at its step in the first row" if at_once else "the step is where the command jumps"
         found["step_at"] = Answer("first row" if at_once else "command edge", told)
     found |= names | columns | _constants(sample, columns, law) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
+
+
+_SHOWN = {
+    "release": "the device leaves a position that is not 0, and the command is that of a wall at 0 from there on",
+    "hit": "the device is hit, and the command is that of the wall alone before and behind it",
+}
+"""What shows that there is no step."""
+
+
+def _kind_answer(sample: Sample, laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
+    """Return what moves the devices of samples where it is no step, and what shows it."""
+    kinds = Counter(law.kind for law in laws).most_common(1)
+    if kinds:
+        return Answer(kinds[0][0], _SHOWN[kinds[0][0]]) if kinds[0][0] in _SHOWN else None
+    command, position = (columns.get(f"columns.{role}.name") for role in ("command", "position"))
+    if names or command is None or position is None or command.question or position.question:
+        return None
+    forces = sample.numbers.get(str(command.value))
+    if forces is not None and is_staircase(forces):
+        return Answer("staircase", f"no wall law is seen, and the command changes {len(changes_of(forces))} times")
+    return Answer("free", "no wall law is seen in the command")
 
 
 def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
@@ -130,7 +158,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
-_ORDER = ("step_at", "name_pattern", "columns", "attributes", "constants", "units")
+_ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "constants", "units")
 """Tables in their order."""
 
 
@@ -138,8 +166,8 @@ def wall_law(sample: Sample) -> WallLaw | None:
     """Return what the numbers of a log show; None where no columns obey a wall law with a stiffness."""
     likely, numbers = likely_roles(sample), sample.numbers
     time, own = likely["time"], (likely["command"], likely["position"])
-    pairs = permutations([name for name in list(numbers)[:MOST_TRIED] if name != time], 2)
-    for pair in sorted(pairs, key=lambda pair: pair != own):
+    tried = [name for name in list(numbers)[:MOST_TRIED] if name != time]
+    for pair in sorted(permutations(tried, 2), key=lambda pair: pair != own):
         columns = dict(zip(ROLES, (time, *pair), strict=True))
         stamps, force, place = (numbers[name] for name in columns.values())
         if not len(stamps) == len(force) == len(place):
@@ -147,12 +175,32 @@ def wall_law(sample: Sample) -> WallLaw | None:
         spans = float(np.median(np.diff(stamps))), float(np.ptp(force)), float(np.ptp(place))
         units = {role: plausible_units(sample, role, name, spans[i]) for i, (role, name) in enumerate(columns.items())}
         counters = [column for column in (force, place) if (np.diff(column) > 0).all()]
-        if all(units.values()) and not counters:
-            factor = UNITS[units["time"][0]].factor
-            law = law_of(stamps * factor, force, place)
-            if law is not None and law.stiffness and law.step:
-                return WallLaw(law, columns, units, spans[0] * factor, bool(abs(force[0]) > abs(law.step) / 2))
+        if not all(units.values()) or counters:
+            continue
+        factor = UNITS[units["time"][0]].factor
+        law = free_law_of(stamps * factor, force, place)
+        # a column that is a multiple of another one obeys a law without damping and step
+        sure = law is not None and (law.step or (law.stiffness * law.damping > 0 and (len(tried) == 2 or pair == own)))
+        kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
+        if law is not None and kind is not None:
+            at_once = bool(abs(force[0]) > abs(law.step) / 2)
+            return WallLaw(law, columns, units, spans[0] * factor, at_once, kind)
     return None
+
+
+def _kind_of(law: Law, time: Floats, command: Floats, position: Floats) -> Excitation | None:
+    """Return what moves a device whose command obeys a law; None where nothing does that is seen.
+
+    A release from a position looks like a step of the force with which the wall holds the device there. It is one where
+    that wall is at the position 0, as no step leaves it by chance.
+    """
+    way = float(np.sign(law.stiffness))
+    wall = (abs(law.stiffness), way * law.damping, 0.0, float(np.median(np.diff(time))))
+    found = find_release(Trial("sample", *wall, time, command, way * position)).kind
+    if not law.step:
+        return found or None
+    at_zero = abs(law.step + law.stiffness * position[0]) <= SAME * abs(law.step)
+    return "release" if at_zero and found == "release" else "step"
 
 
 def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
@@ -327,6 +375,8 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     for key in ("stiffness", "damping", "step"):
         mine = [value[key] if key == "step" else abs(value[key]) for value in values]
         same = max(mine) - min(mine) <= SAME * max(map(abs, mine), default=0.0)
+        if key == "step" and law.kind != "step":
+            continue
         if key in named:
             # the command obeys the number in the file name in this unit
             pairs = ((value, abs(numbers[key])) for value, numbers in zip(mine, in_names, strict=False))
