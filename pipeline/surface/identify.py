@@ -153,7 +153,8 @@ def identified_device(
 ) -> dict[str, Any]:
     """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
     asked = asked_profiles(profile, paths)
-    sources = find_sources(paths, asked.profiles, ignore=(*ignore, *asked.ignore))
+    profiles = tuple(map(_unparted, asked.profiles))
+    sources = find_sources(paths, profiles, ignore=(*ignore, *asked.ignore))
     found_logs = _read(sources, advance)
     read, refused = found_logs.logs, found_logs.refused
     if not read:
@@ -176,6 +177,11 @@ def identified_device(
     document = _document(found, recordings, motions.pop(), velocity, period, delay)
     rows = [{"log": name, **each.document} for name, log in (*read, *found_logs.copies) for each in log.findings]
     return document | {"findings": rows, "refused": refused, "copies": [name for name, _ in found_logs.copies]}
+
+
+def _unparted(profile: Profile) -> Profile:
+    """Return a profile that reads a staircase as one motion: its steps share rows."""
+    return profile.model_copy(update={"kind": "free"}) if profile.kind == "staircase" else profile
 
 
 class _Read(NamedTuple):

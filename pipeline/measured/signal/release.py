@@ -26,6 +26,9 @@ a hand moves the device, not the controller."""
 SUDDEN = 0.25
 """Part of its first swing in which a device that a hand hits is fastest; one that is let go is so half-way."""
 
+HELD = 0.1
+"""Part of the largest command with which a wall pushes against a hand that holds a device away from it."""
+
 CHANGES = "the external force goes on to change: the motion is not free"
 RESTS = "nothing moves"
 NO_WALL = "without a wall and damping a motion shows no loop"
@@ -87,7 +90,7 @@ def find_release(trial: Trial) -> Release:
     change = force - float(np.median(force[: max(onset, 1)]))
     size = float(np.abs(change).max())
     if size <= CONSTANT * np.abs(wall).max():
-        return _by_hand(wall, displacement, onset)
+        return _by_hand(trial, wall, onset)
     level = float(np.median(change[len(change) // 2 :]))
     level = level if abs(level) > LEVEL * size else 0.0
     begin = int(np.argmax(np.abs(change) > 0.5 * size))
@@ -120,18 +123,20 @@ def _bent(change: Floats, onset: int) -> Release:
     return Release(reason=CHANGES)
 
 
-def _by_hand(wall: Floats, displacement: Floats, onset: int) -> Release:
+def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
     """Return a release or a hit by hand: the external force stays, and the motion begins.
 
-    The hand is gone when the device is fastest in its first swing, at the latest.
+    The hand is gone when the device is fastest in its first swing, at the latest. Before a release it holds the device
+    against the wall, or moves it there.
     """
     begin = max(onset - 1, 0)
-    speed = np.diff(displacement[begin:])
+    speed = np.diff(trial.displacement[begin:])
     turns = np.flatnonzero(speed * speed[0] < 0)
     swing = np.abs(speed[: int(turns[0])]) if len(turns) else speed[:1]
     fastest = begin + int(np.argmax(swing))
     size = float(np.abs(wall[begin : begin + len(swing) + 1] - wall[begin]).max())
-    kind: Literal["hit", "release"] = "hit" if fastest - begin <= SUDDEN * len(swing) else "release"
+    held = abs(float(np.median(trial.command[: begin + 1]))) > HELD * float(np.abs(trial.command).max())
+    kind: Literal["hit", "release"] = "hit" if not held and fastest - begin <= SUDDEN * len(swing) else "release"
     return Release(begin, fastest, 0.0, max(size, float(np.finfo(np.float64).tiny)), kind)
 
 

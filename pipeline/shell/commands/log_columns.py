@@ -30,6 +30,7 @@ _STATED: dict[str, Any] = {
     "stiffness": Annotated[Text, option("--stiffness", "K of the wall: a column K:N/mm, or '2 N/mm'.")],
     "damping": Annotated[Text, option("--damping", "B of the wall: a column B:Ns/m, or '5 Ns/m'.")],
     "step": Annotated[Text, option("--step", "External step: a column F0:N, or '4 N'.")],
+    "kind": Annotated[Text, option("--kind", "What moves the device: step, release, hit, free or staircase.")],
     "period": Annotated[Text, option("--period", "Sampling period, '1 ms' (default: that of the stamps).")],
     "gain": Annotated[Text, option("--gain", "Force of a drive per unit of command, '2.3 N/V'.")],
     "device": Annotated[Text, option("--device", "Name of the device of the logs.")],

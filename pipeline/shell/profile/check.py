@@ -307,7 +307,8 @@ def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
         for key in ("command", "position", "force", "velocity")
         if (values := getattr(log, key)) is not None
     )
-    said = f"step in row {row}" if row is not None else "no step is known"
+    moved = "step" if log.header.step else "it moves"
+    said = f"{moved} in row {row}" if row is not None else "no step is known"
     title = f"trial {log.label}" if log.label else f"K = {log.header.stiffness:g}, B = {log.header.damping:g}"
     return title, columns, [f"{said} ({how})", *log.warnings, *(each.sentence for each in log.findings)]
 

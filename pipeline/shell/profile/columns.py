@@ -23,8 +23,8 @@ from pipeline.base.wording import counted
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
-from pipeline.profiles.profile_model import Profile
-from pipeline.readers.obeyed import Law, law_of
+from pipeline.profiles.profile_model import IMPLIED, Profile
+from pipeline.readers.obeyed import Law, free_law_of
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
@@ -50,7 +50,8 @@ WALL = ("stiffness", "damping", "step")
 class StatedColumns:
     """What a command line states of logs: each a text as `ColumnText` reads it, or None.
 
-    ``period`` is the sampling period of the controller; that of the stamps where it is not stated.
+    ``period`` is the sampling period of the controller; that of the stamps where it is not stated. ``kind`` is that of
+    the trials, as in a profile.
     """
 
     time: str | None = None
@@ -59,6 +60,7 @@ class StatedColumns:
     stiffness: str | None = None
     damping: str | None = None
     step: str | None = None
+    kind: str | None = None
     period: str | None = None
     device: str | None = None
     experiment: str | None = None
@@ -370,6 +372,10 @@ class _Maker:
 
     def _wall(self, values: dict[str, Any]) -> None:
         """Put in what the wall law of the commands shows: the direction of positions, and when the step happens."""
+        kind = self.stated.kind or "step"
+        if kind not in IMPLIED:
+            raise UsageError(f"--kind {kind}: expected one of {', '.join(IMPLIED)}.")
+        values |= {} if kind == "step" else {"kind": kind}
         given = {key for key in FREE if getattr(self.stated, key) is not None}
         for key, column in conditions_by_name(self.table.names).items() if self.table else ():
             if key in FREE and key not in given:
@@ -377,7 +383,7 @@ class _Maker:
                 self.evidence.append(f"{key} is column {column!r} of {self.stated.sheet}")
         if not given:
             return
-        if missing := [f"--{key}" for key in FREE if key not in given]:
+        if missing := [f"--{key}" for key in FREE if key not in {*given, *IMPLIED[kind]}]:
             raise UsageError(
                 f"{' and '.join(missing)} missing: a wall has --stiffness, --damping and --step, each a constant such "
                 "as '0 N', or a column. Logs without wall and step state none of them."
@@ -397,7 +403,8 @@ class _Maker:
             for sample in self.samples
             if (law := laws.get(sample.name)) is not None and (command := sample.numbers.get(column)) is not None
         ]
-        values["step_at"] = "first row" if begun and all(begun) else "command edge"
+        if kind == "step":
+            values["step_at"] = "first row" if begun and all(begun) else "command edge"
 
     def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Law]]:
         """Yield the wall law that the command of each sample obeys, in the numbers of the file and seconds."""
@@ -410,8 +417,8 @@ class _Maker:
             stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
             if len({len(column) for column in (stamps, *found)}) != 1:
                 continue
-            law = law_of(stamps * _time_factor(clock), *found)
-            if law is not None and law.stiffness and law.step:
+            law = free_law_of(stamps * _time_factor(clock), *found)
+            if law is not None and law.stiffness and (law.step or values.get("kind")):
                 yield sample.name, law
 
 
