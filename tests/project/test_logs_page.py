@@ -181,7 +181,7 @@ def test_each_family_is_read(title, capsys):
 
 
 def test_families_and_their_values(capsys):
-    assert len(FAMILIES) == 10
+    assert len(FAMILIES) == 11
     (_, out, _), *_ = follow(section("### Headerless columns in counts"), capsys)
     # 1000 us over the wrap: 4294967296 - 4294966796 + 500
     assert re.search(r"time +0 to 0\.003 s", out)
@@ -191,6 +191,9 @@ def test_families_and_their_values(capsys):
     assert "last row is cut: '4229185'" in out
     (_, out, _), *_ = follow(section("### Several steps in one file, and runs that are disturbed later"), capsys)
     assert re.search(r"trial '8 N'.*step +row 2: declared, at 0\.006 s", out, re.DOTALL)
+    _, (_, out, _) = follow(section("### Released, hit, free, or a staircase"), capsys)
+    assert re.search(r"step +0 N +from kind = 'release'", out)
+    assert "none: the device is released at 0.01 s" in out
     (_, out, _), *_ = follow(section("### A velocity and no position"), capsys)
     # (28.6 + 57.3) deg/s over 1 ms each
     assert re.search(r"position +0 to 0\.0014992\d* rad +from omega \[deg/s, integrate difference\]", out)
