@@ -194,10 +194,8 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) 
         source = profile, frame, table, counts
         if not profile.steps:
             log = _log(source, where, given, step, window, label)
-            if profile.kind == "staircase":
-                logs += _stairs_of(where, log)
-            else:
-                logs += _steps_of(log) if step.step_at == "command edge" else [log]
+            is_cut = step.step_at == "command edge" and log.header.step != 0
+            logs += _steps_of(log) if is_cut or profile.kind == "staircase" else [log]
         for part in profile.steps:
             place = f"{where}, step {part.label!r}"
             of_part = conditions_of(profile, (name, place), frame, index, (entry, part))
@@ -206,12 +204,9 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) 
 
 
 def _steps_of(log: Log) -> list[Log]:
-    """Return a log step by step where its command is constant between a few changes and no wall is rendered.
-
-    Each part begins with the change before and ends with the next one; its step is that of the command.
-    """
+    """Return a log step by step where its command is constant between a few changes and no wall is rendered."""
     header, changes = log.header, changes_of(log.command)
-    if header.stiffness or header.damping or not header.step or len(changes) < 2:
+    if header.stiffness or header.damping or (header.step and len(changes) < 2):
         return [log]
     if not is_staircase(log.command):
         text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
@@ -230,23 +225,11 @@ def is_staircase(command: Floats) -> bool:
     return 0 < len(changes) <= MOST_STEPS and min(np.diff([*changes, len(command)])) >= SHORTEST_STEP
 
 
-def _stairs_of(where: str, log: Log) -> list[Log]:
-    """Return a log of a staircase step by step.
-
-    Raises
-    ------
-    LogError
-        If its command is none.
-    """
-    if is_staircase(log.command):
-        return _parts_of(log)
-    found = f"kind is 'staircase', but the command changes {len(changes_of(log.command))} times"
-    expected = f"1 to {MOST_STEPS} changes, with {SHORTEST_STEP} rows between them"
-    raise refusal("profile-wrong", where, found, expected, line='kind = "free"')
-
-
 def _parts_of(log: Log) -> list[Log]:
-    """Return the part of a log around each change of its command; a part ends with the next change."""
+    """Return the part of a log around each change of its command, each with its step.
+
+    A part begins with the change before and ends with the next one.
+    """
     header, command, changes = log.header, log.command, changes_of(log.command)
     ends = [0, *changes.tolist(), len(command)]
     parts = []

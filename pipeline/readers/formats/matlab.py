@@ -1,7 +1,8 @@
 """MATLAB files: arrays by name, fields of structs by dotted path, elements of struct arrays and cells in brackets.
 
 A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries gives
-``ts.Time`` [s] and ``ts.Data``, a table or timetable its variables as ``T.x`` (and ``T.Time``). scipy reads version 5
+``ts.Time`` [s] and ``ts.Data``, a table or timetable its variables as ``T.x`` (and ``T.Time``), a Simulink dataset
+its signals as ``logsout.torque.Time`` and ``logsout.torque.Data``. scipy reads version 5
 (``save``, ``-v6``, ``-v7``) without objects, mat-io version 7.3 and objects of both.
 """
 
@@ -128,25 +129,82 @@ def _texts(value: Array) -> Array:
 
 
 def _add_object(contents: Contents, path: str, value: Any) -> None:
-    """Add times and values of a timeseries; of other objects, those of the timeseries in them."""
-    known, inner = value.properties, {}
-    if value.classname == "timeseries" and isinstance(known, dict):
-        info = getattr(known.get("TimeInfo"), "properties", {})
-        times = next((t for t in (known.get("Time_"), info.get("Time_")) if t is not None and np.size(t)), None)
-        if times is None and all(key in info for key in ("Start_", "Increment_", "Length")):
-            start, step, rows = (float(np.ravel(info[key])[0]) for key in ("Start_", "Increment_", "Length"))
-            times = start + step * np.arange(int(rows))
-        data = known.get("Data_", known.get("Data"))
-        unit = str(np.ravel(info.get("Units", ["seconds"]))[0])
-        if times is not None and isinstance(data, np.ndarray) and data.dtype.kind in "fiub":
-            contents.add(f"{path}.Time", np.ravel(times), unit)
-            contents.add(f"{path}.Data", data)
-            return
-    elif isinstance(known, dict):
-        inner = {key: part for key, part in known.items() if hasattr(part, "properties")}
-    for key, part in inner.items():
-        _add_object(contents, f"{path}.{key}", part)
-    if not any(key.startswith(f"{path}.") for key in contents.columns):
-        for key in [key for key in contents.refused if key.startswith(f"{path}.")]:
-            del contents.refused[key]
-        contents.refused[path] = _advice(value.classname)
+    """Add times and values of all timeseries in an object; the object is refused where there are none."""
+    before = len(contents.columns)
+    _add_series(contents, path, value)
+    if len(contents.columns) == before:
+        contents.refused[path] = _advice(str(value.classname))
+
+
+def _add_series(contents: Contents, path: str, value: Any) -> None:
+    """Add the timeseries in an object, a cell or a struct, by their names.
+
+    A Simulink dataset is an object whose storage has a cell of elements. An element is a signal, an object or a struct,
+    whose values are a timeseries, a struct of them (a bus), or a struct with its samples.
+    """
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        for number, element in enumerate(value.reshape(-1, order="F")):
+            place = path if value.size == 1 else f"{path}[{number}]"
+            _add_parts(contents, place, {key: element[key] for key in value.dtype.names})
+    elif isinstance(value, np.ndarray) and value.dtype.kind == "O":
+        for number, element in enumerate(value.reshape(-1, order="F")):
+            name = _name_of(element)
+            taken = not name or any(key.startswith(f"{path}.{name}.") for key in contents.columns)
+            _add_series(contents, f"{path}[{number}]" if taken else f"{path}.{name}", element)
+    elif isinstance(properties := getattr(value, "properties", None), dict):
+        _add_parts(contents, path, properties)
+
+
+_TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
+"""Parts of a Simulink dataset that its user does not see."""
+
+
+def _add_parts(contents: Contents, path: str, parts: dict[str, Any]) -> None:
+    """Add the samples that properties or fields are, or the timeseries in them."""
+    info = getattr(parts.get("TimeInfo"), "properties", {})
+    times = [parts.get("Time_"), parts.get("Time"), info.get("Time_")]
+    time = next(
+        (np.ravel(each) for each in times if isinstance(each, np.ndarray) and each.dtype.kind in "fiu" and each.size),
+        None,
+    )
+    if time is None and all(key in info for key in _REGULAR):
+        time = _regular(*(float(np.ravel(info[key])[0]) for key in _REGULAR))
+    if time is None and np.size(packed := parts.get("CompressedTime", ())) == len(_REGULAR):
+        time = _regular(*map(float, np.ravel(packed)))
+    data = parts.get("Data_", parts.get("Data"))
+    if time is not None and isinstance(data, np.ndarray) and data.dtype.kind in "fiub":
+        contents.add(f"{path}.Time", time, _text(info.get("Units")) or "seconds")
+        contents.add(f"{path}.Data", data, _unit(parts))
+        return
+    for key, part in parts.items():
+        _add_series(contents, path if key in _TRANSPARENT else f"{path}.{key}", part)
+
+
+_REGULAR = ("Start_", "Increment_", "Length")
+"""Time of samples that are equally far apart."""
+
+
+def _regular(start: float, step: float, rows: float) -> Array:
+    return np.asarray(start + step * np.arange(int(rows)))
+
+
+def _unit(parts: dict[str, Any]) -> str:
+    """Return the unit of the samples of a timeseries, where it has one."""
+    said = getattr(parts.get("DataInfo"), "properties", {}).get("Units", parts.get("DataUnits"))
+    return _text(getattr(said, "properties", {}).get("Name", said))
+
+
+def _text(value: Any) -> str:
+    """Return a text of MATLAB as such; empty where it is none."""
+    found = np.ravel(value)[0] if np.size(value) else ""
+    return str(found) if isinstance(found, str) else ""
+
+
+def _name_of(element: Any) -> str:
+    """Return the name of an element of a dataset; empty where it has none that can stand in a path."""
+    named = (
+        isinstance(element, np.ndarray) and element.dtype.names and "Name" in element.dtype.names and element.size == 1
+    )
+    parts = getattr(element, "properties", None)
+    name = element.flat[0]["Name"] if named else parts.get("Name", "") if isinstance(parts, dict) else ""
+    return _text(name).replace(".", "_")

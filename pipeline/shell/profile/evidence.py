@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.units import DRIVES, UNITS, find_unit, unit_between
+from pipeline.base.wording import counted
 from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import (
     QUANTITIES,
@@ -113,7 +114,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
     names = _names(sample, paths, law)
     walls = _walls(samples, law, laws, names)
     found: Answers = {}
-    if (kind := _kind_answer(sample, laws, columns, names)) is not None:
+    if (kind := _kind_answer(samples, laws, columns, names)) is not None:
         found["kind"] = kind
     elif "constants.step" in walls or any(key.startswith(("units", "name_pattern")) for key in (*walls, *names)):
         at_once = bool(laws) and all(each.first_row for each in laws)
@@ -130,7 +131,7 @@ _SHOWN = {
 """What shows that there is no step."""
 
 
-def _kind_answer(sample: Sample, laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
+def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
     """Return what moves the devices of samples where it is no step, and what shows it."""
     kinds = Counter(law.kind for law in laws).most_common(1)
     if kinds:
@@ -138,9 +139,10 @@ def _kind_answer(sample: Sample, laws: Sequence[WallLaw], columns: Answers, name
     command, position = (columns.get(f"columns.{role}.name") for role in ("command", "position"))
     if names or command is None or position is None or command.question or position.question:
         return None
-    forces = sample.numbers.get(str(command.value))
-    if forces is not None and is_staircase(forces):
-        return Answer("staircase", f"no wall law is seen, and the command changes {len(changes_of(forces))} times")
+    forces = [each.numbers.get(str(command.value)) for each in samples]
+    if all(force is not None and is_staircase(force) for force in forces):
+        count = max(len(changes_of(force)) for force in forces if force is not None)
+        return Answer("staircase", f"no wall law is seen, and the command steps {counted(count, 'time')} at most")
     return Answer("free", "no wall law is seen in the command")
 
 
