@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import UsageError
+from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import __version__, code_digest
 from pipeline.base.wording import listed
 from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
@@ -331,7 +332,6 @@ def against_experiments(
     first: tuple[str, str],
     second: tuple[str, str],
     criteria: Sequence[str] | None = None,
-    progress: Callable[[str], None] | None = None,
     notes: tuple[Sequence[Note], Sequence[Note]] = ((), ()),
 ) -> AgainstPage:
     """Compare two stored experiments, of one device or of two; those of two in the plane of alpha and beta.
@@ -342,8 +342,6 @@ def against_experiments(
     first, second : (device, experiment)
     criteria : sequence of str, optional
         By default all.
-    progress : callable, optional
-        Gets the name of each step when it begins.
     notes : (sequence of Note, sequence of Note)
         What people wrote on each side, which the page repeats.
 
@@ -357,10 +355,10 @@ def against_experiments(
     if first == second:
         raise UsageError(f"device {first[0]!r}, experiment {first[1]!r}: compared against itself. Give another one.")
     found = []
-    for (device, experiment), said in zip((first, second), notes, strict=True):
-        if progress is not None:
-            progress(f"device {device}, experiment {experiment}: estimates and costs")
-        found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
+    for number, ((device, experiment), said) in enumerate(zip((first, second), notes, strict=True)):
+        what = f"device {device}, experiment {experiment}: estimates and costs"
+        with part_of_work(what, number / 2, (number + 1) / 2):
+            found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
     one, other = found
     labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), one.data.motion
     scales = None if first[0] == second[0] else (one.scale, other.scale)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
+from pipeline.base.progress import part_of_work
+from pipeline.base.progress import report as report_share
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
@@ -48,6 +50,13 @@ from pipeline.store.objects import origin
 from pipeline.store.storage import gone
 from pipeline.theory.predictions import Predictions, Theory
 
+REPORT_BEGINS = 0.9
+"""Usual share of the time of a comparison from which on its report is written."""
+
+STAGES_END, THEORY_BEGINS = 0.6, 0.95
+"""Usual shares of the time before, at which the stages of several experiments are there, and from which on theory is
+waited for."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -71,7 +80,6 @@ def compare(
     scene_file: Path | None = None,
     truth: Mapping[str, Truth] | None = None,
     notes: Sequence[Note] = (),
-    progress: Callable[[str], None] | None = None,
     executor: Executor = compute_stages,
     figures: Path | None = None,
 ) -> Outcome:
@@ -100,8 +108,6 @@ def compare(
         What was true of simulated experiments whose ``truth.json`` is gone.
     notes : sequence of Note
         What people wrote on experiments and trials, which document and report repeat.
-    progress : callable, optional
-        Gets the name of each step when it begins.
     executor : Executor
         What computes the stages; by default the processes of this machine.
     figures : Path, optional
@@ -137,32 +143,35 @@ def compare(
     if dry_run:
         return Outcome(None, tuple(plan), None)
 
-    say = progress or (lambda _: None)
     lost = gone(processed, data.scene.device)
-    found = _compute(data, early, predictions, say, executor)
+    with part_of_work("", 0.0, REPORT_BEGINS):
+        found = _compute(data, early, predictions, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
     logs = tuple(log_list(stages) for stages in data.experiments)
     entries = provenance(data, logs, origin(processed), key=key, code=report_code(), output=output)
     more = {"report": str(report) if report else None, "provenance": entries, "logs": logs, "notes": tuple(notes)}
     result = _result(data, found, lost, more)
     if report is not None:
-        say("report: figures and page")
-        asked = data.scene.shown
-        drawn = tuple(replace(f, simulated=data.simulated) for f in _figures(data, result, found, predictions))
-        page = ReportData(
-            result,
-            figures=drawn,
-            stages=tuple(plan),
-            accuracy=accuracy,
-            trials=trial_page(data, found.results, found.theories, full=full) if asked.has_figure("trials") else None,
-            tables=asked.tables,
-            request=request(data, result.logs, origin(processed), report_code())
-            | {"full": full, "document": digest(result.numbers()), "notes": [one.model_dump() for one in notes]},
-        )
-        write_report(page, report)
-        write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
-        if figures is not None:
-            write_figures(drawn, figures)
+        with part_of_work("report: figures and page", REPORT_BEGINS, 1.0):
+            asked = data.scene.shown
+            drawn = tuple(replace(f, simulated=data.simulated) for f in _figures(data, result, found, predictions))
+            report_share(0.5)
+            trials = trial_page(data, found.results, found.theories, full=full) if asked.has_figure("trials") else None
+            report_share(0.8)
+            page = ReportData(
+                result,
+                figures=drawn,
+                stages=tuple(plan),
+                accuracy=accuracy,
+                trials=trials,
+                tables=asked.tables,
+                request=request(data, result.logs, origin(processed), report_code())
+                | {"full": full, "document": digest(result.numbers()), "notes": [one.model_dump() for one in notes]},
+            )
+            write_report(page, report)
+            write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
+            if figures is not None:
+                write_figures(drawn, figures)
     return Outcome(result, tuple(plan), report)
 
 
@@ -203,28 +212,29 @@ def _compute(
     data: SceneData,
     theories: dict[str, Theory],
     predictions: Predictions,
-    say: Callable[[str], None],
     executor: Executor,
 ) -> _Found:
     """Estimate and judge; theory is computed beside that, or behind it where the device is not known."""
     builder = TableBuilder(data, theories)
     with predictions:
         if data.device is not None:
-            say("theory: optima (in the background)")
             predictions.start(builder.requests())
-        executor(data.experiments, needed_stages(data))
-        results = []
-        for stages in data.experiments:
-            say(f"experiment {stages.experiment}: estimates and costs")
-            results.append(experiment_result(data, stages, theories.get(stages.experiment)))
+        results, count = [], len(data.experiments)
+        before = STAGES_END if count > 1 else 0.0
+        with part_of_work("trials of all experiments", 0.0, before):
+            executor(data.experiments, needed_stages(data))
+        for number, stages in enumerate(data.experiments):
+            begin, end = (before + (THEORY_BEGINS - before) * place / count for place in (number, number + 1))
+            with part_of_work(f"experiment {stages.experiment}: estimates and costs", begin, end):
+                results.append(experiment_result(data, stages, theories.get(stages.experiment)))
         if data.device is None:
             theories = estimated_theories(results, data)
             builder = TableBuilder(data, theories)
-            say("theory: optima for the estimated parameters")
             predictions.start(builder.requests())
             own = {name: theory.described for name, theory in theories.items()}
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
-        predictions.finish()
+        with part_of_work("theory: optima", THEORY_BEGINS, 1.0):
+            predictions.finish()
     rows = builder.rows(predictions, results)
     scored = add_scores(data, results, theories)
     known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]

@@ -6,7 +6,10 @@ import json
 from collections import Counter
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
 from pipeline.base.disk import if_writable, read_kept, write_kept
+from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
 from pipeline.comparison.loops.departures import LawRows, law_departures, other_gains, untimed
@@ -43,6 +46,13 @@ FINDINGS = "loop"
 """Begin of the name of the file with the findings on a loop, beside the stages that they rest on."""
 
 
+LOOP_BEGINS = 0.65
+"""Usual share of the time of an experiment at which its stages are there, and its loop is replayed."""
+
+USUAL_SHARES, USUAL_SHARE = {"response": 6.0, "parts": 12.0}, 0.5
+"""Usual times of stages, in any unit, for the display of progress; and that of the others."""
+
+
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
     """Theory by the device file, for all of its experiments (a table may take the parameters of another one).
 
@@ -75,8 +85,12 @@ def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
     """Compute what is needed of one experiment and gather it."""
     needed = needed_stages(data)
-    for stage in sorted(needed, key=list(NEEDS).index):
-        stages.table(stage)
+    ordered = sorted(needed, key=list(NEEDS).index)
+    shares = np.cumsum([0.0, *(USUAL_SHARES.get(stage, USUAL_SHARE) for stage in ordered)])
+    shares *= LOOP_BEGINS / shares[-1]
+    for stage, begin, end in zip(ordered, shares.tolist(), shares[1:].tolist(), strict=False):
+        with part_of_work("", begin, end):
+            stages.table(stage)
     units = data.units
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
     entry = named.get(stages.experiment)
@@ -114,7 +128,8 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     causes = [cause_of(each) for each in result.recording if each.is_unsafe]
     causes += [] if gains is None or gains.few else [gains.cause]
     result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": tuple(causes)})
-    return _with_loop(data, stages, result, units) if "device" in needed else result
+    with part_of_work("", LOOP_BEGINS, 1.0):
+        return _with_loop(data, stages, result, units) if "device" in needed else result
 
 
 def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:

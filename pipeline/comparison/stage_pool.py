@@ -24,6 +24,7 @@ from pipeline.base.compiled import load_compiled
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.process import process_pool
+from pipeline.base.progress import part_of_work, report
 from pipeline.base.provenance import __version__, code_digest, digest
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.stages.measured_trial import MeasuredTrial, MeasuredTrials
@@ -66,8 +67,10 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     load_compiled(*COMPILED)
     with single_processes(processors if large else min(len(small), processors)) as pools:
         try:
-            for experiment in large:
-                experiment.compute(wanted, SharedTrials(pools, experiment.samples))
+            count = len(large) + bool(small)
+            for number, experiment in enumerate(large):
+                with part_of_work("", number / count, (number + 1) / count):
+                    experiment.compute(wanted, SharedTrials(pools, experiment.samples))
             done = map_jobs(pools, partial(do, stored_suffices=False), [job_of(e, wanted) for e in small])
             for experiment, tables in zip(small, done, strict=True):
                 take(experiment, tables)
@@ -172,7 +175,11 @@ def map_jobs(pools: Sequence[Executor], function: Callable[..., Result], jobs: S
     # in turns there and back, so that the second longest has no shorter ones behind it than the longest
     order = [*range(len(pools)), *reversed(range(len(pools)))]
     running = [pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
-    return [job.result() for job in running]
+    results = list[Result]()
+    for number, job in enumerate(running):
+        report(number / len(running))
+        results.append(job.result())
+    return results
 
 
 class SharedTrials:

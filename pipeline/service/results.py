@@ -15,6 +15,7 @@ from typing import Any
 from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.paths import path_of_text
+from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.responses import overlaid_figure, response_figures, trial_figure, trials_of
@@ -222,7 +223,9 @@ def run_comparison(settings: Settings, _database: Database, request: dict[str, A
     if against:
         first, second = (asked["device"], asked["experiments"][0]), (against["device"], against["experiment"])
         said = _notes(asked), _notes(against)
-        write(against_experiments(settings.processed, first, second, asked["criteria"], progress, said), report)
+        with heard_by(Names(progress)):
+            page = against_experiments(settings.processed, first, second, asked["criteria"], said)
+        write(page, report)
     else:
         _compared(settings, asked, report, progress)
     return {"key": key}
@@ -235,15 +238,15 @@ def _notes(asked: dict[str, Any]) -> list[Note]:
 def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
     for name in asked["experiments"]:
         _computed(settings, (asked["device"], name), {})
-    result = compare(
-        asked["device"],
-        settings.processed,
-        experiments=asked["experiments"],
-        criteria=asked["criteria"],
-        report=report,
-        notes=_notes(asked),
-        progress=progress,
-    ).result
+    with heard_by(Names(progress)):
+        result = compare(
+            asked["device"],
+            settings.processed,
+            experiments=asked["experiments"],
+            criteria=asked["criteria"],
+            report=report,
+            notes=_notes(asked),
+        ).result
     assert result is not None, "only a dry run has none"
     return result
 

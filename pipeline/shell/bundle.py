@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -87,7 +87,7 @@ def bundle(report: Path) -> Bundle:
     return Bundle(bundle=str(target), trials=fresh.kept, files=len(files), bytes=size)
 
 
-def verify_bundle(path: Path, progress: Callable[[str], None] | None = None) -> Verification:
+def verify_bundle(path: Path) -> Verification:
     """Verify the report of a bundle by nothing but what the bundle holds; nothing is left behind.
 
     Raises
@@ -110,7 +110,7 @@ def verify_bundle(path: Path, progress: Callable[[str], None] | None = None) -> 
                 "`pipeline bundle REPORT`."
             )
         with _devices_of(folder / "devices"):
-            found = verify(pages[0], folder / "processed", None, progress)
+            found = verify(pages[0], folder / "processed", None)
     return found.model_copy(update={"report": str(path)})
 
 

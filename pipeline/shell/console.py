@@ -8,6 +8,7 @@ import os
 import re
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -21,6 +22,7 @@ from pipeline.base.compiled import on_compiling
 from pipeline.base.disk import naming
 from pipeline.base.errors import EXIT_ERROR, PipelineError
 from pipeline.base.process import Ended, ending_on_signals
+from pipeline.base.progress import heard_by
 
 Advance = Callable[[int, int | None], None]
 """Reports (things done, things in all or None where that is not known)."""
@@ -207,15 +209,49 @@ def _is_watched() -> bool:
 
 
 @contextmanager
-def progress(label: str, unit: str) -> Iterator[Advance]:
-    """Show progress as a bar on stderr where that is a terminal, and not with ``--json``."""
+def progress(label: str, unit: str = "") -> Iterator[Advance]:
+    """Show the stage, the share and the time left on stderr where that is a terminal, and not with ``--json``.
+
+    Shares are those of `base.progress`, or of counted things (``unit``) as they are reported by what is yielded.
+    """
     if _JSON.get() or not _is_watched():
         yield lambda done, total: None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[said]}"))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        begun = time.monotonic()
+        task = bar.add_task(label, total=None, said="", share=0.0)
+
+        def count(done: int, total: int | None) -> None:
+            share = done / total if total else None
+            said = f"{done} {unit}" if total is None else f"{done}/{total} {unit}"
+            bar.update(task, completed=done, total=total, said=f"{said}{_time_left(share, time.monotonic() - begun)}")
+
+        def hear(name: str, share: float) -> None:
+            # a search may turn out to be longer than usual: what is shown goes forwards only
+            share = max(share, bar.tasks[0].fields["share"])
+            said = f"{share:.0%}{_time_left(share, time.monotonic() - begun)}"
+            title = f"{label}: {name}" if name else label
+            bar.update(task, description=title, completed=share, total=1, said=said, share=share)
+
+        with heard_by(hear):
+            yield count
+
+
+LEAST_SHARE = 0.03
+"""Share of a work from which on the time that is left follows from that which it took."""
+
+
+def _time_left(share: float | None, seconds: float) -> str:
+    """Return how long work goes on by the share that is done, in words.
+
+    >>> _time_left(0.25, 30.0), _time_left(0.9, 3600.0), _time_left(0.01, 5.0)
+    (', 90 s left', ', 7 min left', '')
+    """
+    if share is None or share < LEAST_SHARE:
+        return ""
+    left = seconds * (1 - share) / share
+    return f", {left:.0f} s left" if left < 100 else f", {left / 60:.0f} min left"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.base.errors import PipelineError
+from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
@@ -73,13 +74,8 @@ def run_demo(
     reports, told = [], []
     for part in parts:
         report = pages / f"{part.device}.html"
-        result = compare(
-            part.device,
-            processed,
-            experiments=part.experiments or None,
-            report=report,
-            progress=lambda text, device=part.device: say(f"{device}: {text}"),  # type: ignore[misc]
-        ).result
+        with heard_by(Names(lambda text, device=part.device: say(f"{device}: {text}"))):  # type: ignore[misc]
+            result = compare(part.device, processed, experiments=part.experiments or None, report=report).result
         assert result is not None, "only a dry run has no result"
         reports.append(report)
         told += [f"{result.title}: {line}" for line in result.summary]

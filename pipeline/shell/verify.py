@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageError
+from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
@@ -98,11 +99,14 @@ class Request(BaseModel):
     notes: tuple[Note, ...] = ()
 
 
+LOGS_READ = 0.1
+"""Usual share of the time of a verification in which logs are read."""
+
+
 def verify(
     report: Path,
     processed: Path | str | None = None,
     profiles: Sequence[Path] | None = (),
-    progress: Callable[[str], None] | None = None,
 ) -> Verification:
     """Compute the numbers of a report anew and compare them, part by part.
 
@@ -118,8 +122,6 @@ def verify(
         one and beside the report.
     profiles : sequence of Path or None
         Profile files of the lab that read the logs; None takes the stored samples alone.
-    progress : callable, optional
-        Gets the name of each step when it begins.
 
     Raises
     ------
@@ -128,7 +130,6 @@ def verify(
     StoreError
         If `processed` is damaged.
     """
-    say = progress or (lambda _: None)
     page, found, request = read_report(report)
     document, notes = read_document(report)
     devices = device_problems(request)
@@ -141,17 +142,17 @@ def verify(
         opened(place, device) as folder,
     ):
         store = Path(temporary) / "processed"
-        say("reading the logs")
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
-        fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
+        with part_of_work("reading the logs", 0.0, LOGS_READ):
+            fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
         if not fresh.read + fresh.kept:
             raise StoreError(
                 f"{report}: none of its logs are in {place}. Name the folder of stored tables by --processed, "
                 "or verify a bundle."
             )
-        say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
         again = Path(temporary) / "report.html"
-        result = _compare_anew(report, request, store, again, progress)
+        with part_of_work("", LOGS_READ, 1.0):
+            result = _compare_anew(report, request, store, again)
         expected = take_apart(again.read_text(encoding="utf-8"))
     untouched = found.digests is not None and found.digests.page == page_digest(page)
     problems = (*devices, *fresh.problems)
@@ -259,9 +260,7 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield from leaves(part, f"{place}/{key}")
 
 
-def _compare_anew(
-    report: Path, request: Request, store: Path, page: Path, progress: Callable[[str], None] | None
-) -> ComparisonResult | None:
+def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult | None:
     """Write a page from logs that were read just now, as large as the one that is checked, and return its document."""
     try:
         return compare(
@@ -274,7 +273,6 @@ def _compare_anew(
             shown=request.scene.shown,
             truth=request.truth,
             notes=request.notes,
-            progress=progress,
         ).result
     except (UsageError, StoreError):
         raise

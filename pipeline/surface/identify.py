@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
+from pipeline.base.progress import part_of_work
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.loop_basis import filter_of_numbers, filter_quantities
 from pipeline.device.loop import Loop as LoopRecord
@@ -170,7 +171,8 @@ def identified_device(
     if not recordings:
         raise ParameterError(SHIFTED)
     try:
-        found = identified(recordings)
+        with part_of_work("fit", 0.1, 0.95):
+            found = identified(recordings)
     except ParameterError as error:
         raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
     velocity = wall_filter(trials)

@@ -19,6 +19,7 @@ from native_logs import FAULTS, log_text
 
 from pipeline import __version__
 from pipeline.base.errors import StoreError
+from pipeline.base.progress import part_of_work, report
 from pipeline.comparison import compare
 from pipeline.intake.ingest import ingest
 from pipeline.shell import cli, console
@@ -496,6 +497,27 @@ def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, caps
     out, err = capsys.readouterr()
     assert out == ""
     assert "1/2" in err
+
+
+def test_progress_shows_stage_share_and_time_left(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "120")
+    with console.progress("compare"), part_of_work("experiment 1", 0.0, 1.0):
+        report(0.25)
+        report(0.1)  # what is shown goes forwards only
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "compare: experiment 1" in err
+    assert re.search(r"25%, \d+ s left", err)
+    assert "10%" not in err
+
+
+def test_without_a_terminal_there_is_no_progress(capsys):
+    with console.progress("compare") as advance, part_of_work("experiment 1", 0.0, 1.0):
+        report(0.25)
+        advance(1, 2)
+    assert capsys.readouterr() == ("", "")
 
 
 def test_table_aligns_and_shows_what_is_missing():

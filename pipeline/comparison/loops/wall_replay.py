@@ -8,6 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from pipeline.base.progress import report
 from pipeline.base.wording import counted
 from pipeline.comparison.limits import NARROW, measured_limits
 from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device
@@ -121,6 +122,7 @@ def wall_replay(
     logged = stages.map_trials(motion, chosen.tolist())
     for number, loop in enumerate(_without_each_fold(device)):
         some = np.flatnonzero(fold == number)
+        report(number / FOLDS)
         if not len(some):
             continue
         walls = chosen[some]

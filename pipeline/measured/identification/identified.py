@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
 from pipeline.measured.identification.estimated import ESTIMATED, estimated_names
 from pipeline.measured.identification.identifiability import (
@@ -134,7 +135,13 @@ def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
     try:
-        return described(recordings, fit_parts(recordings, chosen or choose_parts(recordings)))
+        if chosen is None:
+            with part_of_work("", 0.0, 0.9):
+                chosen = choose_parts(recordings)
+        report(0.9)
+        choice = fit_parts(recordings, chosen)
+        report(0.95)
+        return described(recordings, choice)
     except np.linalg.LinAlgError as error:
         raise no_fit(error) from error
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.first_guess import first_guess
 from pipeline.measured.identification.intervals import Errors
@@ -233,11 +234,13 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
         If no device fits.
     """
     some = subset(recordings)
-    chosen, fit, rows = _search(some, LogUnits.of(some))
+    with part_of_work("", 0.0, 0.95):
+        chosen, fit, rows = _search(some, LogUnits.of(some))
     starts, noise = [each.position[0] for each in some], max(each.noise for each in some)
     if np.ptp(starts) <= APART * noise or not ("stiffness" in chosen.parts or _is_like_ground(chosen, rows)):
         return chosen
-    by_start, other, _ = _search(some, replace(chosen.units, origin=None))
+    with part_of_work("", 0.95, 1.0):
+        by_start, other, _ = _search(some, replace(chosen.units, origin=None))
     return by_start if _worthiness(other) > _worthiness(fit) + WORTH else chosen
 
 
@@ -261,8 +264,10 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     base, assumed = _base(some)
     begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
-    fit, segments, parts, bounds = _first(some, units, lead, begin)
-    fit, parts = _further(segments, fit, parts)
+    with part_of_work("", 0.1, 0.5):
+        fit, segments, parts, bounds = _first(some, units, lead, begin)
+    with part_of_work("", 0.5, 1.0):
+        fit, parts = _further(segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     device = fit.device
@@ -533,6 +538,7 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
         "mode at the load": "",
         "load damping": "load_damping",
     }
+    rounds = 0
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = refined(some, alone, far=False)
@@ -540,7 +546,8 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
         least = ROUNDED_ROW * float(some.rows.sum()) if plain.device.noise == WHITE else -np.inf
         # a part leaves no jitter where there was none without it
         jitters = plain.device.noise.jitter > 0
-        for name, size in left.items():
+        for number, (name, size) in enumerate(left.items()):
+            report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
             if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, name)
@@ -553,6 +560,7 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
                 tried[name] = other
         if not tried:
             break
+        rounds += 1
         name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
         # far from the solution noise may stand for what is left: it is looked for anew
         other = refined(segments, replace(tried[name].device, effects=None), far=False)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.base.progress import approach
 from pipeline.measured.identification.likelihood import DONE, SCATTERED, WORTH, Device, Fit, fitted, phases_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.noise_search import noise_and_jitter, with_jitter_error
@@ -23,6 +24,9 @@ LAST_STEPS = 3
 
 CUTS = (1.0, 0.3, 0.1)
 """Parts of a step that are tried."""
+
+STEP_SHARE = 0.03
+"""Part of what is left of a search that is done with a step: some thirty are usual."""
 
 NOISE_ROUNDS = 4
 """Most searches for the noise behind the steps: with a mode the random force fell by a third to a tenth in each."""
@@ -101,6 +105,7 @@ def ended(segments: Segments, device: Device) -> Fit:
 def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
     """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
     for _ in range(steps):
+        approach(STEP_SHARE)
         for cut in CUTS:
             device = fit.device.stepped(cut * fit.solved.step)
             change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))

@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from pipeline.base.progress import report
 from pipeline.measured.cost.costs import ReadingInputs
 from pipeline.measured.cost.reading_error import ReadingError, reading_error
 from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
@@ -158,4 +159,8 @@ class MeasuredTrials:
         measured = [self._measured[place] for place in places]
         for trial, verdict in zip(measured, verdicts or (), strict=False):
             trial.verdict = verdict
-        return [function(trial) for trial in measured]
+        results = list[Result]()
+        for number, trial in enumerate(measured):
+            report(number / len(measured))
+            results.append(function(trial))
+        return results

@@ -20,6 +20,7 @@ import pyarrow as pa
 
 from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
+from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.base.wording import commonest
 from pipeline.device.parameters import Motion
@@ -207,8 +208,9 @@ class ExperimentStages:
         """Compute and store some stages, in this order, by a map that may send trials to other processes."""
         self.__dict__["_map"] = mapped
         try:
-            for stage in stages:
-                self.table(stage)
+            for number, stage in enumerate(stages):
+                with part_of_work("", number / len(stages), (number + 1) / len(stages)):
+                    self.table(stage)
         finally:
             del self.__dict__["_map"]
 

@@ -132,7 +132,7 @@ def identify(
     if out is not None:
         check_output(out, "--out")
     wall_period = None if period is None else quantity("--period", period, "time")
-    with console.progress("identify: read logs, then fit", "logs") as advance:
+    with console.progress("identify", "logs") as advance:
         document = identified_device(paths, profile, wall_period, delay, ignore or (), advance)
     console.tell(document, identified_lines(document))
     copies = document["copies"]
@@ -246,9 +246,10 @@ def design(
         "overshoot": None if overshoot is None else _share("--overshoot", overshoot),
         "margin": margin,
     }
-    answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
-    if picture is not None:
-        draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
+    with console.progress("design"):
+        answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
+        if picture is not None:
+            draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
     coulomb, quantum = loop.value("friction.coulomb") or 0.0, loop.sensor.quantum
     rows = published_limits(loop, answer.wall["damping"] or 0.0)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
@@ -398,7 +399,8 @@ def plan(
     goal = goal if goal == "boundary" else "optimum"
     wish = Wish(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
     if not watch:
-        answer = plan_stored(device, processed, experiment, wish, remembered=True)
+        with console.progress("plan"):
+            answer = plan_stored(device, processed, experiment, wish, remembered=True)
         console.tell(answer.model_dump(mode="json"), plan_lines(answer))
         return
     from pipeline.shell.watch import plan_beside

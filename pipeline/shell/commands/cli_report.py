@@ -96,7 +96,6 @@ def _write_report(
 ) -> None:
     """Compare a device as asked, and print what it comes to, or what differs from an earlier document."""
     from pipeline.comparison.against import against_document, read_document
-    from pipeline.comparison.compare import compare as compare_device
     from pipeline.shell.report_index import write_index
     from pipeline.store.names import page_against_document
     from pipeline.store.objects import opened
@@ -106,10 +105,10 @@ def _write_report(
     # read before the comparison, which may replace it
     document = None if earlier is None else read_document(earlier, device)
     figures = export and export / "figures"
-    with opened(processed, device) as folder:
-        outcome = compare_device(
-            how.pop("device"), folder, report=target, progress=console.step, figures=figures, **how
-        )
+    with console.progress("compare"), opened(processed, device) as folder:
+        from pipeline.comparison.compare import compare as compare_device  # takes a second
+
+        outcome = compare_device(how.pop("device"), folder, report=target, figures=figures, **how)
     if outcome.result is not None:
         # other folders may be anybody's: there an index is kept current, but not begun
         write_index(target.parent, only_renew=target.parent != reports_folder())
@@ -154,7 +153,9 @@ def _compare_against(
     second = names_of(against, device, list_experiments(processed, device))
     target = report or page_against(reports_folder(), first, second)
     check_output(target, "--report", document_beside=True)
-    _tell_against(against_experiments(processed, first, second, criteria, console.step), target)
+    with console.progress("compare"):
+        page = against_experiments(processed, first, second, criteria)
+    _tell_against(page, target)
 
 
 def _tell_against(page: AgainstPage, report: Path) -> None:
@@ -203,9 +204,11 @@ def verify(
     if report.suffix.lower() == ENDING:
         if processed or profile:
             raise UsageError(f"{report}: a bundle holds all that is needed. Leave the options out.")
-        found = verify_bundle(report, console.step)
+        with console.progress("verify"):
+            found = verify_bundle(report)
     else:
-        found = verify_report(report, processed, profile or (), progress=console.step)
+        with console.progress("verify"):
+            found = verify_report(report, processed, profile or ())
     console.tell(found.model_dump(mode="json"), lines_of(found))
     return EXIT_OK if found.equal else EXIT_ERROR
 
@@ -219,7 +222,8 @@ def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`
     """
     from pipeline.shell.bundle import bundle as write
 
-    written = write(report)
+    with console.progress("bundle"):
+        written = write(report)
     console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
 
 

@@ -165,8 +165,8 @@ def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: 
     elif _has_walls(processed, device):
         target = report_of(reports_folder(), device)
         check_output(target, "", document_beside=True)
-        with opened(processed, device) as store:
-            outcome = compare(device, store, report=target, progress=console.step)
+        with console.progress("compare"), opened(processed, device) as store:
+            outcome = compare(device, store, report=target)
         commands.append(f"pipeline compare --device {shlex.quote(device)}")
         if outcome.result is not None:
             lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
@@ -180,7 +180,7 @@ def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: 
         from pipeline.shell.commands.cli_device import identified_lines
 
         target = Path(f"{device}-device.toml")
-        with console.progress("identify: read logs, then fit", "logs") as advance:
+        with console.progress("identify", "logs") as advance:
             identified = identified_device([folder.path], profile, advance=advance)
         lines = list(identified_lines(identified))
         commands.append(f"pipeline identify {place}{read} --out {shlex.quote(str(target))}")

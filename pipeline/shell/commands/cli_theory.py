@@ -185,7 +185,8 @@ def optimum(
         words = [best.reason] if best.reason else []
         console.tell(document, [*console.table([document], columns), *words, *_beside(case.said), *files])
         return
-    answer = best_wall(case, criterion, signal)
+    with console.progress("optimum"):
+        answer = best_wall(case, criterion, signal)
     files = [] if out is None else _rows_file(out, answer.columns(), case)
     if picture is not None:
         from pipeline.rendering.theory_files import draw_walls, limit_series, optimum_series
