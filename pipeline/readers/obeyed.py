@@ -306,7 +306,25 @@ def _cure(profile: Profile, found: Obeyed) -> str:
     if len(units) == len(found.factors):
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
-    return " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
+    whole = " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
+    alone = _alone(profile, found)
+    return f"{whole}. If this log alone is at fault: {alone}" if alone else whole
+
+
+def _alone(profile: Profile, found: Obeyed) -> str:
+    """Return where a log states what its command contradicts, and by which number; empty where all logs share it."""
+    by_file = {key for entry in profile.file for key in entry.given()}
+    places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
+        profile.name_groups(), "its name"
+    )
+    places |= {key: f"its column {name!r}" for key, name in profile.condition_columns.items()}
+    places |= {key: f"its value {name!r}" for key, name in profile.attributes.items()}
+    told = []
+    for key, value in found.found.items():
+        if key in places:
+            unit = getattr(profile.units, key, None) or si_unit(quantity(key, profile.motion))
+            told.append(f"{key} {value / profile.condition_factor(key):.4g} {unit} in {places[key]}")
+    return ", ".join(told)
 
 
 def _lines(key: str, source: Source, factor: float) -> list[str]:

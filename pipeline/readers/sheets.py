@@ -102,7 +102,7 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
     entries, rows = _entries(table, profile, named, columns)
     values = profile.model_dump(exclude_defaults=True) | {"sheet": None}
     values["units"] = {**profile.units.model_dump(exclude_defaults=True), **units}
-    values["file"] = [*values.get("file", ()), *(entry.model_dump(exclude_defaults=True) for entry in entries)]
+    values["file"] = _joined(values.get("file", ()), [entry.model_dump(exclude_defaults=True) for entry in entries])
     try:
         ready = Profile.model_validate(values)
     except ValidationError:
@@ -110,6 +110,13 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
         raise ProfileError(f"{path}: with the rows of this sheet the profile is wrong: {told}") from None
     present = [name for name in logs if profile.claims(name) and name != path.name]
     return SheetRead(ready, tuple(_missing(path, rows, present)) if logs else ())
+
+
+def _joined(own: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return entries of single files with the rows of a sheet; an entry corrects the row of its file."""
+    corrections = {entry["match"].lower(): entry for entry in own}
+    joined = [row | corrections.pop(row["match"].lower(), {}) for row in rows]
+    return [*corrections.values(), *joined]
 
 
 def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str]) -> list[str]:

@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,11 @@ from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
-from pipeline.profiles.profile_model import IMPLIED, Kind, Profile, number_in_name, quantity, si_unit
+from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name, quantity, si_unit
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
-from pipeline.shell.profile.check import IS_UNUSUAL, Checked, check_samples
+from pipeline.shell.profile.check import IS_UNUSUAL, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
-from pipeline.shell.profile.evidence import SAME, WallLaw, answers, common_laws, wall_law
+from pipeline.shell.profile.evidence import SAME, WallLaw, answers, common_laws, near_round, wall_law
 from pipeline.shell.profile.roles import Answer, Answers
 from pipeline.shell.profile.samples import Sample, open_sample
 
@@ -33,6 +34,12 @@ LEAST_NAMED = 0.5
 """Share of the logs that a sheet names."""
 
 CONDITIONS = ("stiffness", "damping", "step")
+
+MOST_CHECKED = 400
+"""Logs that are held against their commands before anything is stored: some seconds."""
+
+MOST_AT_FAULT = 0.2
+"""Part of the logs that may contradict a profile: with more of them it is the profile that is wrong."""
 
 _OFF = (
     "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
@@ -216,12 +223,19 @@ def _is_mapped(found: Answers, key: str) -> bool:
 
 
 def _factor(numbers: Sequence[float | None], obeyed: Sequence[float]) -> float | None:
-    """Return by what numbers have to be multiplied to be what commands obey; None where no one factor does it."""
-    ratios = [value / number for number, value in zip(numbers, obeyed, strict=True) if number and value]
-    if not ratios or any((not number) != (not value) for number, value in zip(numbers, obeyed, strict=True)):
+    """Return by what most numbers have to be multiplied to be what commands obey; None where no one factor does it.
+
+    Up to `MOST_AT_FAULT` of them may be wrong: those are named when the logs are read.
+    """
+    pairs = list(zip(numbers, obeyed, strict=True))
+    ratios = sorted(value / number for number, value in pairs if number and value)
+    if not ratios:
         return None
-    middle = sorted(ratios)[len(ratios) // 2]
-    return middle if middle > 0 and all(abs(ratio / middle - 1) <= SAME for ratio in ratios) else None
+    middle = ratios[len(ratios) // 2]
+    agree = sum(abs(ratio / middle - 1) <= SAME for ratio in ratios) + sum(
+        not (number or value) for number, value in pairs
+    )
+    return middle if middle > 0 and len(pairs) - agree <= MOST_AT_FAULT * len(pairs) else None
 
 
 def _proved_unit(numbers: Sequence[float | None], obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
@@ -360,13 +374,43 @@ def made_profile(proposal: Proposal) -> Profile:
         raise ProfileError("\n".join(dict.fromkeys(mistake.text for mistake in mistakes))) from None
 
 
-def faults(profile: Profile, logs: Sequence[Path]) -> tuple[list[Checked], list[str]]:
-    """Return what a profile reads of some logs, and where their commands obey another wall than it states, or a number
-    is none that devices have."""
-    checked = check_samples(profile, spread(logs, MOST_SAMPLES))
-    off = []
-    for sample in checked:
+@dataclass(frozen=True)
+class Contradiction:
+    """A log whose command obeys another wall than stated, or with a number that devices do not have.
+
+    Parameters
+    ----------
+    path : Path
+    reason : str
+    obeyed : dict of str to float
+        The condition that its command obeys [SI], where it is one alone: several that differ together are the unit or
+        sign of a column.
+    """
+
+    path: Path
+    reason: str
+    obeyed: Mapping[str, float]
+
+
+def contradictions(profile: Profile, logs: Sequence[Path]) -> tuple[list[Contradiction], int]:
+    """Return the logs that contradict a profile, and how many were looked at."""
+    looked, found = spread(logs, MOST_CHECKED), []
+    for sample in check_samples(profile, looked):
+        path = Path(sample["path"])
         for trial in sample["trials"]:
-            unusual = [text for text in trial["warnings"] if IS_UNUSUAL in text]
-            off += [f"{sample['path']}: {text}" for text in (trial["other_gains"], *unusual) if text]
-    return checked, off
+            unusual = next((text for text in trial["warnings"] if IS_UNUSUAL in text), None)
+            if reason := trial["other_gains"] or unusual:
+                alone = dict(trial["obeyed"]) if len(trial["obeyed"]) == 1 and trial["label"] is None else {}
+                found.append(Contradiction(path, reason, alone))
+                break
+    return found, len(looked)
+
+
+def corrected(profile: Profile, found: Sequence[Contradiction]) -> Profile:
+    """Return a profile that states for single logs what their commands obey."""
+    entries = list(profile.file)
+    for each in found:
+        given = {key: near_round(value / profile.condition_factor(key)) for key, value in each.obeyed.items()}
+        entries.append(FileEntry.model_validate({"match": escape(each.path.name), **given}))
+    values = profile.model_dump(exclude_defaults=True)
+    return Profile.model_validate(values | {"file": [entry.model_dump(exclude_defaults=True) for entry in entries]})

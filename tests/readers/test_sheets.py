@@ -218,6 +218,15 @@ def test_a_wrong_row_is_warned_of_with_what_the_command_obeys(call, lab):
     assert "obeys stiffness 1500, the header says 2600" in warning["warning"]
 
 
+def test_an_entry_of_a_file_corrects_its_row(call, lab):
+    (lab / "logs" / "runs.csv").write_text(text(ROWS).replace("run_b;1,5", "run_b;2,6"))
+    (lab / "logs" / "lab.toml").write_text(PROFILE + '\n[[file]]\nmatch = "run_b.txt"\nstiffness = 1.5\n')
+    status, out, err = call("ingest", "logs", "--profile", "logs/lab.toml", "--json")
+    assert status == 0, err
+    assert json.loads(out)["warnings"] == []
+    assert 1500.0 in {row["stiffness"] for row in read_trials(lab / "processed").to_pylist()}
+
+
 def test_a_sheet_with_a_profile_takes_the_place_of_its_own(call, lab):
     (lab / "logs" / "lab.toml").write_text(PROFILE.partition("[sheet]")[0] + "stiffness = 1\ndamping = 1\nstep = 1\n")
     status, _, err = call("ingest", "logs", "--profile", "logs/lab.toml", "--sheet", "logs/runs.csv", "--json")

@@ -104,6 +104,48 @@ def test_a_wrong_unit_is_stopped(call, tmp_path, old, new, told):
     assert not (tmp_path / "processed").exists()
 
 
+def many(folder):
+    """Ten logs of walls, of which run7 has a stiffness in its name that its command does not obey."""
+    folder.mkdir()
+    for number in range(10):
+        k, b = 0.8 + 0.3 * number, 3.0 + number
+        rows = [line.split(";") for line in wall_log(1e3 * k, b, step=4.0).splitlines()[1:]]
+        name = f"run{number} K{10 * k if number == 7 else k:g}_B{b:g}.csv"
+        (folder / name).write_text("\n".join(["t [s],F [N],x [mm]", *(",".join(row) for row in rows), ""]))
+
+
+def test_a_log_that_contradicts_its_name_is_left_out_with_the_cure(call, tmp_path):
+    many(tmp_path / "bench")
+    status, out, err = call("start", "bench", "--yes", "--store-only")
+    assert status == 3
+    assert len(read_trials(tmp_path / "processed")) == 9
+    assert "run7 K29_B10.csv: the command obeys stiffness 2900, the header says 2.9e+04 (factor 0.1)" in err
+    assert "If this log alone is at fault: stiffness 2.9 N/mm in its name" in err
+    assert out.startswith("Warning: 1 log left out: run7 K29_B10.csv\n")
+    assert "pipeline ingest bench --profile bench.toml --ignore 'run7 K29_B10.csv'" in out
+    assert (
+        json.loads(call("ingest", "bench", "--profile", "bench.toml", "--ignore", "run7*", "--json")[1])["skipped"] == 9
+    )
+
+
+def test_a_log_that_contradicts_its_name_is_named_by_a_comparison_and_not_used(call, tmp_path):
+    many(tmp_path / "bench")
+    call("start", "bench", "--yes", "--store-only")
+    # whoever ingests it nevertheless
+    assert call("ingest", "bench", "--profile", "bench.toml")[0] == 0
+    assert len(read_trials(tmp_path / "processed")) == 10
+    status, out, _ = call("compare", "--device", "bench", "--report", "r.html")
+    assert status == 0
+    (line,) = [line for line in out.splitlines() if "left out" in line]
+    assert line.startswith(
+        "Warning: 1 of 10 logs of experiment 1 left out, as its command obeys another wall than stated"
+    )
+    assert "run7 K29_B10.csv" in line
+    assert "stiffness 2.9 N/mm in its name" in line
+    document = json.loads((tmp_path / "r.json").read_text())["experiments"][0]
+    assert sum(point["stable"] == 29000 for point in document["boundary"]) == 0
+
+
 def test_logs_without_a_wall_are_identified(call, tmp_path):
     (tmp_path / "motor").mkdir()
     rng = np.random.default_rng(1)
@@ -152,7 +194,7 @@ def in_terminal(folder, answers, *words):
                     break
                 shown += part
                 # a question ends with its proposal in brackets and a colon
-                if waiting and re.search(rb"\[[^\]\n]*\]: $", shown):
+                if waiting and re.search(rb"\[[^\]\n]*\]:? $", shown):
                     os.write(main, f"{waiting.pop(0)}\n".encode())
             elif process.poll() is not None:
                 break
@@ -178,3 +220,14 @@ def test_a_wrong_answer_is_stopped_by_the_wall_law(tmp_path):
     assert status in (1, 2)
     assert "obeys step" in shown
     assert not (tmp_path / "processed").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
+def test_what_a_command_obeys_may_be_taken_for_a_wrong_number(tmp_path):
+    many(tmp_path / "bench")
+    status, shown, left = in_terminal(tmp_path, ["y"], "bench", "--store-only")
+    assert (status, left) == (0, []), shown
+    assert "1 log with a wrong number: store what the command obeys? Else left out [y/N]: y" in shown
+    stored = {row["damping"]: row["stiffness"] for row in read_trials(tmp_path / "processed").to_pylist()}
+    assert (len(stored), stored[10.0]) == (10, 2900.0)
+    assert read_profile(tmp_path / "bench.toml").file[0].stiffness == 2.9

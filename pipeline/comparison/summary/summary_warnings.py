@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from math import isclose
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
+from pipeline.comparison.loops.departures import OtherGains, other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.stages.stage_tables import ExperimentStages
@@ -53,6 +56,10 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
     if data.excluded:
         names = sorted({one.experiment for one in data.excluded}, key=natural_key)
         yield {"code": "excluded", "trials": len(data.excluded), "experiments": names}
+    for r, stages in zip(results, data.experiments, strict=False):
+        gains = stages.once(other_gains)
+        if gains is not None and gains.few:
+            yield {"code": "other_gains", "experiments": [r.experiment], "gains": gains, "cure": _cure(stages, gains)}
     for r in results:
         for fault in r.recording:
             if fault.severity != "note":
@@ -75,6 +82,14 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
             yield {"code": "contradictory", "experiments": [result.experiment], "walls": walls}
     if parts := list(_extrapolated(data, results)):
         yield {"code": "extrapolated", "parts": parts}
+
+
+def _cure(stages: ExperimentStages, gains: OtherGains) -> str:
+    """Return what was said of the first log that obeys another wall when it was stored."""
+    for text, path in zip(*(stages.trials.column(name).to_pylist() for name in ("extra", "source_path")), strict=True):
+        if PurePath(path).name == gains.logs[0]:
+            return str(json.loads(text or "{}").get("other_gains", ""))
+    return ""
 
 
 def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[float]]]:

@@ -7,6 +7,8 @@ import shlex
 import tomllib
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -56,21 +58,36 @@ def start(
     folder = look_at(path)
     for line in console.table(folder.rows(), ("kind", "files", "first", "endings")):
         console.step(line)
-    profile_file = None
     if folder.native:
         console.step("The logs are native: they bring columns and conditions themselves.")
-        profile = None
+        reading = Reading()
     else:
-        profile, profile_file = _profile_of(folder, asks)
-    return _run(folder, profile, profile_file, processed, (asks and open_report, store_only))
+        reading = _reading_of(folder, asks)
+    return _run(folder, reading, processed, opens=asks and open_report, compares=not store_only)
 
 
-def _profile_of(folder: Folder, asks: bool) -> tuple[Profile, Path]:
-    """Return the profile of a folder, and the file that it was written to."""
+@dataclass(frozen=True)
+class Reading:
+    """How the logs of a folder are read: a profile and its file, none for native logs, and which files are left out."""
+
+    profile: Profile | None = None
+    file: Path | None = None
+    ignored: tuple[str, ...] = ()
+
+    @property
+    def options(self) -> str:
+        """Options of the commands that repeat it."""
+        profile = [] if self.file is None else ["--profile", str(self.file)]
+        words = [*profile, *(word for name in self.ignored for word in ("--ignore", name))]
+        return "".join(f" {shlex.quote(word)}" for word in words)
+
+
+def _reading_of(folder: Folder, asks: bool) -> Reading:
+    """Return how the logs of a folder are read, after questions; the profile is written."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
     from pipeline.shell.profile.check import look, page
-    from pipeline.shell.start import faults, made_profile, propose
+    from pipeline.shell.start import made_profile, propose
 
     proposal = propose(folder)
     for line in _proposal_lines(proposal):
@@ -85,11 +102,8 @@ def _profile_of(folder: Folder, asks: bool) -> tuple[Profile, Path]:
             )
         answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
         proposal = proposal.answered(answers)
-    profile = made_profile(proposal)
+    profile, ignored = _agreeing(made_profile(proposal), folder, asks)
     target = _free_name(profile.name)
-    _, off = faults(profile, folder.logs)
-    if off:
-        raise UsageError(f"{off[0]} ({counted(len(off), 'log')} at fault). Correct the answer, or the sheet.")
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
     write_text(target, profile_toml(profile, evidence))
     console.step(f"profile: {target}")
@@ -98,7 +112,38 @@ def _profile_of(folder: Folder, asks: bool) -> tuple[Profile, Path]:
     with suppress(LogError):  # it is refused with its reason where it is stored
         write_text(picture, page(look(folder.logs[0], profile)))
         console.step(f"picture of the first log: {picture}")
-    return profile, target
+    return Reading(profile, target, ignored)
+
+
+def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tuple[str, ...]]:
+    """Return a profile that the commands of the logs do not contradict, and patterns of those that are left out.
+
+    Raises
+    ------
+    UsageError
+        If so many contradict it that it is wrong itself.
+    """
+    from pipeline.shell.start import MOST_AT_FAULT, contradictions, corrected
+
+    off, looked = contradictions(profile, folder.logs)
+    if len(off) > MOST_AT_FAULT * looked:
+        counts = f"{len(off)} of {counted(looked, 'log')} at fault"
+        raise UsageError(f"{off[0].path}: {off[0].reason} ({counts}). Correct the answer, or the sheet.")
+    if not off:
+        return profile, ()
+    console.step("")
+    for each in off:
+        console.step(f"warning: {each.path}: {each.reason}.")
+    known = [each for each in off if each.obeyed]
+    if asks and known:
+        logs = counted(len(known), "log")
+        if typer.confirm(f"{logs} with a wrong number: store what the command obeys? Else left out", err=True):
+            profile = corrected(profile, known)
+            off = [each for each in off if not each.obeyed]
+    left = tuple(escape(each.path.name) for each in off)
+    if left:
+        console.step(f"left out: {counted(len(left), 'log')}. Correct what is named above, and start again.")
+    return profile, left
 
 
 def _free_name(name: str) -> Path:
@@ -131,38 +176,32 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
         return text.strip()
 
 
-def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: str, how: tuple[bool, bool]) -> int:
-    """Store the logs of a folder, compare or identify, and say how to repeat it.
-
-    ``how`` says whether to open the report, and whether to store alone.
-    """
+def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compares: bool) -> int:
+    """Store the logs of a folder, compare or identify, open the report, and say how to repeat it."""
     from pipeline.comparison.compare import compare
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of
     from pipeline.store.objects import opened, stored_by
     from pipeline.surface.identify import identified_device
 
-    opens, only_store = how
-    place = shlex.quote(str(folder.path))
-    read = "" if file is None else f" --profile {shlex.quote(str(file))}"
+    place, read, profile = shlex.quote(str(folder.path)), reading.options, reading.profile
+    how: dict[str, Any] = {"ignore": reading.ignored}
     with console.progress("ingest", "logs") as advance:
-        report = stored_by(processed, lambda store: ingest([folder.path], store, profile, progress=advance))
+        report = stored_by(processed, lambda store: ingest([folder.path], store, profile, progress=advance, **how))
     found = report.model_dump(mode="json")
     for line in (*refusals(found["quarantined"]), *warnings_of(found)):
         console.step(line)
     console.step(f"stored: {report.ingested} new logs, {report.skipped} known, {len(report.quarantined)} refused")
     commands = [f"pipeline ingest {place}{read}"]
     names = _stored_devices(processed, report.ingested + report.skipped)
-    status = EXIT_QUARANTINED if report.quarantined else EXIT_OK
+    status = EXIT_QUARANTINED if report.quarantined or reading.ignored else EXIT_OK
     device = profile.constants.device if profile is not None else next(iter(names), None)
     if device is None or not report.ingested + report.skipped:
         console.tell({"commands": commands, "stored": found}, commands)
         return EXIT_ERROR
-    document: dict[str, Any] = {"device": device, "profile": file and str(file), "ingest": found}
+    document: dict[str, Any] = {"device": device, "profile": reading.file and str(reading.file), "ingest": found}
     lines: list[str] = []
-    if only_store:
-        pass
-    elif _has_walls(processed, device):
+    if compares and _has_walls(processed, device):
         target = report_of(reports_folder(), device)
         check_output(target, "", document_beside=True)
         with console.progress("compare"), opened(processed, device) as store:
@@ -176,16 +215,18 @@ def _run(folder: Folder, profile: Profile | None, file: Path | None, processed: 
             import webbrowser
 
             webbrowser.open(Path(outcome.report).resolve().as_uri())
-    else:
+    elif compares:
         from pipeline.shell.commands.cli_device import identified_lines
 
         target = Path(f"{device}-device.toml")
         with console.progress("identify", "logs") as advance:
-            identified = identified_device([folder.path], profile, advance=advance)
+            identified = identified_device([folder.path], profile, ignore=reading.ignored, advance=advance)
         lines = list(identified_lines(identified))
         commands.append(f"pipeline identify {place}{read} --out {shlex.quote(str(target))}")
         document["identified"] = identified
-    document["commands"] = commands
+    if reading.ignored:
+        lines.insert(0, f"Warning: {counted(len(reading.ignored), 'log')} left out: {', '.join(reading.ignored)}")
+    document |= {"commands": commands, "left_out": list(reading.ignored)}
     console.tell(document, [*lines, "", "To repeat it without questions:", *(f"  {line}" for line in commands)])
     return status
 

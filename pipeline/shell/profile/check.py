@@ -27,7 +27,7 @@ from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Ki
 from pipeline.readers import Log
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
-from pipeline.readers.obeyed import other_gains
+from pipeline.readers.obeyed import obeyed, other_gains
 from pipeline.records.models import Motion
 from pipeline.records.native import FREE
 from pipeline.records.trials import Floats, Trial
@@ -66,7 +66,7 @@ it, and what is ``usual`` of devices; displacement and duration are of the sampl
 ``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` holds
 the flags of `pipeline.readers.log.step_flags` and what was settled in the rows. ``step_row`` is the row of the step,
 counted from 0, ``step`` how it is known, or why it is not. ``other_gains`` says which stiffness, damping or step the
-command obeys where the conditions state others, and the line that cures it.
+command obeys where the conditions state others, and the line that cures it; ``obeyed`` has their numbers in SI.
 """
 
 
@@ -109,6 +109,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "step_row": step_row,
         "step": step,
         "other_gains": other_gains(profile, log),
+        "obeyed": found.found if (found := obeyed(log)) is not None else {},
         "findings": [finding.document for finding in log.findings],
         "warnings": [
             *log.warnings,
