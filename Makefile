@@ -56,6 +56,7 @@ docs: .venv/.dev
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_scatter.py
 	$(BIN)/python docs/make_gallery.py
+	$(BIN)/python docs/make_tutorial.py
 
 site: .venv/.dev
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site

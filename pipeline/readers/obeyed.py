@@ -307,8 +307,18 @@ def _cure(profile: Profile, found: Obeyed) -> str:
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
     whole = " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
-    alone = _alone(profile, found)
-    return f"{whole}. If this log alone is at fault: {alone}" if alone else whole
+    # several gains that differ together are the unit or the sign of a column
+    alone = _alone(profile, found) if len(found.found) == 1 else ""
+    return f"{whole}.{ALONE} {alone}" if alone else whole
+
+
+ALONE = " If this log alone is at fault:"
+"""Begin of the part of a cure that is for one log; many that are at fault have one in common."""
+
+
+def common_cure(cure: str) -> str:
+    """Return a cure without what is for one log alone."""
+    return cure.partition(f".{ALONE}")[0]
 
 
 def _alone(profile: Profile, found: Obeyed) -> str:

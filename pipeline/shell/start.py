@@ -180,7 +180,9 @@ def propose(folder: Folder) -> Proposal:
     samples = folder.samples
     found = answers(samples, folder.logs)
     found = {place: answer for place, answer in found.items() if not place.startswith(("units", "name_pattern"))}
-    for key, words in samples[0].layout.questions.items():
+    layout = samples[0].layout
+    found |= {key: Answer(layout.keys[key], told) for key, told in layout.evidence.items()}
+    for key, words in layout.questions.items():
         found[key] = Answer(",", question=words)
     alike = {tuple(law.columns.values()) for law in common_laws(samples)}
     laws = {

@@ -26,7 +26,18 @@ if TYPE_CHECKING:
     from pipeline.profiles.profile_model import Profile
     from pipeline.shell.start import Folder, Proposal
 
-TABLES = ("kind", "columns", "name_pattern", "sheet", "units", "step_at", "attributes", "constants", "decimal")
+TABLES = (
+    "trials",
+    "kind",
+    "columns",
+    "name_pattern",
+    "sheet",
+    "units",
+    "step_at",
+    "attributes",
+    "constants",
+    "decimal",
+)
 """Keys of a proposal in the order in which they are shown."""
 
 LONGEST_VALUE = 40
@@ -44,9 +55,10 @@ def start(
 ) -> int:
     """Lead from a folder of logs to a report, and print the commands.
 
-    Shows what the folder holds, proposes what each column is, with the evidence, and asks what is open (Enter accepts);
-    then stores the logs, compares walls with theory or identifies the device, and opens the report. With --yes, or
-    without a terminal, nothing is asked: where something is open, it is listed, and nothing is done.
+    Shows what the folder holds and a picture of a log, proposes what each column is, with the evidence, and asks what
+    is open (Enter accepts); then stores the logs, compares walls with theory or identifies the device, and opens the
+    report. With --yes, or without a terminal, nothing is asked: where something is open, it is listed, and nothing is
+    done.
 
     Example: pipeline start logs
 
@@ -62,7 +74,7 @@ def start(
         console.step("The logs are native: they bring columns and conditions themselves.")
         reading = Reading()
     else:
-        reading = _reading_of(folder, asks)
+        reading = _reading_of(folder, asks, opens=asks and open_report)
     return _run(folder, reading, processed, opens=asks and open_report, compares=not store_only)
 
 
@@ -82,11 +94,10 @@ class Reading:
         return "".join(f" {shlex.quote(word)}" for word in words)
 
 
-def _reading_of(folder: Folder, asks: bool) -> Reading:
+def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
     """Return how the logs of a folder are read, after questions; the profile is written."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
-    from pipeline.shell.profile.check import look, page
     from pipeline.shell.start import made_profile, propose
 
     proposal = propose(folder)
@@ -100,6 +111,7 @@ def _reading_of(folder: Folder, asks: bool) -> Reading:
                 f"{counted(len(proposal.open), 'question')} open:\n{listed}\nAnswer them in a terminal ({command}), or "
                 "name the columns with their units: `pipeline ingest --help`."
             )
+        _draw(folder.logs[0], None, opens)
         answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
         proposal = proposal.answered(answers)
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
@@ -107,12 +119,29 @@ def _reading_of(folder: Folder, asks: bool) -> Reading:
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
     write_text(target, profile_toml(profile, evidence))
     console.step(f"profile: {target}")
+    _draw(folder.logs[0], profile, opens=False)
+    return Reading(profile, target, ignored)
+
+
+def _draw(log: Path, profile: Profile | None, opens: bool) -> None:
+    """Draw a log, as it stands or in SI; one that is refused gets its reason where it is stored."""
+    from pipeline.base.disk import write_text
+    from pipeline.shell.profile.check import look, page
+
     picture = Path("look.html")
     check_output(picture, "")
-    with suppress(LogError):  # it is refused with its reason where it is stored
-        write_text(picture, page(look(folder.logs[0], profile)))
-        console.step(f"picture of the first log: {picture}")
-    return Reading(profile, target, ignored)
+    with suppress(LogError):
+        write_text(picture, page(look(log, profile)))
+        console.step(f"picture of the first log, {'as it stands' if profile is None else 'in SI'}: {picture}")
+        if opens:
+            _open(picture)
+
+
+def _open(page: Path) -> None:
+    """Open a page in a browser."""
+    import webbrowser
+
+    webbrowser.open(page.resolve().as_uri())
 
 
 def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tuple[str, ...]]:
@@ -123,12 +152,13 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
     UsageError
         If so many contradict it that it is wrong itself.
     """
+    from pipeline.readers.obeyed import common_cure
     from pipeline.shell.start import MOST_AT_FAULT, contradictions, corrected
 
     off, looked = contradictions(profile, folder.logs)
     if len(off) > MOST_AT_FAULT * looked:
         counts = f"{len(off)} of {counted(looked, 'log')} at fault"
-        raise UsageError(f"{off[0].path}: {off[0].reason} ({counts}). Correct the answer, or the sheet.")
+        raise UsageError(f"{off[0].path}: {common_cure(off[0].reason)} ({counts}). Correct the answer, or the sheet.")
     if not off:
         return profile, ()
     console.step("")
@@ -212,9 +242,7 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
         document["report"] = str(outcome.report)
         lines.append(f"report: {outcome.report}")
         if opens and outcome.report is not None:
-            import webbrowser
-
-            webbrowser.open(Path(outcome.report).resolve().as_uri())
+            _open(Path(outcome.report))
     elif compares:
         from pipeline.shell.commands.cli_device import identified_lines
 

@@ -24,7 +24,7 @@ from pipeline.intake.sources import find_sources
 from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, Profile
-from pipeline.readers.obeyed import Law, free_law_of
+from pipeline.readers.obeyed import Law, common_cure, free_law_of
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
@@ -488,6 +488,7 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
     if not off:
         return
     path, why = off[0]
+    why = common_cure(why) if len(off) > 1 else why
     others = f" ({len(off)} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
     raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
 
