@@ -39,7 +39,7 @@ def known_devices() -> dict[str, Device]:
     ------
     DeviceError
         If a device file is wrong, two files of one folder define the same name, or the folder that
-        ``PIPELINE_DEVICES`` names does not exist.
+        ``PIPELINE_DEVICES`` names does not exist. Other TOML files in it are left alone.
     """
     devices = _read_folder(schema_folder() / "devices")
     folder = user_device_folder()
@@ -68,7 +68,7 @@ def device_file(name: str) -> Path | None:
         As for `known_devices`.
     """
     for folder in filter(None, (user_device_folder(), schema_folder() / "devices")):
-        for path in sorted(folder.glob("*.toml")):
+        for path in _files(folder):
             if read_device(path).name == name:
                 return path
     return None
@@ -186,7 +186,7 @@ def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
 def _read_folder(folder: Path) -> dict[str, Device]:
     devices: dict[str, Device] = {}
     origin: dict[str, Path] = {}
-    for path in sorted(folder.glob("*.toml")):
+    for path in _files(folder):
         device = read_device(path)
         if device.name in devices:
             raise DeviceError(
@@ -195,6 +195,25 @@ def _read_folder(folder: Path) -> dict[str, Device]:
             )
         devices[device.name], origin[device.name] = device, path
     return devices
+
+
+_OF_DEVICES = frozenset({"experiment", "mass", "damping", "delay_samples", "sampling_period_s", "loop"})
+_OF_PROFILES = frozenset({"format", "files", "columns"})
+"""Keys of which device files have one at least, and which they have not."""
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the device files of a folder; other TOML files, such as profiles or settings, are none of them."""
+    return [path for path in sorted(folder.glob("*.toml")) if not _is_other(path)]
+
+
+def _is_other(path: Path) -> bool:
+    """Return whether a file is that of something else; one that cannot be read is named by `read_device`."""
+    try:
+        keys = tomllib.loads(path.read_text(encoding="utf-8")).keys()
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return False
+    return bool(keys) and (keys.isdisjoint(_OF_DEVICES) or not keys.isdisjoint(_OF_PROFILES))
 
 
 def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:

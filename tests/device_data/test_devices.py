@@ -178,3 +178,21 @@ def test_four_numbers_are_a_device_file(tmp_path: Path) -> None:
     path.write_text("damping = 3.0\ndelay_samples = 2.4\n", encoding="utf-8")
     with pytest.raises(DeviceError, match=r"(?s)sampling_period_s: found nothing.*experiment\[1\]\.mass"):
         read_device(path)
+
+
+def test_other_toml_files_beside_device_files_are_left_alone(tmp_path, monkeypatch):
+    (tmp_path / "mine.toml").write_text("mass = 0.2\ndamping = 1\nsampling_period_s = 0.001\ndelay_samples = 2\n")
+    profile = (schema_folder() / "profiles" / "simulink.toml").read_text()
+    for name, text in (("lab.toml", profile), ("pyproject.toml", '[project]\nname = "x"\n'), ("empty.toml", "")):
+        (tmp_path / name).write_text(text)
+    monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))
+    if_empty = "empty.toml: wrong device file"
+    with pytest.raises(DeviceError, match=if_empty):
+        known_devices()
+    (tmp_path / "empty.toml").unlink()
+    assert "mine" in known_devices()
+    assert {"lab", "x", "pyproject"}.isdisjoint(known_devices())
+    # a device file with a mistake is named
+    (tmp_path / "wrong.toml").write_text("masss = 0.2\nsampling_period_s = 0.001\n")
+    with pytest.raises(DeviceError, match=r"wrong\.toml: wrong device file"):
+        known_devices()

@@ -43,3 +43,9 @@ def test_dampings_share_the_unit_behind_the_last(call):
     assert plain[1] == written[1]
     status, _, err = call("plan", "--device", "falcon", "--dampings", "0,20 N")
     assert (status, "--dampings '0 N': unit 'N' measures force; expected damping" in err) == (2, True)
+
+
+def test_a_time_to_settle_has_its_unit(call, tmp_path):
+    (tmp_path / "raw").mkdir()
+    for text, status in (("0 s", 0), ("500 ms", 0), ("0", 0), ("2 mm", 2)):
+        assert call("watch", "raw", "--once", "--settle", text)[0] == status

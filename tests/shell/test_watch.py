@@ -446,7 +446,7 @@ def test_once_leaves_with_1_where_a_report_failed(call, tmp_path, compared):
     ("arguments", "words"),
     [
         (["none"], "Directory 'none' does not exist"),
-        (["raw", "--settle", "-1"], "-1.0 is not in the range x>=0"),
+        (["raw", "--settle", "-1"], "--settle -1: expected a time of 0 s or more"),
         ([".", "--once"], "reports: lies in the watched folder"),
         (["raw", "--scene", "none.toml"], "'none.toml' does not exist"),
     ],

@@ -102,11 +102,11 @@ def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable:
     count = int((usable & (stiffness <= bound)).sum())
     best = np.flatnonzero(limits.known)[np.argsort(-limits.limit[limits.known])][:2]
     walls = [f"K = {float(f'{limits.limit[i] / FAR:.2g}'):g} {unit}, B = {limits.damping[i]:g}" for i in best]
-    count_text = {0: "none is there", 1: "one is there"}.get(count, f"{count} are there")
-    return (
-        f"fewer than {FEWEST} stable neighbours lie at half the limit or below: a wall needs as many around it, "
-        f"{count_text}. Next: {' and '.join(walls)}"
-    )
+    there = {0: "there is none", 1: "there is one"}.get(count, f"there are {count}")
+    if count >= FEWEST:
+        there += f", but no {FEWEST} good ones are neighbours"
+    needed = f"a wall needs {FEWEST} stable trials around it, at half the limit or below"
+    return f"{needed}; {there}. Next: {' and '.join(walls)}"
 
 
 def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
@@ -119,7 +119,12 @@ def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
         return "no stability limit is known, since no trial is decided: record longer logs with larger steps"
     if not (verdict == "stable").any():
         return "no stability limit is known, since no trial was stable: record softer walls"
-    return "no stability limit is known"
+    unstable = int((verdict == "unstable").sum())
+    stable = int((verdict == "stable").sum())
+    return (
+        f"no stability limit is known: it needs a stable and an unstable trial at one damping; stable are {stable}, "
+        f"unstable {unstable}. Record {'other stiffnesses at their dampings' if unstable else 'stiffer walls'}"
+    )
 
 
 def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:

@@ -76,7 +76,10 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
         "open_end": [r.experiment for r in results if any(p.censored and p.stable is not None for p in r.boundary)],
         "undecided": [r.experiment for r in results if any(p.censored and p.stable is None for p in r.boundary)],
     }
-    yield from ({"code": code, "experiments": names, "few": FEW_TRIALS} for code, names in kinds.items() if names)
+    counts = {r.experiment: r.trials for r in results}
+    for code, names in kinds.items():
+        if names:
+            yield {"code": code, "experiments": names, "few": FEW_TRIALS, "trials": [counts[name] for name in names]}
     for result, stages in zip(results, data.experiments, strict=False):
         if walls := contradictory_walls(stages):
             yield {"code": "contradictory", "experiments": [result.experiment], "walls": walls}

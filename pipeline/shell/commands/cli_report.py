@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,7 @@ from pipeline.shell.commands.options import (
     Reports,
     Store,
     device_of,
+    quantity,
     reports_folder,
 )
 from pipeline.shell.console import argument, option
@@ -253,7 +255,7 @@ def watch(
     scene: Annotated[
         list[Path] | None, option("--scene", "Scene file (default: all devices). Repeat.", exists=True)
     ] = None,
-    settle: Annotated[float, option("--settle", "Seconds a log must stay the same.", min=0)] = SETTLE_S,
+    settle: Annotated[str, option("--settle", "Time a log must stay the same.")] = f"{SETTLE_S:g} s",
     once: Annotated[bool, option("--once", "Make one pass; leave logs that still settle.")] = False,
 ) -> int:
     """Keep reports and the index current while logs arrive.
@@ -268,7 +270,10 @@ def watch(
     """
     from pipeline.shell.watch import Watched, follow, run_pass, status_of
 
-    watched = Watched(tuple(folders), processed, reports, profile, tuple(scene or ()), settle)
+    settle_s = quantity("--settle", settle, "time")
+    if not 0 <= settle_s < inf:
+        raise UsageError(f"--settle {settle}: expected a time of 0 s or more.")
+    watched = Watched(tuple(folders), processed, reports, profile, tuple(scene or ()), settle_s)
     if once:
         events = []
         for event in run_pass(watched):
@@ -277,7 +282,7 @@ def watch(
         return status_of(events)
     os.nice(NICENESS)
     try:
-        for event in follow(watched, settle or SETTLE_S):
+        for event in follow(watched, settle_s or SETTLE_S):
             _tell_event(event)
     except Ended:
         _tell_event({"event": "stopped"})

@@ -137,7 +137,9 @@ def test_walls_that_overshoot_far_are_not_named(course_1, monkeypatch):
     monkeypatch.setattr(stages, "sure_cost", lambda name: over)
     use, why = region_to_use(result, stages)
     assert use is None
-    assert f"fewer than {FEWEST} stable neighbours" in why
+    assert (
+        f"a wall needs {FEWEST} stable trials around it, at half the limit or below; there is none. Next: K = " in why
+    )
 
 
 def test_no_wall_above_an_undecided_one_is_set(course_1):
