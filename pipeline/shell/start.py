@@ -16,14 +16,15 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
-from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
+from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
-from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name, quantity, si_unit
+from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
-from pipeline.shell.profile.evidence import SAME, WallLaw, answers, common_laws, near_round, wall_law
+from pipeline.shell.profile.conditions import factor_of, proved_unit
+from pipeline.shell.profile.evidence import WallLaw, answers, common_laws, near_round, wall_law
 from pipeline.shell.profile.roles import Answer, Answers
 from pipeline.shell.profile.samples import Sample, open_sample
 
@@ -37,9 +38,6 @@ CONDITIONS = ("stiffness", "damping", "step")
 
 MOST_CHECKED = 400
 """Logs that are held against their commands before anything is stored: some seconds."""
-
-MOST_AT_FAULT = 0.2
-"""Part of the logs that may contradict a profile: with more of them it is the profile that is wrong."""
 
 _OFF = (
     "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
@@ -179,7 +177,12 @@ def propose(folder: Folder) -> Proposal:
     """
     samples = folder.samples
     found = answers(samples, folder.logs)
-    found = {place: answer for place, answer in found.items() if not place.startswith(("units", "name_pattern"))}
+    inside = {key for key in CONDITIONS if f"attributes.{key}" in found or f"condition_columns.{key}" in found}
+    found = {
+        place: answer
+        for place, answer in found.items()
+        if not place.startswith(("units", "name_pattern")) or place.removeprefix("units.") in inside
+    }
     layout = samples[0].layout
     found |= {key: Answer(layout.keys[key], told) for key, told in layout.evidence.items()}
     for key, words in layout.questions.items():
@@ -194,7 +197,7 @@ def propose(folder: Folder) -> Proposal:
     given = _from_sheet(table, laws, samples) if table is not None else {}
     if any(key.startswith("units.") for key in given) and not laws:
         found.pop("kind", None)  # the sheet knows of walls that no command shows
-    named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given})
+    named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given} | inside)
     found |= given | named
     for key in CONDITIONS:
         if f"units.{key}" in found or _is_mapped(found, key):
@@ -204,7 +207,7 @@ def propose(folder: Folder) -> Proposal:
     name = folder.path.resolve().name if folder.path.is_dir() else folder.path.resolve().parent.name
     found["constants.device"] = Answer(re.sub(r"[^\w .-]+", "-", name) or "bench", "the name of the folder")
     found["constants.experiment"] = Answer("1", "any name")
-    if any(key.startswith(("sheet", "name_pattern")) for key in found) or "constants.stiffness" in found:
+    if any(key.startswith(("sheet", "name_pattern")) for key in found) or inside or "constants.stiffness" in found:
         kind = found.get("kind")
         without = IMPLIED[kind.value] if kind is not None else ()
         if kind is None:
@@ -217,41 +220,33 @@ def propose(folder: Folder) -> Proposal:
     return Proposal(folder, found)
 
 
+def with_units(proposal: Proposal, given: Mapping[str, Any]) -> Folder:
+    """Return the folder of a proposal whose columns have the units that were answered, as if the files stated them."""
+    units = {}
+    for place, value in given.items():
+        name = proposal.answers.get(f"{place.rpartition('.')[0]}.name")
+        if place.startswith("columns.") and place.endswith(".unit") and name is not None:
+            units[str(name.value)] = str(value)
+    samples = tuple(
+        sample._replace(
+            contents=replace(sample.contents, hints=sample.contents.hints | units),
+            trials=tuple(replace(trial, hints=trial.hints | units) for trial in sample.trials),
+        )
+        for sample in proposal.folder.samples
+    )
+    return replace(proposal.folder, samples=samples)
+
+
 def _is_mapped(found: Answers, key: str) -> bool:
     columns = found.get("sheet.columns")
     pattern = found.get("name_pattern")
     by_sheet = columns is not None and any(f":{key}" in text for text in columns.value)
-    return by_sheet or (pattern is not None and f"<{key}>" in pattern.value)
-
-
-def _factor(numbers: Sequence[float | None], obeyed: Sequence[float]) -> float | None:
-    """Return by what most numbers have to be multiplied to be what commands obey; None where no one factor does it.
-
-    Up to `MOST_AT_FAULT` of them may be wrong: those are named when the logs are read.
-    """
-    pairs = list(zip(numbers, obeyed, strict=True))
-    ratios = sorted(value / number for number, value in pairs if number and value)
-    if not ratios:
-        return None
-    middle = ratios[len(ratios) // 2]
-    agree = sum(abs(ratio / middle - 1) <= SAME for ratio in ratios) + sum(
-        not (number or value) for number, value in pairs
-    )
-    return middle if middle > 0 and len(pairs) - agree <= MOST_AT_FAULT * len(pairs) else None
-
-
-def _proved_unit(numbers: Sequence[float | None], obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
-    """Return the unit in which numbers are what commands obey; None where they are not."""
-    middle = _factor(numbers, obeyed)
-    if middle is None:
-        return None
-    si = si_unit(quantity(key, kind))
-    unit = si if abs(middle - 1) <= SAME else unit_between(si, middle, SAME)
-    return "N/mm" if unit == "kN/m" else unit
+    inside = f"attributes.{key}" in found or f"condition_columns.{key}" in found
+    return inside or by_sheet or (pattern is not None and f"<{key}>" in pattern.value)
 
 
 def _obeyed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> list[float]:
-    return [abs(laws[name].in_si[key]) for name in names]
+    return [laws[name].obeyed(key) for name in names]
 
 
 def _kind(laws: Mapping[str, WallLaw]) -> Kind:
@@ -270,9 +265,9 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
     for key in CONDITIONS:
         for word in words if key not in known else ():
             numbers = [_number_behind(word, name) for name in names]
-            unit = None if word in used else _proved_unit(numbers, _obeyed(laws, names, key), key, _kind(laws))
+            unit = None if word in used else proved_unit(numbers, _obeyed(laws, names, key), key, _kind(laws))
             if unit is None:
-                factor = _factor(numbers, _obeyed(laws, names, key))
+                factor = factor_of(numbers, _obeyed(laws, names, key))
                 if word.lower() in NAMES[key] and factor is not None:
                     proposed = Answer(0, question=_OFF.format(word, key, 1 / factor))
                     found[f"constants.{key}"] = proposed
@@ -316,7 +311,7 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
             told = "the heading states it"
             if unit is None and logs:
                 numbers = [_number(cells[row]) if (row := at[name]) is not None else None for name in logs]
-                unit = _proved_unit(numbers, _obeyed(laws, logs, key), key, _kind(laws))
+                unit = proved_unit(numbers, _obeyed(laws, logs, key), key, _kind(laws))
                 told = f"what {len(logs)} commands obey"
             if unit is None and key in by_name:
                 si = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]

@@ -27,16 +27,8 @@ if TYPE_CHECKING:
     from pipeline.shell.start import Folder, Proposal
 
 TABLES = (
-    "trials",
-    "kind",
-    "columns",
-    "name_pattern",
-    "sheet",
-    "units",
-    "step_at",
-    "attributes",
-    "constants",
-    "decimal",
+    *("trials", "trial_column", "kind", "columns", "name_pattern", "sheet", "attributes", "condition_columns", "units"),
+    *("step_at", "constants", "decimal"),
 )
 """Keys of a proposal in the order in which they are shown."""
 
@@ -98,7 +90,7 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
     """Return how the logs of a folder are read, after questions; the profile is written."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
-    from pipeline.shell.start import made_profile, propose
+    from pipeline.shell.start import made_profile, propose, with_units
 
     proposal = propose(folder)
     for line in _proposal_lines(proposal):
@@ -112,8 +104,11 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
                 "name the columns with their units: `pipeline ingest --help`."
             )
         _draw(folder.logs[0], None, opens)
-        answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
-        proposal = proposal.answered(answers)
+        answers: dict[str, Any] = {}
+        while proposal.open:
+            answers |= {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
+            # what stands in names and sheets is in a unit that those of the columns show
+            proposal = propose(with_units(proposal, answers)).answered(answers)
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
     target = _free_name(profile.name)
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
@@ -153,7 +148,8 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
         If so many contradict it that it is wrong itself.
     """
     from pipeline.readers.obeyed import common_cure
-    from pipeline.shell.start import MOST_AT_FAULT, contradictions, corrected
+    from pipeline.shell.profile.conditions import MOST_AT_FAULT
+    from pipeline.shell.start import contradictions, corrected
 
     off, looked = contradictions(profile, folder.logs)
     if len(off) > MOST_AT_FAULT * looked:

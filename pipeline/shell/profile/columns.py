@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -78,6 +78,8 @@ class StatedProfile:
     profile: Profile
     evidence: tuple[str, ...]
 
+
+Item = TypeVar("Item")
 
 OPTIONS = {"sampling_period_s": "period"}
 """Option of each condition that has another name."""
@@ -147,8 +149,8 @@ def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
             yield source.files[0]
 
 
-def spread(files: Sequence[Path], most: int) -> list[Path]:
-    """Return some files, the first and the last among them, evenly spread over all."""
+def spread(files: Sequence[Item], most: int) -> list[Item]:
+    """Return some files, or other things, the first and the last among them, evenly spread over all."""
     if len(files) <= most:
         return list(files)
     return [files[round(i * (len(files) - 1) / (most - 1))] for i in range(most)]

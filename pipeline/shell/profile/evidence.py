@@ -32,9 +32,11 @@ from pipeline.profiles.profile_model import (
 )
 from pipeline.readers.mapping import changes_of, is_staircase
 from pipeline.readers.obeyed import Law, free_law_of
+from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
 from pipeline.records.trials import Floats, Trial
-from pipeline.shell.profile.columns import round_period
+from pipeline.shell.profile.columns import round_period, spread
+from pipeline.shell.profile.conditions import SAME, numbers_inside, place_of, proved_unit
 from pipeline.shell.profile.roles import (
     MOST_TRIED,
     ROLES,
@@ -48,9 +50,6 @@ from pipeline.shell.profile.roles import (
     stated_unit,
 )
 from pipeline.shell.profile.samples import SPEEDS, Sample
-
-SAME = 0.1
-"""Part by which a number may differ from what the command obeys: names are rounded."""
 
 ROUND = 5e-3
 """Part by which a number that the command obeys may differ from a round one that is taken for it."""
@@ -75,6 +74,11 @@ class WallLaw(NamedTuple):
     period_s: float
     first_row: bool
     kind: Excitation
+
+    def obeyed(self, key: str) -> float:
+        """Return what the command obeys [SI]; a stiffness and a damping without the direction of the position."""
+        value = self.in_si[key]
+        return value if key == "step" else abs(value)
 
     @property
     def in_si(self) -> dict[str, float]:
@@ -112,16 +116,60 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
     law = laws[0] if laws else None
     columns = _columns(sample, law, len(laws))
     names = _names(sample, paths, law)
-    walls = _walls(samples, law, laws, names)
+    inside = _inside(samples, laws, names)
+    walls = _walls(samples, law, laws, names | inside)
+    walls = inside | {place: each for place, each in walls.items() if place.split(".")[-1] not in _keys(inside)}
     found: Answers = {}
     if (kind := _kind_answer(samples, laws, columns, names)) is not None:
         found["kind"] = kind
-    elif "constants.step" in walls or any(key.startswith(("units", "name_pattern")) for key in (*walls, *names)):
+    elif "constants.step" in walls or any(key.startswith(_WALLS_GIVEN) for key in (*walls, *names)):
         at_once = bool(laws) and all(each.first_row for each in laws)
         told = "the command is at its step in the first row" if at_once else "the step is where the command jumps"
         found["step_at"] = Answer("first row" if at_once else "command edge", told)
     found |= names | columns | _constants(sample, columns, law) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
+
+
+_WALLS_GIVEN = ("units", "name_pattern", "attributes.st", "attributes.damping", "condition_columns")
+"""Begins of the places by which a profile gives walls."""
+
+
+def _keys(answers: Answers) -> set[str]:
+    return {place.split(".")[-1] for place in answers}
+
+
+def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) -> Answers:
+    """Return where the files state stiffness, damping and step, and in which unit, as their commands show."""
+    known = {tuple(law.columns.values()) for law in laws}
+    pairs = [(each, law) for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
+    pairs = [(each, law) for each, law in pairs if tuple(law.columns.values()) in known]
+    if not pairs:
+        return {}
+    pattern = str(names["name_pattern"].value) if names else ""
+    inside = numbers_inside([each.contents for each, _ in pairs])
+    first = pairs[0][1]
+    kind: Kind = "rotation" if UNITS[first.units["position"][0]].quantity == "angle" else "translation"
+    found: Answers = {}
+    for key in ("stiffness", "damping", "step"):
+        if f"<{key}>" in pattern or (key == "step" and first.kind != "step"):
+            continue
+        obeyed = [law.obeyed(key) for _, law in pairs]
+        place = place_of({at: each for at, each in inside.items() if at[1] not in _values(found)}, obeyed, NAMES[key])
+        if place is None:
+            continue
+        # in SI they are only where the units of the columns are known
+        columns = ("command",) if key == "step" else ("command", "position")
+        sure = all(len(first.units[role]) == 1 for role in columns)
+        unit = proved_unit(inside[place], obeyed, key, kind) if sure else None
+        told = f"its numbers are what {counted(len(pairs), 'command')} obey"
+        found[f"{place[0]}.{key}"] = Answer(place[1], told + ("" if unit else ", but for a factor"))
+        if unit is not None and unit != si_unit(quantity(key, kind)):
+            found[f"units.{key}"] = Answer(unit, told)
+    return found
+
+
+def _values(answers: Answers) -> set[str]:
+    return {str(answer.value) for answer in answers.values()}
 
 
 _SHOWN = {
@@ -146,10 +194,19 @@ def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: An
     return Answer("free", "no wall law is seen in the command")
 
 
+def trials_of(samples: Sequence[Sample]) -> list[Sample]:
+    """Return samples one a trial: some of those of a file that holds several."""
+    found: list[Sample] = []
+    for each in samples:
+        some = spread(each.trials, MOST_LAWS)
+        found += [each._replace(contents=trial, trials=()) for trial in some] if some else [each]
+    return found
+
+
 def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     """Return the wall laws of samples in the columns that most of them have: of a wall without damping, command and
     position obey each other's law."""
-    laws = [law for each in samples[:MOST_LAWS] if (law := wall_law(each)) is not None]
+    laws = [law for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
     counts = Counter(tuple(law.columns.values()) for law in laws)
     if not counts:
         return []
@@ -160,7 +217,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
-_ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "constants", "units")
+_ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "condition_columns", "constants", "units")
 """Tables in their order."""
 
 
@@ -364,7 +421,7 @@ _PERIODS = (
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:
     """Return stiffness, damping and step, or their units where the names of files have them."""
-    pattern = str(names["name_pattern"].value) if names else ""
+    pattern = str(names["name_pattern"].value) if "name_pattern" in names else ""
     in_names = [_numbers_in_name(pattern, each) if pattern else {} for each in samples[: len(laws) or 1]]
     named = in_names[0]
     if law is None:
@@ -373,9 +430,8 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     drive = UNITS[law.units["command"][0]].quantity in DRIVES
     found: Answers = {}
     told = "by the wall law of the command"
-    values = [each.in_si for each in laws]
     for key in ("stiffness", "damping", "step"):
-        mine = [value[key] if key == "step" else abs(value[key]) for value in values]
+        mine = [each.obeyed(key) for each in laws]
         same = max(mine) - min(mine) <= SAME * max(map(abs, mine), default=0.0)
         if key == "step" and law.kind != "step":
             continue

@@ -139,6 +139,8 @@ def named_roles(sample: Sample) -> dict[str, Answer]:
     if constant is not None and len(others) == 1:
         told = f"{others[0]!r} is the only other column that changes, next to its rate"
         return {"time": time, "command": constant, "position": Answer(others[0], told)}
+    if constant is not None and not _named(sample, "command", [str(constant.value)]):
+        constant = None  # a condition, or one of several columns
     pair, told = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
     if pair is None:
         pair, told = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,6 +58,40 @@ class Sample(NamedTuple):
         return re.split(r"[./]", plain)[-1].strip().lower(), said
 
 
+SHORTEST_TRIAL = 10
+"""Rows of a trial in a long table."""
+
+
+def _trial_column(contents: Contents) -> tuple[str, list[slice]] | None:
+    """Return the column of a long table that tells trials apart, and their rows: time begins again where it changes."""
+    columns = contents.columns
+    rows = len(next(iter(columns.values()), ()))
+    if any(len(column) != rows for column in columns.values()) or rows < 2 * SHORTEST_TRIAL:
+        return None
+    for clock in columns.values():
+        if clock.dtype.kind == "U" or not np.isfinite(clock.astype(np.float64)).all():
+            continue
+        steps = np.diff(clock.astype(np.float64))
+        starts = np.flatnonzero(steps < 0) + 1
+        ends = np.array([0, *starts.tolist(), rows])
+        # within a trial it rises in every row, or is no clock
+        if not len(starts) or min(np.diff(ends)) < SHORTEST_TRIAL or (np.delete(steps, starts - 1) <= 0).any():
+            continue
+        blocks = [slice(first, behind) for first, behind in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+        for name, column in columns.items():
+            changes = np.flatnonzero(column[1:] != column[:-1]) + 1
+            if np.array_equal(changes, starts) and len(np.unique(column)) == len(blocks):
+                return name, blocks
+    return None
+
+
+def _rows_of(contents: Contents, rows: slice) -> Contents:
+    """Return some rows of what a file holds."""
+    return replace(
+        contents, columns={name: column[rows] for name, column in contents.columns.items()}, row=contents.row[rows]
+    )
+
+
 def open_sample(path: Path) -> Sample:
     """Return a log of which nothing is known.
 
@@ -85,6 +120,12 @@ def open_sample(path: Path) -> Sample:
             layout.evidence["trials"] = f"{len(groups)} groups of the same columns: {groups[0].strip('/')}, ..."
             trials = tuple(whole.of_group(group) for group in groups)
             contents = trials[0]
+    if not trials and (found := _trial_column(contents)) is not None:
+        name, blocks = found
+        layout.keys["trial_column"] = name
+        layout.evidence["trial_column"] = f"time begins again where it changes: {len(blocks)} trials"
+        trials = tuple(_rows_of(contents, block) for block in blocks)
+        contents = trials[0]
     sample = Sample(path.name, kind, layout, contents, trials)
     layout.keys |= {} if "trials" in layout.keys else sample.contents.keys
     if not sample.numbers:
