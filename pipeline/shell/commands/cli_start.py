@@ -104,11 +104,10 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
                 "name the columns with their units: `pipeline ingest --help`."
             )
         _draw(folder.logs[0], None, opens)
-        answers: dict[str, Any] = {}
-        while proposal.open:
-            answers |= {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
-            # what stands in names and sheets is in a unit that those of the columns show
-            proposal = propose(with_units(proposal, answers)).answered(answers)
+        answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
+        # what stands in names and sheets is in a unit that those of the columns show; wrong ones are stopped below
+        again = propose(with_units(proposal, answers)).answered(answers)
+        proposal = proposal.answered(answers) if again.open else again
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
     target = _free_name(profile.name)
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
