@@ -345,3 +345,33 @@ def test_dates_are_stamps_in_nanoseconds(tmp_path, stamp):
     assert read.units["t"] == "ns"
     assert read.columns["t"][0] == 1774778400 * 10**9
     assert np.diff(read.columns["t"]).tolist() == [10**6] * 8
+
+
+@pytest.mark.parametrize("sign", [" ", "\u00a0", "\u202f", "'"])
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252"])
+def test_blanks_and_apostrophes_part_thousands(tmp_path, sign, encoding):
+    """French and Swiss numbers: 1 500,50 and 1'500,50."""
+    if sign == "\u202f" and encoding != "utf-8":
+        pytest.skip("cp1252 has no such blank")
+
+    def written(value):
+        return f"{value:,.2f}".replace(",", sign).replace(".", ",")
+
+    rows = [(k, 1500.5 * (k >= 10), -12345.25 * max(k - 11, 0)) for k in range(60)]
+    text = "\n".join(["Temps (ms);Force (mN);Position (µm)", *(";".join(map(written, row)) for row in rows), ""])
+    (tmp_path / "a.csv").write_text(text, encoding=encoding)
+    draft = draft_profile(tmp_path / "a.csv")
+    assert find_questions(draft) == []
+    layout = tomllib.loads(draft)
+    assert (layout["delimiter"], layout["decimal"]) == (";", ",")
+    read = read_frame("delimited", "a.csv", text.encode(), delimiter=";", decimal=",")
+    assert read.columns["Force (mN)"][-1] == 1500.5
+    assert read.columns["Position (µm)"][-1] == -12345.25 * 48
+
+
+def test_a_blank_between_other_digits_is_no_number():
+    text = b"t;x\n0;1 50\n1;1 500\n2;3\n"
+    assert read_frame("delimited", "a.csv", text, delimiter=";", decimal=".").columns["x"].dtype.kind == "U"
+    text = text.replace(b"1 50\n", b"1 050\n")
+    read = read_frame("delimited", "a.csv", text, delimiter=";", decimal=".")
+    assert read.columns["x"].tolist() == [1050, 1500, 3]

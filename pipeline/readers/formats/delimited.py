@@ -45,7 +45,13 @@ FEW_KEYS, LEAST_TABLE = 3, 10
 NUMERIC_SHARE = 0.5
 """Share of numbers among the cells of a row, from which it is one: text columns may stand beside numbers."""
 
-_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
+_GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
+"""Blanks and apostrophes that part thousands, as in French and Swiss numbers."""
+
+_GROUPED_NUMBER = rf"[+-]?[0-9]{{1,3}}(?:[{_GROUP_SIGNS}][0-9]{{3}})+(?:[.,][0-9]*)?"
+_NUMBER = re.compile(
+    rf"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|{_GROUPED_NUMBER}|[+-]?(?:nan|inf)", re.IGNORECASE
+)
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
 """Numbers whose sign may part thousands as well: "1,234"."""
 
@@ -282,6 +288,9 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
     text = pc.utf8_trim_whitespace(pa.array(cells, pa.string()))
     blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
     number, kinds = pc.if_else(blank, None, text), [pa.float64()]
+    if layout.delimiter != BLANKS:
+        whole = pc.replace_substring_regex(number, f"[{_GROUP_SIGNS}]", "")
+        number = pc.if_else(pc.match_substring_regex(number, f"^{_GROUPED_NUMBER}$"), whole, number)
     if layout.decimal == ",":
         # a point may part thousands
         number = pc.if_else(pc.match_substring(number, "."), "point", pc.replace_substring(number, ",", "."))
