@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 from packed_sheets import xlsx
+from places import SHARED
 
 from pipeline.profiles.profile_files import find_questions, read_profile
 from pipeline.shell.profile.check import check_samples
@@ -144,3 +145,23 @@ def test_a_layout_of_another_tool_needs_two_answers_at_most(name, tmp_path):
     scale = 1.0 if turns else 1e-3
     assert columns["position"]["last"] == pytest.approx(scale * PLACE[-1], abs=1e-6 * scale)
     assert columns["time"]["last"] == pytest.approx(0.059, abs=1e-9)
+
+
+PUBLIC = [
+    *("real_numeric_header/run1.csv", "real_numeric_header/blank_after_comment/a.csv", "tdms_start/same.tdms"),
+    *(f"json_rows/{name}.json" for name in ("bare_rows", "columns_under_key", "sysid_data", "trials_as_records")),
+    *(f"text_headers/{name}" for name in ("box.csv", "iso.csv", "lab.lvm", "quoted.csv")),
+]
+"""Layouts of public data sets, below the faults that are shared beside the project."""
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_layout_needs_two_answers_at_most(name):
+    path = SHARED / "faults" / name
+    if not path.is_file():
+        pytest.skip("the shared faults are not here")
+    if name.endswith("tdms"):
+        pytest.importorskip("nptdms")
+    asked = {".".join(map(str, question.place)) for question in find_questions(draft_profile(path))}
+    assert asked <= {"columns.command.unit", "columns.position.unit", "columns.time.unit"}
+    assert len(asked) <= 2
