@@ -266,7 +266,8 @@ def main() -> None:
             silent = not got["stopped"] and not got["told"]
             words = "stopped" if got["stopped"] else "warned" if got["told"] else "no effect"
             told = got["told"][0][:160] if got["told"] else ""
-            print(f"{number + 1:2d} {name}: {words}{' WRONG AND SILENT' if silent and got['wrong'] else ''}. {told}")
+            loud = " WRONG AND SILENT" if silent and got["wrong"] else ""
+            print(f"{number + 1:2d} {name}: {words}{loud}, {len(got['wrong'])} wrong trials stored. {told}")
 
 
 if __name__ == "__main__":
