@@ -348,7 +348,7 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
 def tables(
     table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a), D.2 (default: all).")] = None,
 ) -> None:
-    """Compute Tables B.1 to B.4, C.1 to C.3, 5.1 and D.1 to D.6 of the thesis anew.
+    """Compute Tables B, C, D and 5.1 of the thesis anew.
 
     Of Tables D these are the rows of theory; the printed measurements stand beside with their deviation from it.
 
