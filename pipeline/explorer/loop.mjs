@@ -285,7 +285,7 @@ function velocityFilter(velocity, T) {
   if (velocity && kind === "butterworth") {
     const order = number("velocity.order", velocity.order, 1), cutoff = number("velocity.cutoff_hz", velocity.cutoff_hz, 0, true);
     if (!BUTTERWORTH[order]) throw new RangeError(`velocity.order: found ${order}; expected 1, 2, 3 or 4`);
-    if (cutoff * T >= 0.5) throw new RangeError(`velocity.cutoff_hz: found ${cutoff}; expected less than ${0.5 / T}`);
+    if (cutoff * T >= 0.5) throw new RangeError(`velocity.cutoff_hz: found ${cutoff}; expected less than ${0.5 / T} Hz, half the sampling rate`);
     return butterworth(order, Math.tan(Math.PI * cutoff * T));
   }
   let b = velocity?.b ?? [1], a = velocity?.a ?? [1];
@@ -896,8 +896,8 @@ export function poles(file, stiffness, damping) {
 
 // ------------------------------------------------------------------------------------------------------ passivity
 
-/** Angles of a turn of the delayed force, and smallest angle times delay and lag: as in Python. */
-const PASSIVE_PER_TURN = 40, NEAR_ZERO = 8e-3, DIRECTIONS = 181;
+/** Angles of a turn of the delayed force, angle times delay and lag below which digits are lost, and smallest angle. */
+const PASSIVE_PER_TURN = 40, NEAR_ZERO = 8e-3, SLOWEST = 1e-6, DIRECTIONS = 181;
 
 /**
  * Set the coefficients of what a wall needs of the device's damping at an angle:
@@ -916,7 +916,9 @@ function needs(loop, angle, out, at) {
     s2 = s0 - lag * dr / size + lag / 2;
   }
   const cr = Math.cos(first * angle), ci = -Math.sin(first * angle);
-  const s1r = -(cr * rr - ci * ri), s1i = -(cr * ri + ci * rr), rest = Math.max(s0 * s2 - s1r * s1r - s1i * s1i, 0);
+  const s1r = -(cr * rr - ci * ri), s1i = -(cr * ri + ci * rr), base = NEAR_ZERO / (loop.delay + lag + 1);
+  let rest = Math.max(s0 * s2 - s1r * s1r - s1i * s1i, 0);  // grows as 1/angle^2
+  if (angle < base) needs(loop, base, out, at), rest = out[at + 2] * (base / angle / (2 * Math.sin(base / 2))) ** 2;
   loop.filter.value(angle, v);
   const qr = xr * v[4] - xi * v[5], qi = xr * v[5] + xi * v[4];
   out[at] = xr * s1r - xi * s1i, out[at + 1] = qr * s1r - qi * s1i;
@@ -934,22 +936,19 @@ function needed(c, i, a, b) {
  * @param {Sampled} loop @returns {(alpha: number, beta: number) => number}
  */
 function requirement(loop) {
-  const low = NEAR_ZERO / (loop.delay + loop.lag + 1), turns = PASSIVE_PER_TURN * (loop.whole + (loop.topOld ? 3 : 2)), angles = [];
-  for (let t = low; t < Math.PI; t += Math.min(0.25 * t, Math.PI / turns)) angles.push(t);
+  const turns = PASSIVE_PER_TURN * (loop.whole + (loop.topOld ? 3 : 2)), angles = [];
+  for (let t = SLOWEST; t < Math.PI; t += Math.min(0.25 * t, Math.PI / turns)) angles.push(t);
   angles.push(Math.PI);
   const count = angles.length, table = new Float64Array(5 * count), c = new Float64Array(10), heights = new Float64Array(count);
   angles.forEach((angle, i) => needs(loop, angle, table, 5 * i));
   return (a, b) => {
-    const at = (angle) => (needs(loop, Math.min(Math.PI, Math.max(low, angle)), c, 0), needed(c, 0, a, b));
-    let most = 0;
-    for (let i = 0; i < count; i++) most = Math.max(most, heights[i] = needed(table, 5 * i, a, b));
-    let best = most;
-    for (let i = 1; i + 1 < count; i++) {
-      if (heights[i] < heights[i - 1] || heights[i] < heights[i + 1] || heights[i] < 0.8 * most) continue;
-      best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 20)));
+    const at = (angle) => (needs(loop, Math.min(Math.PI, Math.max(SLOWEST, angle)), c, 0), needed(c, 0, a, b));
+    for (let i = 0; i < count; i++) heights[i] = needed(table, 5 * i, a, b);
+    let best = Math.max(...heights);
+    for (let i = 1, most = best; i + 1 < count; i++) {
+      if (heights[i] >= Math.max(heights[i - 1], heights[i + 1], 0.8 * most)) best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 20)));
     }
-    // slow motion: an even function of the angle is continued to 0
-    return Math.max(best, (4 * at(low) - at(2 * low)) / 3);
+    return Math.max(best, (4 * at(SLOWEST) - at(2 * SLOWEST)) / 3);  // an even function of the angle
   };
 }
 

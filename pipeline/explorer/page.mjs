@@ -72,6 +72,7 @@ function text(value, digits = 4) {
   return Math.abs(rounded) >= 1e5 || (rounded && Math.abs(rounded) < 1e-3) ? rounded.toExponential() : FORMATS[digits].format(rounded);
 }
 
+const below = (value, unit = 10 ** (Math.floor(Math.log10(value)) - 2)) => Math.floor(value / unit) * unit;  // a tip is sharp
 /** @param {any} loop @param {string} path @returns {number | undefined} */
 const get = (loop, path) => path.split(".").reduce((owner, key) => owner?.[key], loop);
 
@@ -366,7 +367,7 @@ export function explore(root, entries) {
       `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
       ["Stable region", `${text(area(border))} ${of().K} · ${of().B}${against(area(border), area(ghost.border))}`],
       ["Stiffest passive wall", calm.stiffness_max
-        ? `${text(calm.stiffness_max)} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
+        ? `${text(below(calm.stiffness_max))} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
       ...(out.length ? [["Left out", `${out.join("; ")}: not part of linear theory`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
     clearTimeout(said), said = setTimeout(() => {
       live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.`

@@ -29,6 +29,12 @@ _NEAR_ZERO = 8e-3
 """Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and what is needed, an even function of the
 angle, is continued to 0 to 1e-9."""
 
+_SLOW, _STILL = 0.3, 1e-4
+"""Corner of a velocity filter [rad/sample] below which slow angles are looked at, and share of it to begin with."""
+
+_SLOW_ANGLES, _SLOW_STARTS = 241, 6
+"""Angles, evenly in their logarithm, of that look, and peaks that are followed."""
+
 _DIRECTIONS = 181
 
 _BISECTIONS = 40
@@ -58,8 +64,43 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
         starts=loop.oldest_force + 2,  # one a turn: their peaks may be nearly equal
     )
-    near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
-    return np.asarray(np.maximum(np.maximum(-found.cost, (4 * near - twice) / 3), 0.0))
+    most = np.maximum(-found.cost, 0.0)
+    slowest = _slowest(loop)
+    if slowest > _SLOW:
+        near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
+        return np.asarray(np.maximum(most, (4 * near - twice) / 3))
+    # a slow filter turns within few of the angles above, or before the first of them
+    slow = search_lines(
+        lambda line, x, _: -_needed_slowly(loop, alpha[line], beta[line], np.exp(x), lowest),
+        *(np.full(len(alpha), np.log(_STILL * slowest)), np.full(len(alpha), np.log(_SLOW))),
+        coarse=_SLOW_ANGLES,
+        starts=_SLOW_STARTS,
+    )
+    return np.asarray(np.maximum(most, -slow.cost))
+
+
+def _slowest(loop: NormalisedLoop) -> float:
+    """Return the smallest distance of a pole of the velocity filter from 1: its corner [rad/sample]; 1 without one."""
+    poles = np.roots(loop.filter_in_z[1])
+    return float(np.abs(1 - poles).min(initial=1.0))
+
+
+def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats, lowest: float) -> Floats:
+    """Return what is needed at angles that may be below the lowest: what aliases add to it grows as 1/angle^2 there."""
+    exact = _needed(loop, alpha, beta, np.maximum(angle, lowest))
+    s0, s1, s2 = _alias_sums(loop, np.array([lowest]))
+    rest = np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0) * (lowest / angle) ** 2
+    u = np.exp(-1j * angle)
+    b, a = loop.filter_in_z
+    y = -np.expm1(-1j * angle) * (
+        alpha - np.expm1(-1j * angle) * beta * np.polyval(b[::-1], u) / np.polyval(a[::-1], u)
+    )
+    A, B, C = loop.device.actuator
+    gain = np.ones(len(angle), np.complex128)
+    if len(A):
+        gain = np.array([C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B) for w in angle])
+    real = (y * np.exp(-1j * angle * loop.delay) * gain).real / angle**2
+    return np.where(angle < lowest, 0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * rest)), exact)
 
 
 def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:

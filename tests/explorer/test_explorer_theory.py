@@ -275,3 +275,21 @@ def test_the_largest_limit_of_hard_loops(ask, parts):
     expected = Loop(**parts).boundary(60).attrs
     assert found["stiffness_max"] == pytest.approx(expected["stiffness_max"], rel=1e-7)
     assert found["damping_at_stiffness_max"] == pytest.approx(expected["damping_at_stiffness_max"], rel=1e-4)
+
+
+@pytest.mark.parametrize("cutoff", [0.05, 0.2, 1.0, 8.0])
+def test_passive_walls_behind_a_slow_filter(ask, cutoff):
+    velocity = {"kind": "butterworth", "order": 2, "cutoff_hz": cutoff}
+    entries = {
+        "mass": 0.58,
+        "damping": 4.0,
+        "sampling_period_s": 0.001,
+        "delay_samples": 4,
+        "loop": {"velocity": velocity},
+    }
+    (found,), loop = ask([("passive", entries)]), in_python(entries)
+    expected = loop.passive()
+    assert found["stiffness_max"] == pytest.approx(expected.attrs["stiffness_max"], rel=1e-6)
+    for axis in ("stiffness", "damping"):
+        far = np.abs(np.array(found[axis]) - expected[axis].to_numpy()).max()
+        assert far < 1e-6 * np.abs(expected[axis]).max()

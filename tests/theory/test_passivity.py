@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from general_loop import general_loop, vibration
 from independent import maximum_passive_stiffness
+from scipy import signal
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.parts import Butterworth
 from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.surface.physical_loop import Loop
 from pipeline.theory.passivity import passive_outline, required_damping, stiffest_passive
 
 
@@ -175,3 +177,27 @@ def test_region_scales_with_the_damping_and_holds_what_is_passive():
 def test_sensing_beyond_a_mode_is_refused():
     with pytest.raises(ParameterError, match="beyond the vibration mode"):
         required_damping(general_loop(0.0, 0.1, 1.0, **vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))
+
+
+@pytest.mark.parametrize("cutoff", [0.05, 0.1, 0.3, 1.0, 5.0, 30.0])
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_behind_a_slow_filter_no_wall_is_called_passive_that_is_unstable(cutoff, order):
+    velocity = {"kind": "butterworth", "order": order, "cutoff_hz": cutoff}
+    loop = Loop(0.58, 4.0, 0.001, 4, velocity=velocity)
+    outline = loop.passive()
+    some = outline[outline["stiffness"] > 1e-3 * outline["stiffness"].max()]
+    inside = loop.points(0.999 * some["stiffness"], 0.999 * some["damping"], ())
+    assert inside["stable"].all()
+    assert outline.attrs["stiffness_max"] <= loop.boundary().attrs["stiffness_max"]
+    # what a slow motion asks for: sums over the aliases themselves, at angles of the filter's corner and far below
+    K, B = outline.attrs["stiffness_max"], outline.attrs["damping_at_stiffness_max"]
+    angle = np.geomspace(1e-6, np.pi, 4000)
+    b, a = signal.butter(order, 2 * cutoff * 0.001)
+    _, gain = signal.freqz(b, a, angle)
+    u, omega = np.exp(-1j * angle), angle[:, None] + 2 * np.pi * np.arange(-400, 401)
+    y = (1 - u) * (K * 1e-6 / 0.58 + B * 1e-3 / 0.58 * gain * (1 - u))
+    L = np.exp(-4j * omega)
+    s0, s1, s2 = ((power / omega**2).sum(axis=1) for power in (np.ones_like(omega), L, np.abs(L) ** 2))
+    real = (y * s1).real
+    needs = 0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * np.maximum(s0 * s2 - np.abs(s1) ** 2, 0)))
+    assert needs.max() == pytest.approx(4e-3 / 0.58, rel=2e-3)
