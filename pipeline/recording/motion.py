@@ -39,6 +39,9 @@ BY_COMMAND = 4.0
 LIKELY_SHIFT = 40
 """Largest delay, of either sign, at which signs are compared [rows]: by more of them a command may repeat itself."""
 
+BETWEEN = 4.0
+"""Residual on the grid of delays relative to that of the other sign up to which both are refined."""
+
 _DEGREE = 2
 
 
@@ -111,9 +114,10 @@ def free_response(samples: Samples) -> FreeResponse | None:
     gain = float(fit.residuals(np.array([best[0]]))[1][0])
     likely = np.abs(coarse) <= LIKELY_SHIFT
     by_sign = [float(left[likely & (sign * signs > 0)].min(initial=np.inf)) for sign in (1, -1)]
-    if by_sign[1] < by_sign[0]:
-        against = likely & (signs < 0)
-        by_sign[1] = min(by_sign[1], _refined(fit, coarse[against], left[against], -reach)[1])
+    if by_sign[1] < BETWEEN * by_sign[0]:  # between the delays of the grid either may be better
+        for place, sign in enumerate((1, -1)):
+            own = likely & (sign * signs > 0)
+            by_sign[place] = _refined(fit, coarse[own], left[own], -reach, sign)[1] if own.any() else np.inf
     return FreeResponse(
         delay=best[0],
         gain=gain,
@@ -142,14 +146,20 @@ def _prepared(samples: Samples) -> _Regression | None:
     return _Regression.of(x - x[0], u / np.abs(samples.command).max(), reach)
 
 
-def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float) -> tuple[float, float]:
-    """Return the delay of the smallest residual, of at least so many rows, to a sixtieth of a row, and what is left."""
+def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign: int = 0) -> tuple[float, float]:
+    """Return the delay of the smallest residual, of at least so many rows, to a sixtieth of a row, and what is left.
+
+    With a ``sign`` only delays count at which the position follows the command with it.
+    """
     allowed = shifts >= least
-    best = float(shifts[allowed][np.argmin(left[allowed])])
+    best, value = float(shifts[allowed][np.argmin(left[allowed])]), float(left[allowed].min())
     for width, step in ((3.0, 1.0), (0.75, 0.25), (0.1875, 0.0625), (0.046875, 0.015625)):
         near = np.unique(np.clip(np.arange(best - width, best + width + step / 2, step), least, None))
-        found, _ = fit.residuals(near)
-        best, value = float(near[np.argmin(found)]), float(found.min())
+        found, gains = fit.residuals(near)
+        if sign:
+            found = np.where(sign * gains > 0, found, np.inf)
+        if found.min() <= value:
+            best, value = float(near[np.argmin(found)]), float(found.min())
     return best, value
 
 

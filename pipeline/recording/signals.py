@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.motion import free_response
+from pipeline.recording.motion import ARITHMETIC, free_response
 from pipeline.recording.samples import Samples, middle
 from pipeline.records.findings import Finding
 
@@ -96,7 +96,9 @@ def wrong_sign(samples: Samples) -> Finding | None:
         response = free_response(samples)
         if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
             return None
-        if response.residual_with <= OTHER_SIGN * response.residual_against:
+        # a motion without noise is explained but for the rounding of its sums
+        rounding = ARITHMETIC * response.motion
+        if response.residual_with <= max(OTHER_SIGN * response.residual_against, rounding):
             return None
         if response.residual_against > AS_GOOD * response.residual:
             return None

@@ -184,3 +184,15 @@ def test_a_jump_in_the_last_rows_is_joined_as_those_before():
     assert joined == pytest.approx(turned, abs=1e-9)
     assert finding.rows == 3
     assert unwrapped(np.mod(turned[:135], 2 * np.pi))[1] is None  # a single one there may be a wrong reading
+
+
+@pytest.mark.parametrize("delay", [2.0, 8.0, 8.5])
+@pytest.mark.parametrize("rows", [101, 111, 150])
+def test_a_free_motion_between_the_delays_that_are_tried_has_no_other_sign(delay, rows):
+    # the grid of delays begins at a quarter of the rows: the true one may lie between, and is exact without noise
+    k = np.arange(rows)
+    x = 4e-5 * np.maximum(k - 20 - delay, 0.0) ** 2
+    command = np.where(k < 20, 0.0, 15.0)
+    samples = Samples(PERIOD * k, command, x, PERIOD, 0.0, 0.0, 15.0)
+    assert "wrong_sign" not in codes(samples)
+    assert codes(Samples(PERIOD * k, -command, x, PERIOD, 0.0, 0.0, -15.0)) == ["wrong_sign"]
