@@ -937,18 +937,18 @@ function needed(c, i, a, b) {
  */
 function requirement(loop) {
   const turns = PASSIVE_PER_TURN * (loop.whole + (loop.topOld ? 3 : 2)), angles = [];
-  for (let t = SLOWEST; t < Math.PI; t += Math.min(0.25 * t, Math.PI / turns)) angles.push(t);
+  for (let t = SLOWEST; t < Math.PI; t += Math.min((t < 1e-3 ? 1 : 0.25) * t, Math.PI / turns)) angles.push(t);
   angles.push(Math.PI);
   const count = angles.length, table = new Float64Array(5 * count), c = new Float64Array(10), heights = new Float64Array(count);
   angles.forEach((angle, i) => needs(loop, angle, table, 5 * i));
   return (a, b) => {
     const at = (angle) => (needs(loop, Math.min(Math.PI, Math.max(SLOWEST, angle)), c, 0), needed(c, 0, a, b));
-    for (let i = 0; i < count; i++) heights[i] = needed(table, 5 * i, a, b);
-    let best = Math.max(...heights);
+    let best = 0;
+    for (let i = 0; i < count; i++) best = Math.max(best, heights[i] = needed(table, 5 * i, a, b));
     for (let i = 1, most = best; i + 1 < count; i++) {
       if (heights[i] >= Math.max(heights[i - 1], heights[i + 1], 0.8 * most)) best = Math.max(best, at(golden(at, angles[i - 1], angles[i + 1], 20)));
     }
-    return Math.max(best, (4 * at(SLOWEST) - at(2 * SLOWEST)) / 3);  // an even function of the angle
+    return Math.max(best, (4 * heights[0] - heights[1]) / 3);  // an even function of the angle, at the smallest and twice it
   };
 }
 
