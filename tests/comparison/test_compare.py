@@ -206,7 +206,7 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     }
     second = plan(["overshoot", "energy_step_w0"])
     assert {s for s, a in second.items() if a == RUN and s.startswith("delay-4")} == {
-        f"delay-4: {stage}" for stage in ("device", "model", "delay", "mass", "energy")
+        f"delay-4: {stage}" for stage in ("parts", "device", "model", "delay", "mass", "energy")
     }
     assert second["report"] == RUN
     third = plan(["overshoot"])  # all is stored, but the report shows other criteria
@@ -327,7 +327,7 @@ def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outco
     assert experiment.theory.source == "estimated from the logs"
     assert experiment.theory.loop.mass == pytest.approx(0.58, rel=5e-3)
     assert experiment.theory.loop.damping == pytest.approx(4.0, abs=0.02)
-    assert experiment.theory.delay_samples == pytest.approx(4, abs=1e-6)
+    assert experiment.theory.loop.delay_samples == pytest.approx(4, abs=1e-6)
     assert set(experiment.optimum) == set(result.criteria)
     assert any("no device file" in text for text in result.warnings)
     assert unknown_outcome.report.is_file()

@@ -28,7 +28,7 @@ from pipeline.store.objects import opened, stored_by
 from pipeline.store.storage import list_experiments
 
 NEEDED = {"response", "wall_law", "boundary", "delay", "outcome"}
-ALL = NEEDED | {"device", "model", "mass", "energy", "settling", "overshoot"}
+ALL = NEEDED | {"parts", "device", "model", "mass", "energy", "settling", "overshoot"}
 NAMES = ("1", "2", "3", "4")
 
 

@@ -119,7 +119,7 @@ def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_pat
 
     def none_without_overshoot(loop, criterion):
         if criterion.startswith("overshoot"):
-            raise ParameterError(f"{loop}: no point without overshoot was found.")
+            raise ParameterError("no point without overshoot was found.")
         return optimal_point(loop, criterion)
 
     monkeypatch.setattr(predictions, "optimal_point", none_without_overshoot)

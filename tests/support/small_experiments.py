@@ -18,12 +18,31 @@ from pipeline.simulation.simulate import simulate
 
 
 def trials(
-    K, B, *, mass=0.5, damping=3.0, coulomb=0.0, delay_samples=2.0, steps=4.0, rows=200, edge_row=20, period=1e-3
+    K,
+    B,
+    *,
+    mass=0.5,
+    damping=3.0,
+    coulomb=0.0,
+    delay_samples=2.0,
+    jitter_samples=(),
+    steps=4.0,
+    rows=200,
+    edge_row=20,
+    period=1e-3,
 ) -> Trials:
     """One trial for each wall; ``steps`` is the step of all, or of each."""
     K, B, steps = np.broadcast_arrays(np.asarray(K, float), np.asarray(B, float), np.asarray(steps, float))
     friction = {"coulomb": coulomb} if coulomb else None
-    loop = Loop(mass, damping, period, delay_samples, friction=friction, sensor={"quantum": 1e-6})
+    loop = Loop(
+        mass,
+        damping,
+        period,
+        delay_samples,
+        friction=friction,
+        sensor={"quantum": 1e-6},
+        jitter_samples=jitter_samples,
+    )
     simulated = []
     for i, (k, b, step) in enumerate(zip(K, B, steps, strict=True)):
         setup = Setup(loop, step=float(step), rows=rows, edge_row=edge_row, travel=0.3)

@@ -86,7 +86,8 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
 def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experiment, expected):
     stages, course, limit = soft_course(parts, tmp_path, **experiment)
     device = identified_loop(stages)
-    assert set(device.parts) == expected
+    at = f"mode at the {device.mode_sensor}" if device.mode_sensor == "load" else "mode"
+    assert {at if part == "mode" else part for part in device.parts} == expected
     assert device.tells
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
     damping = course.trials.damping[: len(limit)]

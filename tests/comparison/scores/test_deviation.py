@@ -128,6 +128,7 @@ def test_a_headline_keeps_its_sign_without_any_one_trial_or_is_said_to_rest_on_f
     unknown = load_device(device).model_copy(update={"name": "unknown"})
     make_lab(tmp_path, unknown, ("1",), seed=seed, coarsen=4).compare()
     assert asked
+    any_turned = False
     for (alpha, beta, expected, measured, use, least), whole in asked:
         turned = []
         for left_out in np.flatnonzero(use):
@@ -135,5 +136,6 @@ def test_a_headline_keeps_its_sign_without_any_one_trial_or_is_said_to_rest_on_f
             without = deviation(alpha, beta, np.where(others | ~use, expected, np.nan), measured, others, least)
             turned.append(without.model * whole.model < 0 and max(abs(without.model), abs(whole.model)) > 100 * MATTERS)
         assert not (whole.steady and any(turned))
-        if device == "falcon-real":
-            assert any(turned)
+        any_turned |= any(turned)
+    if device == "falcon-real":
+        assert any_turned
