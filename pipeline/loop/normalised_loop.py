@@ -206,11 +206,6 @@ class NormalisedLoop:
             )
 
     @property
-    def is_ideal(self) -> bool:
-        """Whether there are no more parts than mass, damper, spring, delay and the plain difference as velocity."""
-        return self == NormalisedLoop.ideal(self.gamma, self.delta, self.delay)
-
-    @property
     def gamma(self) -> float:
         """Normalised stiffness of the device, k T^2/m."""
         return self.plant.stiffness

@@ -2,7 +2,7 @@
 
 A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with
 z = k - t from t on; a ramp of n rows, held in each row, is the mean of n such steps. Around each ramp both are
-compared, with a parabola of third degree and friction for all other motion. Ramps that were sent share their delay; the
+compared, with a cubic in time and friction for all other motion. Ramps that were sent share their delay; the
 steps inside ramps of a grid have their own one.
 """
 

@@ -21,7 +21,7 @@ from pipeline.rendering.figures.drawing import Series, write_picture
 from pipeline.rendering.frames import units_of
 from pipeline.rendering.labels import UNITS
 from pipeline.theory.boundary import boundary, robust_outline, stiffness_limit
-from pipeline.theory.cases import POINT_COSTS, Case, best_wall, costs_of_walls, named_islands
+from pipeline.theory.cases import POINT_COSTS, Case, best_wall, check_robust, costs_of_walls, named_islands
 from pipeline.theory.costs import MAP_DEFAULT, CostMap
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.motion import response
@@ -387,11 +387,7 @@ class Loop(device_loop.Loop):
 
         Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
         """
-        if parts := self.parts_in_words():
-            raise ParameterError(
-                "walls that are stable with every spring are known for mass, damper and delay alone, and this loop "
-                f"has {parts} (4.3.3). Leave that out, or take `passive`."
-            )
+        check_robust(self.parts_in_words())
         units = self.units
         alpha, beta, gamma = robust_outline(self.passive_damping / units.damping, self.delay_samples)
         frame = self._frame(

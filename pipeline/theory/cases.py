@@ -459,6 +459,15 @@ def named_islands(islands: Floats) -> list[dict[str, float]]:
     return [dict(zip(("damping", "stiffness_low", "stiffness_high"), row, strict=True)) for row in islands.tolist()]
 
 
+def check_robust(parts: str) -> None:
+    """Raise ParameterError where a loop has parts, in words, for which the robust region is not known (4.3.3)."""
+    if parts:
+        raise ParameterError(
+            "walls that are stable with every spring are known for mass, damper, spring and delay alone, and this loop "
+            f"has more parts: {parts} (4.3.3). Leave these out, or take the passive walls (Loop.passive)."
+        )
+
+
 def robust_boundary(case: Case) -> Boundary:
     """Return the limit of the walls that are stable with every spring in parallel to the device.
 
@@ -470,11 +479,7 @@ def robust_boundary(case: Case) -> Boundary:
     Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
     """
     loop, (k, b) = case.loop, case.scale
-    if not loop.is_ideal or case.names.get("parts"):
-        raise ParameterError(
-            "walls that are stable with every spring are known for mass, damper, spring and delay alone, and this loop "
-            "has more parts (4.3.3). Leave these out of the device file, or ask for the passive walls (Loop.passive)."
-        )
+    check_robust(", ".join(case.names.get("parts", {})))
     alpha, beta, _ = robust_outline(loop.delta, loop.delay)
     if not len(alpha):
         raise ParameterError(

@@ -1,17 +1,14 @@
 """`pipeline start`: from a folder to a report, by what the data prove, and by questions in a terminal."""
 
+import importlib.util
 import json
-import os
 import re
-import select
-import subprocess
 import sys
-import time
-from contextlib import suppress
 
 import numpy as np
 import pytest
 from packed_sheets import xlsx
+from places import ROOT
 from wall_logs import wall_log
 
 from pipeline.profiles.profile_files import read_profile
@@ -175,31 +172,11 @@ def test_native_logs_need_no_profile(call, tmp_path):
 
 
 def in_terminal(folder, answers, *words):
-    """Run start in a pseudo-terminal and answer its questions in turn; returns exit status and what was shown."""
-    import pty
-
-    main, terminal = pty.openpty()
-    command = [sys.executable, "-m", "pipeline", "start", *words]
-    environment = os.environ | {"COLUMNS": "200", "TERM": "dumb", "BROWSER": "true"}
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True
-    )
-    os.close(terminal)
-    shown, waiting, until = b"", list(answers), time.monotonic() + 300
-    with suppress(OSError):  # when nobody writes to it any more
-        while time.monotonic() < until:
-            if select.select([main], [], [], 0.2)[0]:
-                part = os.read(main, 10_000)
-                if not part:
-                    break
-                shown += part
-                # a question ends with its proposal in brackets and a colon
-                if waiting and re.search(rb"\[[^\]\n]*\]:? $", shown):
-                    os.write(main, f"{waiting.pop(0)}\n".encode())
-            elif process.poll() is not None:
-                break
-    os.close(main)
-    return process.wait(), shown.decode("utf-8", "replace").replace("\r\n", "\n"), waiting
+    """Run start in a pseudo-terminal, as the docs do; returns exit status, what was shown, and answers left over."""
+    spec = importlib.util.spec_from_file_location("make_tutorial", ROOT / "docs" / "make_tutorial.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script.in_terminal(folder, ["start", *words], answers)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
