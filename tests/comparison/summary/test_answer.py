@@ -225,6 +225,9 @@ def test_boundary_and_costs_are_judged_apart(data, result):
     found = told(data, result, [row(4.0)] * 5, scores=scored(result, distance=bent)).predicts
     assert (found.code, found.boundary, found.optimal_costs) == ("yes", "partly", "yes")
     assert (found.above, found.below, found.bounded) == (9, 0, 20)
+    few = told(data, result, [], scores=scored(result, distance=bent))
+    line = answer_lines(result.model_copy(update={"answer": few}))[2]
+    assert "Yes (course of the boundary: partly, optimal costs: too few to say)." in line
     straight = distance.model_copy(update={"bounded": 20, "agreeing": 19, "above": 0})
     found = told(data, result, [row(40.0)] * 5, scores=scored(result, distance=straight)).predicts
     assert (found.boundary, found.optimal_costs, found.below) == ("yes", "no", 1)
