@@ -55,7 +55,7 @@ def measured_entries(result: ComparisonResult) -> list[Entry]:
     told = result.answer.wall if result.answer else None
     found = []
     for experiment in result.experiments:
-        loop = _loop_of(experiment, result.motion)
+        loop = _identified_loop(experiment, result.motion)
         if loop is None:
             continue
         own = told if result.answer is not None and result.answer.experiment == experiment.experiment else None
@@ -85,7 +85,7 @@ def _measured(experiment: ExperimentResult) -> dict[str, Any]:
     return {"limits": limits, "trials": trials, "friction": friction}
 
 
-def _loop_of(experiment: ExperimentResult, motion: str) -> dict[str, Any] | None:
+def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any] | None:
     found = experiment.loop
     if found is None or found.source == "device file":
         return None if experiment.theory is None else loop_entries(experiment.theory.loop)

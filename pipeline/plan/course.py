@@ -15,7 +15,7 @@ from pipeline.device.loop import Loop
 from pipeline.device.parameters import Motion
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_of_row, nominal_loop
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_from_row, nominal_loop
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.identification.identified import check_recordings, described
 from pipeline.measured.identification.parts import ChosenParts, fit_parts
@@ -415,7 +415,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
     if found.unidentifiable & {"mass", "delay_samples"}:
         return Learnt(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
-    device = loop_of_row(asdict(row), float(np.median(trials.sampling_period_s)))
+    device = loop_from_row(asdict(row), float(np.median(trials.sampling_period_s)))
     # a filter shows most where there is most damping
     most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None

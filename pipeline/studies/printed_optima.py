@@ -81,7 +81,7 @@ def printed_optima(table: str) -> tuple[int, Iterator[PrintedOptimum]]:
 
 
 def _recomputed(row: PublishedRow) -> PrintedOptimum:
-    loop, printed = _loop_of(row), _printed(row)
+    loop, printed = _published_loop(row), _printed(row)
     entries: tuple[Entry, ...] = ()
     if row.is_theory:
         name = f"{row.criterion}{DISCRETE}" if row.condition == "theory_discrete" else row.criterion
@@ -91,7 +91,7 @@ def _recomputed(row: PublishedRow) -> PrintedOptimum:
     return PrintedOptimum(*about, entries, printed, published_deviation(row))
 
 
-def _loop_of(row: PublishedRow) -> Loop:
+def _published_loop(row: PublishedRow) -> Loop:
     """Return the loop that a table takes its theory from: of Table D.6 that of each delay."""
     device = load_device(row.device)
     layout = next(table for table in device.tables if table.name == row.table)

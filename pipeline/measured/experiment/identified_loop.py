@@ -260,10 +260,10 @@ def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["moto
 def identified_loop(of: Stored) -> IdentifiedLoop | None:
     """Return the loop of an experiment as its stage `device` has it, None where its logs tell no mass."""
     (row,) = of.table("device").to_pylist()
-    return None if row["parameter_names"] is None else loop_of_row(row, of.sampling_period_s, of.motion)
+    return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)
 
 
-def loop_of_row(row: Mapping[str, Any], sampling_period_s: float, motion: Motion = "translation") -> IdentifiedLoop:
+def loop_from_row(row: Mapping[str, Any], sampling_period_s: float, motion: Motion = "translation") -> IdentifiedLoop:
     """Return the loop of a row of the stage `device`."""
     names = row["parameter_names"]
     return IdentifiedLoop(
