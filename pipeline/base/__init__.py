@@ -1,1 +1,1 @@
-"""Ground that all else stands on: errors, units, files on the disk, hashes."""
+"""Errors, units, atomic files, hashes, processes and compiled functions, used by all other folders."""

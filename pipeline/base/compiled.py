@@ -1,10 +1,9 @@
-"""Loops that numba compiles: when they are first called, kept on disk for the next process.
+"""Loops that numba compiles when they are first called, and keeps on disk for the next process.
 
-A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the Python functions run
-themselves, slowly and with the same numbers, as a debugger needs them. Machine code is kept in the folder that
-``NUMBA_CACHE_DIR`` names, else in the user's folder for caches; where that cannot be written it is made in each process
-again. Several processes that index the same folder would damage it (numba's issue 4807), so that one compiles or loads
-at a time.
+A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the plain Python functions run:
+slowly, with the same numbers, for a debugger. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default in
+the user's cache folder. Where that is read-only, each process compiles in memory. Several processes that index the
+same folder would damage it (numba issue 4807), so only one compiles or loads at a time.
 """
 
 from __future__ import annotations
@@ -26,31 +25,31 @@ R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
 
 WAIT_S = 60.0
-"""How long to wait for another process that compiles [s]: behind it, compile without a folder."""
+"""Longest wait for another process that compiles [s]; after it, compile in memory."""
 
 NOTICED_S = 1.0
-"""How long a user waits for machine code without a word [s]."""
+"""Time after which the user is informed about a compilation [s]."""
 
 _ONE_THREAD = threading.Lock()
-"""Held while numba's folder is set to that of this package."""
+"""Lock on numba's cache folder, which is one setting for the whole process."""
 
 _loaders: dict[str, list[Callable[[], object]]] = {}
-"""What makes or loads the machine code of each compiled function, by module."""
+"""Loaders of the machine code of each compiled function, by module."""
 
 _parts: list[tuple[Callable[..., Any], bool]] = []
-"""Functions that compiled ones call and numba does not know yet, and whether they are inlined."""
+"""Functions to register with numba before their callers are compiled, and whether they are inlined."""
 
 _listeners: list[tuple[Callable[[str], None], float]] = []
-"""Who hears that something is compiled, the first time that it takes longer than some seconds."""
+"""The callback for the first compilation that takes longer than some seconds."""
 
 
 def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that compiles a function to some signatures, such as ``"f8(f8[::1])"``, when it is called.
+    """Return a decorator that compiles a function for signatures such as ``"f8(f8[::1])"`` at its first call.
 
-    The function itself stays as ``__wrapped__``. It takes arrays of the signatures' types only, and calls no other
-    compiled one; it may call those that are `inlined`. Divisions by zero give infinity or NaN, as those of numpy.
-    One that returns nothing (one signature, ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`),
-    unless it ``allocates`` arrays.
+    The Python function remains available as ``__wrapped__``. A compiled function takes arrays of the signature's types
+    only. It cannot call another compiled function, only functions marked with `inlined` or `part`. Divisions by zero
+    give infinity or NaN, as in numpy. A function that returns nothing (one signature, ``"void(...)"``) is loaded
+    without numba (`pipeline.base.machine_code`), unless it ``allocates`` arrays.
 
     Examples
     --------
@@ -82,25 +81,25 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
 
 
 def inlined(function: F) -> F:
-    """Let the compiled functions of a module call a function of the same module; it stays plain Python elsewhere.
+    """Let compiled functions of the same module call this function, inlined; elsewhere it is plain Python.
 
-    Numba takes machine code for old when the file of the compiled function changes, and looks at no other file: what a
-    compiled function calls is in its own module, as are the constants that both use.
+    Numba invalidates cached machine code only when the file of the compiled function changes. Functions that it calls,
+    and constants that both use, must therefore be in the same module.
     """
     _parts.append((function, True))
     return function
 
 
 def part(function: F) -> F:
-    """Do the same for a long function that is called a few times: it stays a function, which takes less to compile."""
+    """Let compiled functions of the same module call this function without inlining, which compiles faster."""
     _parts.append((function, False))
     return function
 
 
 def load_compiled(*modules: str) -> None:
-    """Load the machine code of all compiled functions of some modules, or packages, that are imported; all by default.
+    """Load, or compile, all compiled functions of the given modules or packages, as far as they are imported.
 
-    A pool of processes begins with it: one process compiles what is missing, and the workers load it.
+    By default of all. Called before a pool starts, so that one process compiles and the workers only load.
     """
     for module, loaders in list(_loaders.items()):
         if not modules or any(f"{module}.".startswith(f"{name}.") for name in modules):
@@ -109,13 +108,13 @@ def load_compiled(*modules: str) -> None:
 
 
 def on_compiling(listener: Callable[[str], None] | None, after_s: float = NOTICED_S) -> None:
-    """Call a function with a message, once, when something takes longer to compile; by None nothing is called."""
+    """Call a function with a message, once, when a compilation takes longer than ``after_s``; None removes it."""
     _listeners[:] = [] if listener is None else [(listener, after_s)]
 
 
 @contextmanager
 def _noticed() -> Iterator[None]:
-    """Say that something is compiled if the block takes long."""
+    """Notify the listener if the block takes long."""
     if not _listeners:
         yield
         return
@@ -135,7 +134,7 @@ def _noticed() -> Iterator[None]:
 
 
 def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocates: bool) -> Callable[P, R]:
-    """Return a function as machine code, from disk where another process left it there."""
+    """Return a function as machine code, loaded from disk if it was compiled before."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         import numpy
 
@@ -169,7 +168,7 @@ def _register_inlined() -> None:
 
 
 def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
-    """Return a function without a result as machine code, by an object file that is kept under its name."""
+    """Return the machine code of a function without a return value, from an object file stored under its name."""
     from pipeline.base import machine_code
 
     name, key = machine_code.object_name(function), machine_code.object_key(function, signature).encode()
@@ -195,7 +194,7 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
 
 
 def cache_folder() -> Path:
-    """Return the folder that machine code is kept in, and make it.
+    """Return the folder for machine code, created if necessary.
 
     Raises
     ------
@@ -217,7 +216,7 @@ def cache_folder() -> Path:
 
 @contextmanager
 def _one_process(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder; the lock goes with its holder."""
+    """Lock a folder against other processes; the lock ends with the process."""
     from filelock import lock_descriptor
 
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)
@@ -234,7 +233,7 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _numba_folder(config: Any, folder: Path) -> Iterator[None]:
-    """Let numba look for machine code in a folder; what others compile in this process stays in theirs."""
+    """Set numba's cache folder for the block; functions of other packages keep theirs."""
     former, config.CACHE_DIR = config.CACHE_DIR, os.fspath(folder)
     try:
         yield

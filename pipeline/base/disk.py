@@ -1,12 +1,12 @@
-"""Files that appear whole or not at all, also when the power is lost, and that bear the hash of their content.
+"""Atomic files, named by the hash of their content: they appear whole or not at all, even after a power failure.
 
-A new file is written under a temporary name, synced, renamed, and its folder synced. After that its name and content
-are on the disk; before the rename nobody sees it. A file that bears the hash of its content in its name needs no other
-checksum, and two writers of the same content write the same file.
+A new file is written under a temporary name, synced, renamed, and its folder synced. It is invisible before the rename
+and durable after it. A file with the hash of its content in its name needs no other checksum, and two writers of the
+same content write the same file.
 
-One command writes at a time in `processed/`, by a lock that the kernel lets go when its holder ends, in whatever way.
-It is held on the file ``processed/.lock``, which stays there; it is free when nobody holds it. Readers need none: what
-is stored is whole at any moment. Works on Linux, macOS and Windows, on local disks and on NFS from version 4.
+One command at a time writes in `processed/`. It locks the file ``processed/.lock``; the kernel releases the lock when
+the process ends, however it ends. The file itself remains. Readers need no lock, because stored files are always
+complete. Works on Linux, macOS and Windows, on local disks and on NFS 4 or newer.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ _TEMPORARY = f".*.{'[0-9a-f]' * 16}{TEMPORARY_ENDING}"
 """Pattern of the names of files that are not complete."""
 
 _ABANDONED_S = 7 * 86400.0
-"""Age of a temporary file that nobody completes any more [s]: most are written at once, a map within hours."""
+"""Age from which a temporary file counts as abandoned [s]: even a large map is written within hours."""
 
 _LONGEST_NAME = 200
-"""Bytes of the final name that are kept in the temporary one: file systems allow 255."""
+"""Bytes of the final name that appear in the temporary one: file systems allow 255."""
 
 _SYNCS = 16
-"""Files that wait for the disk at a time: one after the other 500 took 2.5 s on ext4, 16 at a time 0.1 s."""
+"""Files that are synced at the same time: 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 at a time."""
 
 _OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
 _NEW = _OPEN | os.O_EXCL | getattr(os, "O_BINARY", 0)
@@ -53,14 +53,14 @@ _NEW = _OPEN | os.O_EXCL | getattr(os, "O_BINARY", 0)
 _CONTENT = re.compile(r"(?:.*-)?([0-9a-f]{64})\.[^.]+", re.DOTALL)
 
 READABLE = 0o666
-"""Bits of a mode that a file without a program in it may have."""
+"""Mode bits of a file that is not executable."""
 
 READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
-"""Errors by which an operating system says that a place may only be read."""
+"""Error numbers of a read-only place."""
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and the missing ones around it, so that all of them survive a loss of power."""
+    """Create a folder and its missing parents, durably."""
     if not folder.is_dir():
         make_folder(folder.parent)
         with suppress(FileExistsError):  # another process may have made it meanwhile
@@ -69,15 +69,15 @@ def make_folder(folder: Path) -> None:
 
 
 def readable_in(folder: Path, mode: int = READABLE) -> int:
-    """Return the mode of what is made in a folder: who may not enter that may not read this, wherever it is moved."""
+    """Return the mode of a new file or folder: readable only by users who may enter the folder it is created in."""
     around = os.stat(folder).st_mode & 0o777
     return mode & (around | 0o600 | around >> 2 & 0o111)
 
 
 def sync_folder(folder: Path) -> None:
-    """Return when names that came into a folder, or went from it, are on the disk.
+    """Sync a folder, so that added, renamed and removed names are durable.
 
-    Windows opens no folders; there the journal of the file system keeps the order.
+    Windows cannot open folders; there the journal of the file system keeps the order.
     """
     if hasattr(os, "O_DIRECTORY"):
         descriptor = os.open(folder, os.O_RDONLY)
@@ -88,7 +88,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def each(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:
-    """Return what a function that waits for a disk or a network makes of each item, some at a time."""
+    """Apply an I/O-bound function to each item in a thread pool; results are in the order of the items."""
     if len(items) < 2:
         return [work(item) for item in items]
     with ThreadPoolExecutor(min(at_once, len(items))) as pool:
@@ -96,7 +96,7 @@ def each(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _
 
 
 def remove_all(files: Iterable[Path]) -> None:
-    """Remove files, those that are there; on the disk when this returns."""
+    """Remove those of the files that exist, durably."""
     folders = set()
     for file in files:
         with suppress(FileNotFoundError):
@@ -109,7 +109,7 @@ def remove_all(files: Iterable[Path]) -> None:
 
 @dataclass
 class NewFile:
-    """A file that is written: its stream, and its path, which is a temporary one until the file is complete."""
+    """A file being written: its stream, and its path, which is temporary until the file is complete."""
 
     stream: BinaryIO
     path: Path
@@ -119,20 +119,20 @@ class NewFile:
 def new_file(
     folder: Path, stem: str = "", ending: str = "", *, name: str | None = None, mode: int | None = None
 ) -> Iterator[NewFile]:
-    """Open a file that nobody sees until the block has ended well; otherwise it is removed.
+    """Open a file that becomes visible when the block ends without an exception, and is removed otherwise.
 
-    What writers that were killed left in its folder is removed, too.
+    Abandoned temporary files in its folder are removed, too.
 
     Parameters
     ----------
     folder : Path
-        Where it will lie; made if needed.
+        Folder of the file, created if necessary.
     stem, ending : str
-        It is called ``<stem><SHA-256><ending>``.
+        Parts of its name, ``<stem><SHA-256><ending>``.
     name : str, optional
-        Its name, where it bears no hash.
+        Its whole name, if it has no hash.
     mode : int, optional
-        Who may read it, as far as the mask of new files (``umask``) allows; by default who may read the folder.
+        Permissions, limited by the ``umask``; by default those who may read the folder may read the file.
     """
     make_folder(folder)
     remove_temporary(folder, _ABANDONED_S)
@@ -164,7 +164,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name the file in errors of calls that only have its descriptor: which disk is full is told by its place."""
+    """Add the file's path to errors of calls that only have its descriptor, such as a full disk."""
     try:
         yield
     except OSError as error:
@@ -210,7 +210,7 @@ def kept_files(folder: Path, stem: str, ending: str) -> list[Path]:
 
 
 def read_kept(folder: Path, stem: str, ending: str) -> bytes | None:
-    """Return a kept result; None where there is none, or it is damaged: whoever made it makes it again."""
+    """Return a stored result, or None if it is missing or damaged and has to be computed again."""
     for file in kept_files(folder, stem, ending):
         with suppress(FileNotFoundError):
             data = file.read_bytes()
@@ -262,8 +262,8 @@ def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> No
 LOCK_FILE = ".lock"
 
 WAIT_S = 60.0
-"""How long a command waits by default [s]: an ingest of thousands of logs takes seconds, so that two commands started
-by scripts at the same moment both succeed; one that hangs is told within a minute."""
+"""How long a command waits for the lock by default [s]: an ingest of thousands of logs takes seconds, so two commands
+that a script starts together both succeed, and a command that hangs is reported within a minute."""
 
 _GRACE_S = 0.05
 """Wait without a word [s]: most writers are done by then."""
@@ -272,7 +272,7 @@ _LONGEST_NOTE = 4096
 """Bytes read of a lock file; a holder's note has some 100."""
 
 _LOCKED = 1
-"""Bytes at the begin of the file that Windows lets nobody but the holder read."""
+"""Bytes at the beginning of the lock file that Windows lets only the locking process read."""
 
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
 

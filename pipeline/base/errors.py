@@ -25,7 +25,7 @@ CURES: dict[str, str] = {
     "profile-wrong": "Correct the profile.",
     "no-profile": "Remove it, correct `files` of the profile, or name the profile to read it by.",
     "lengths-differ": "Choose signals that were recorded together, with the time that belongs to them.",
-    "partner-missing": "Put all files of the log beside each other.",
+    "partner-missing": "Put all files of the log into one folder.",
     "too-large": "Split the recording into single responses, or export the columns that are needed.",
     "unpacks-too-large": "It is damaged or no log of one step response. Export it again, with the columns needed.",
     "unreadable": "Correct its permissions.",
@@ -51,7 +51,7 @@ EXIT_USAGE = 2
 EXIT_QUARANTINED = 3
 
 
-REMEDY = "`pipeline check` tells what can be saved, `pipeline check --repair` saves it."
+REMEDY = "`pipeline check` lists what can be saved, `pipeline check --repair` saves it."
 """What to do about a damaged file below `processed`."""
 
 
@@ -106,7 +106,7 @@ def refusal(
     code : str
         A key of `CURES`.
     where : str
-        File, and trial or column in it; empty where the reader of the message sees it beside the message.
+        File, and trial or column in it; empty where it is shown next to the message.
     found, expected : str
         What is wrong and what should be there; expected may be empty where the first says it.
     cure : str

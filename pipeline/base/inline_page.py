@@ -22,6 +22,6 @@ def policy(inline: tuple[str, ...]) -> str:
 
 
 def json_text(content: Any) -> str:
-    """Return JSON that may stand inside a ``<script>`` element: it holds no ``<``, ``>`` or ``&``."""
+    """Return JSON that is safe inside a ``<script>`` element: without ``<``, ``>`` and ``&``."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,8 +1,8 @@
-"""Paths that come from outside: as text that every output can hold, opened only as regular files, checked for output.
+"""Paths from users: converted to text that every output can store, opened only if regular files, checked for output.
 
-On Linux a file name is any bytes; Python keeps those that are no UTF-8 as lone surrogates, which neither JSON nor
-Parquet can hold. JSON, HDF5 and MATLAB files may hold lone surrogates, too. And a name may be that
-of a pipe or a device.
+On Linux a file name is any sequence of bytes. Python represents bytes that are not UTF-8 as lone surrogates, which
+neither JSON nor Parquet can store. JSON, HDF5 and MATLAB files may contain lone surrogates, too. A path may also name
+a pipe or a device.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SCHEME = "file:"
 
 
 def storable(text: str) -> str:
-    r"""Return a text with lone surrogates written as ``\udcff``, which no UTF-8 text can hold as such."""
+    r"""Return a text with lone surrogates written as ``\udcff``, so that it can be encoded as UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
@@ -73,7 +73,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def is_gone(path: Path) -> bool:
-    """Return whether nothing bears a path any more; what may not be looked at is not gone, as far as one can tell."""
+    """Return True if the path no longer exists. An unreadable path counts as existing."""
     try:
         os.lstat(path)
     except OSError as error:
@@ -91,12 +91,12 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     option : str
         Name of the option, for the message; empty where a command has none.
     document_beside : bool
-        Whether a JSON document of the same name is written beside it, which would replace a file that ends in .json.
+        Whether a JSON document of the same name is written next to it, which would replace a file that ends in .json.
 
     Raises
     ------
     UsageError
-        If it is a folder, or ends in .json where the document beside it does.
+        If it is a folder, or ends in .json like the document next to it.
     PipelineError
         If its folder takes no files.
     """
@@ -106,12 +106,12 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     if document_beside and path.suffix.lower() == ".json":
         raise UsageError(
             f"{place}: expected the name of the page, found that of the JSON document, which is written "
-            f"beside it and would replace it. Give {path.with_suffix('.html')}."
+            f"next to it and would replace it. Give {path.with_suffix('.html')}."
         )
-    # the folder above a missing one decides; a missing current folder is told by the error below
+    # the nearest existing parent decides; a missing current folder raises the error below
     folder = next((above for above in path.parents if above.exists()), Path("."))
     try:
-        with tempfile.TemporaryFile(dir=folder):  # a file without a name: a folder's permissions alone do not tell
+        with tempfile.TemporaryFile(dir=folder):  # an unnamed file: permissions alone do not show if it is writable
             pass
     except OSError as error:
         raise PipelineError(

@@ -1,9 +1,9 @@
-"""Processes of this package: what each does before anything else, when it ends, and pools that compute.
+"""Start and end of this package's processes, and pools of worker processes.
 
-No process outlives the one that started it, whatever ends that. A worker waits on a pipe the other end of which its
-parent alone holds: the operating system closes it when the parent ends. (The death signal of Linux would come when the
-*thread* ends that started the worker.) A signal that asks for an end becomes an exception, so that files which are not
-complete are taken away; a second one ends the process where it stands.
+No worker outlives the process that started it, however that ends. A worker waits on a pipe whose other end is open in
+its parent only: the operating system closes it when the parent ends. (Linux's parent-death signal would come when the
+starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are removed; a second
+signal ends the process immediately.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def begin_alone() -> None:
 
 
 class _NoPandas:
-    """Finds pandas nowhere, and leaves other modules to others."""
+    """Import finder that hides pandas and leaves other modules to the next finder."""
 
     @staticmethod
     def find_spec(name: str, *_: object) -> None:
@@ -54,10 +54,10 @@ class _NoPandas:
 
 
 def without_pandas(pyarrow: Any) -> None:
-    """Keep pyarrow from importing pandas with its first array (0.2 s, 40 MB), in a process of this package alone.
+    """Keep pyarrow from importing pandas with its first array (0.2 s, 40 MB), in this package's processes only.
 
-    It looks once whether there is pandas; here it looks while there is none. Whoever imports pandas himself gets it,
-    and so does ``Table.to_pandas``; ``pyarrow.array`` takes series of pandas for mere sequences then.
+    pyarrow looks for pandas once, and this makes it look while pandas is hidden. An explicit import of pandas and
+    ``Table.to_pandas`` still work; ``pyarrow.array`` then treats a pandas series as a plain sequence.
     """
     if _alone and "pandas" not in sys.modules:
         sys.meta_path.insert(0, _NoPandas)
@@ -66,7 +66,7 @@ def without_pandas(pyarrow: Any) -> None:
 
 
 class Ended(BaseException):
-    """A signal asked for the end of this process. No handler of errors catches it by accident.
+    """A termination signal was received. A ``BaseException``, so that error handlers do not catch it by accident.
 
     Parameters
     ----------
@@ -79,17 +79,17 @@ class Ended(BaseException):
         self.number = number
 
     def leave(self) -> None:
-        """End this process as the signal does where nobody handles it, so that its parent is told of it."""
+        """End this process as the unhandled signal would, so that its parent learns the reason."""
         signal.signal(self.number, signal.SIG_DFL)
         signal.raise_signal(self.number)
 
 
 @contextmanager
 def ending_on_signals() -> Iterator[None]:
-    """Raise `Ended` in the block on a signal that asks for an end; the next one ends the process, which is safe, too.
+    """Raise `Ended` in the block on a termination signal; the next signal ends the process, which is safe, too.
 
-    A signal that is ignored (nohup) stays so. What others make of that exception is an end, too: an extension module
-    says that its import failed.
+    An ignored signal (nohup) stays ignored. Any exception after the signal is raised as `Ended`, because an extension
+    module reports an interrupted import as a failed one.
     """
     asked: list[int] = []
     former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
@@ -116,12 +116,12 @@ def ending_on_signals() -> Iterator[None]:
 
 @contextmanager
 def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield processes that compute, and that end at once when the block is left by an exception or this process ends.
+    """Yield a pool of processes that end immediately when the block raises an exception or this process ends.
 
     Notes
     -----
-    ``BrokenProcessPool`` is raised for a call where a process was killed, or could not import the caller's main program
-    (typed in, or without a guard); the caller may then do the work himself.
+    A call raises ``BrokenProcessPool`` if a process was killed or could not import the caller's main program (typed in,
+    or without a guard); the caller may then compute in its own process.
     """
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
@@ -133,7 +133,7 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         try:
             yield pool
         except BaseException:
-            held.close()  # nobody waits for what they compute
+            held.close()  # their results are no longer needed
             pool.shutdown(cancel_futures=True)
             raise
 

@@ -94,7 +94,7 @@ def report(share: float) -> None:
 
 
 def approach(fraction: float) -> None:
-    """Report that a fraction of what was left of the part around is done: of work whose length nobody knows.
+    """Report that a fraction of the remaining part is done, for work of unknown length.
 
     >>> with heard_by(lambda name, share: print(share)):
     ...     approach(0.5)

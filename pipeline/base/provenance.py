@@ -16,7 +16,7 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 
 
 def schema_folder() -> Path:
-    """Return the folder with device, profile and schema files: in the package, or beside it in a source checkout."""
+    """Return the folder with device, profile and schema files: in the package, or next to it in a source checkout."""
     installed = PACKAGE_FOLDER / "_schemas"
     return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
 
@@ -37,7 +37,7 @@ def sha256(data: bytes) -> str:
 
 
 def digest(value: object) -> str:
-    """Return a 16-digit hash of anything JSON can hold; equal values give equal hashes on every machine."""
+    """Return a 16-digit hash of any JSON value; equal values give equal hashes on every machine."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return sha256(text.encode())[:16]
 

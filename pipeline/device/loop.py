@@ -71,7 +71,7 @@ class Loop:
         Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
         ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
     operator : Operator or mapping, optional
-        What holds the motor rigidly: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
+        Rigidly attached to the motor: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
     friction : Friction or mapping, optional
         On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
     sensor : Sensor or mapping
@@ -79,7 +79,7 @@ class Loop:
     jitter_samples : tuple of int
         Delays from which each command draws its own; ``delay_samples`` is then their mean.
     constant_force : float
-        Force on the motor beside the command [N, Nm], such as gravity.
+        Force on the motor in addition to the command [N, Nm], such as gravity.
     force_limit : float, optional
         Command that is clipped beyond [N, Nm].
 
@@ -95,8 +95,8 @@ class Loop:
     Examples
     --------
     >>> falcon = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
-    >>> held = falcon.replace({"operator.mass": 0.2, "force_gain": 2.0})
-    >>> held.value("operator.mass"), round(held.apparent().mass, 12)
+    >>> gripped = falcon.replace({"operator.mass": 0.2, "force_gain": 2.0})
+    >>> gripped.value("operator.mass"), round(gripped.apparent().mass, 12)
     (0.2, 0.39)
     """
 

@@ -233,7 +233,7 @@ def _rows() -> tuple[Parameter, ...]:
             "f_0",
             "force",
             "constant force",
-            "force on the motor beside the command, such as gravity",
+            "force on the motor in addition to the command, such as gravity",
             lower=-inf,
             may_seem_negative=True,
         ),

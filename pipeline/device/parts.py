@@ -1,6 +1,6 @@
 """Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. What is absent is ideal.
 
-Theory and estimates never read ``[simulation]``: it holds what logs of a lab may suffer from, and nobody wrote down.
+Theory and estimates never read ``[simulation]``: it lists undocumented faults that the logs of a lab may have.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Butterworth(Part):
 
 
 class Coefficients(Part):
-    """Filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z; stable, with a gain of its own at rest."""
+    """Filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z; stable, of any static gain."""
 
     kind: Literal["coefficients"]
     b: Annotated[tuple[Number, ...], Field(min_length=1, max_length=64)]
@@ -70,7 +70,7 @@ class Coefficients(Part):
 
 
 class Kalman(Part):
-    """Steady-state Kalman filter of positions: a white acceleration, held over each sample, and white sensor noise.
+    """Steady-state Kalman filter of positions: acceleration white and constant over each sample, white sensor noise.
 
     ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations; a quantum q is a noise of
     q/sqrt(12). Only T^2 times their ratio, the tracking index, counts.
@@ -121,17 +121,17 @@ class Levant(Part):
 
 
 LinearFilter = Difference | Butterworth | Coefficients
-"""What a loop of the theory holds; a Kalman filter is one of coefficients."""
+"""Velocity filters of linear theory; a Kalman filter is converted to coefficients."""
 
 VelocityFilter = Annotated[LinearFilter | Kalman | AdaptiveWindow | Levant, Field(discriminator="kind")]
 
 
 class Mode(Part):
-    """One vibration mode: two masses on a spring, of which the motor's side bears force, damping and operator.
+    """One vibration mode: two masses on a spring. Force, damping and operator act on the motor side.
 
     ``frequency_hz`` is the free-free resonance, ``damping_ratio`` that of the relative motion, ``mass`` [kg, kg m^2]
-    the far one; the experiment's mass is the sum of both. ``load_damping`` [Ns/m, Nms/rad] is what the far one bears of
-    the experiment's damping.
+    the load; the experiment's mass is the sum of both. ``load_damping`` [Ns/m, Nms/rad] is the part of the experiment's
+    damping that acts on the load.
     """
 
     frequency_hz: Positive
@@ -142,7 +142,7 @@ class Mode(Part):
 
 
 class Operator(Part):
-    """A hand or arm that holds the motor's side rigidly: mass, damping and stiffness are added to the device's."""
+    """A hand or arm, rigidly attached to the motor side: mass, damping and stiffness are added to the device's."""
 
     mass: Positive
     damping: NonNegative = 0.0
@@ -209,17 +209,17 @@ class SimulationParts(Part):
     one_sided_wall : bool
         The wall acts only beyond its rest in the direction of the step; outside there is no wall force.
     constant_force : float
-        Force on the device beside the command [N, Nm], such as gravity.
+        Force on the device in addition to the command [N, Nm], such as gravity.
     gain_error : float
         Rendered force relative to ``force_gain`` times the command, less 1.
     clock_error : float
         True sampling period relative to the stated one, less 1.
     clipped_command_logged : bool
-        The log holds the command after the force limit instead of before it.
+        The log contains the command after the force limit instead of before it.
     lost_rows : float
         Share of rows that are missing in the log.
     lost_rows_hidden : bool
-        Time stamps are numbered anew, so that they do not show which rows are missing.
+        Time stamps are renumbered, so that they do not show which rows are missing.
     held_samples : float
         Share of samples in which the sensor repeats its last value, to the controller too.
     repeated_rows : float

@@ -99,7 +99,7 @@ def load_device(name: str) -> Device:
     unknown = f"device {name!r} is not known; known are {', '.join(devices)}.{meant}"
     own = user_device_folder()
     if own is not None and (file := own / f"{name}.toml").is_file():
-        # a copied file still bears the name of the device that it was copied from
+        # a copied file still contains the name of the original device
         raise DeviceError(
             f"{unknown} {file}: field name: found {read_device(file).name!r}, expected {name!r}; correct it there."
         )
@@ -153,7 +153,7 @@ def read_device(path: Path) -> Device:
     except ValidationError as error:
         details = error.errors(include_url=False)
         places = [detail["loc"] for detail in details]
-        # a list of which each entry was refused is called too short besides
+        # pydantic also calls a list too short if all its entries were refused
         found = [
             _describe(dict(detail), data)
             for detail in details

@@ -198,7 +198,7 @@ class PublishedPoint(Record):
     Parameters
     ----------
     table : str
-        One of `THEORY_TABLES`. A row of B.1 to B.4 holds two points, which are two of these.
+        One of `THEORY_TABLES`. A row of B.1 to B.4 contains two points, stored as two records.
     criterion : str
         As in `pipeline.theory.optimum`, or ``alpha_max``, ``beta_max``, ``ziegler_nichols``.
     delay, gamma, delta : float

@@ -1,4 +1,4 @@
-"""Holds every stored file against the hash that it is named by, and saves what can be saved of damaged ones.
+"""Check of every stored file against the hash in its name, and recovery of damaged ones.
 
 Results and theory are computed again when they are needed. Of a damaged file of trials the logs are read again where
 they are; of the others those trials are kept whose group of rows can still be read. What is lost is named.
@@ -41,12 +41,12 @@ DAMAGED_FOLDER = "damaged"
 _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 
 Remedy = Literal["save", "remove", "set aside"]
-"""What is done with a damaged file: its trials read again or kept, and the file set aside; removed, since it is made
-again; set aside, where nobody can tell what it said."""
+"""Remedy of a damaged file. save: its trials are read again or copied, and the file is set aside. remove: its content
+is computed again. set aside: its content is lost."""
 
 
 class Damage(Record):
-    """A damaged file, and what becomes of its trials.
+    """A damaged file and the fate of its trials.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ class Damage(Record):
     fault : str
     remedy : {"save", "remove", "set aside"}
     trials, read_again, kept : int
-        Trials that the file is known to hold; those of them that are stored by their logs, or will be where these are
-        there; and those that are kept of it.
+        Trials known to be in the file; those of them that are, or can be, read again from their logs; and those
+        recovered from the file itself.
     lost : tuple of dict
         ``trial_id`` and ``source_path``, as far as they can be read, of trials that cannot be saved.
     """
@@ -71,12 +71,12 @@ class Damage(Record):
 
     @property
     def mended(self) -> bool:
-        """Whether all that it said is there again, or will be made again."""
+        """Whether its whole content is available again, or will be computed again."""
         return self.remedy == "remove" or (self.remedy == "save" and not self.lost)
 
 
 class CheckReport(Record):
-    """What a check found: files that were looked at, damaged ones, whether these were repaired, and what is gone."""
+    """Result of a check: files and bytes read, damaged files, whether these were repaired, and missing trials."""
 
     files: int
     bytes: int
@@ -91,9 +91,9 @@ def check(
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> CheckReport:
-    """Hold every stored file against its hash; with `repair` save what can be saved.
+    """Check every stored file against its hash; with `repair` save what can be saved.
 
-    Killed at any moment, a repair has lost nothing, and the next one does what is left.
+    A repair that is killed at any moment loses nothing, and the next one continues.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _files(processed: Path) -> Iterator[Path]:
 
 
 def _of_others(processed: Path, file: Path, faults: dict[Path, str], repair: bool) -> Damage:
-    """Remove, or set aside, a damaged file that holds no trials."""
+    """Remove, or set aside, a damaged file without trials."""
     name = file.relative_to(processed)
     remedy: Remedy = "set aside" if name.parts[0] in ("corrections", "quarantine") else "remove"
     if repair and remedy == "remove":
@@ -198,9 +198,9 @@ def _is_there(row: dict[str, str]) -> bool:
 def _of_trials(
     processed: Path, file: Path, rows: list[dict[str, str]], faults: dict[Path, str], repair: bool
 ) -> Damage:
-    """Store what can be read of a damaged file and is not stored by its log, set it aside, and list what is lost.
+    """Store readable trials of a damaged file that their logs do not provide, set it aside, and list lost trials.
 
-    Without `repair` this is only told.
+    Without `repair` this is only reported.
     """
     # the same logs make the same file, which is whole again where all of them were read
     there = {other: text for other, text in faults.items() if other.exists()}

@@ -96,26 +96,26 @@ class PlannedSource:
 
 
 class IngestReport(Record):
-    """Number of logs by what became of them; ``found = ingested + skipped + len(quarantined)``.
+    """Number of logs by result; ``found = ingested + skipped + len(quarantined)``.
 
-    A log is a source file (or pair of files), also where it holds several trials.
+    A log is a source file (or pair of files), even if it contains several trials.
 
     Parameters
     ----------
     found, ingested, skipped : int
     quarantined : tuple of Refusal
     warnings : tuple of LogWarning
-        Logs that were ingested now although something in them is not as it should be.
+        Logs that were ingested although something in them is unusual.
     removed : tuple of str
-        Sources that are stored and stand no more below the searched folders; their trials stay stored.
+        Stored sources that no longer exist below the searched folders; their trials stay stored.
     changed : tuple of ChangedSource
         Sources whose content differs from the stored one.
     waiting : tuple of str
         Sources that changed a moment ago and were left for later; they do not count as found.
     plan : tuple of PlannedSource or None
-        With a dry run: what would be done with each source, those that wait included.
+        With a dry run: what would be done with each source, waiting ones included.
     damaged : tuple of str
-        Stored files that are damaged, with what to do; their logs count as new, all others are as ever.
+        Damaged stored files with their remedy; their logs count as new, others are not affected.
     ignored : tuple of str
         Files in searched folders that are no logs: papers, scripts, settings, pictures, sheets; they do not count.
     """
@@ -134,8 +134,8 @@ class IngestReport(Record):
 
 
 PENDING_BYTES = 64 << 20
-"""Memory of logs that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file,
-and an interruption costs about a second's work."""
+"""Memory of logs collected before they are stored: 2,300 logs of 1,000 rows make one file, and an interruption loses
+about a second's work."""
 
 
 def ingest(
@@ -162,30 +162,30 @@ def ingest(
     paths : sequence of Path
         Folders (searched with those below) and files.
     processed : Path
-        Folder of the stored tables; made if needed.
+        Folder of the stored tables, created if necessary.
     profile : str, Path or Profile, optional
         Shipped profile by name, a TOML file, or a loaded one; by default each file is claimed by a shipped profile.
     jobs : int, optional
         Threads that read and parse; by default one per processor, at most four.
     dry_run : bool
-        Read and validate, write nothing, and say for each source what would be done.
+        Read and validate, write nothing, and report for each source what would be done.
     rehash : bool
-        Look at the content also where size and modification time are unchanged.
+        Compare the content even where size and modification time are unchanged.
     replace : bool
-        Whether trials give way where another profile or device claims their log now; by default that is refused.
+        Whether to replace trials whose log is now claimed by another profile or device; by default that is refused.
     progress : callable, optional
         Called with (logs done, logs found).
     settle_s : float
         Leave sources alone that were modified less than this time ago [s]: they may still be recorded. A source that
         changes while it is read is refused in any case.
     growing : collection of str
-        Absolute paths of files that somebody saw change a moment ago, whatever their times say; left alone, too.
+        Absolute paths of files that are known to be growing, whatever their times; left alone, too.
     wait_s : float
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
-        Gets a line when waiting begins.
+        Called with a message when waiting begins.
     damaged : dict of Path to str, optional
-        Stored files that are known to be damaged, and why: their logs count as new.
+        Stored files known to be damaged, with the fault: their logs count as new.
     ignore : sequence of str
         Patterns of the names of files in searched folders that are no logs.
 
@@ -215,7 +215,7 @@ def ingest(
 
 @dataclass
 class _Run:
-    """One ingest: what is stored already, what was decided so far, and what waits to be stored.
+    """One ingest: the stored sources, decisions so far, and trials waiting to be stored.
 
     Parameters
     ----------
@@ -244,15 +244,15 @@ class _Run:
         self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
-        """Sources that are known by size and time, which nobody looked at."""
+        """Number of sources skipped by their size and time, without reading them."""
         self.missing = set[str]()
         """Paths of stored sources that were not found, or not searched for."""
         self.places = dict[str, str]()
-        """Path under which each trial is stored now."""
+        """Path under which each trial is stored."""
         self.renamed = dict[str, str]()
-        """Id of each trial whose log was renamed, and the one that it has now."""
+        """Former and new id of each trial whose log was renamed."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
-        """Trials that are not visible yet, and those that give way to them: of any, and of older content."""
+        """Trials to store, and stored trials that they replace: all, and those with older content."""
         self.seen = dict[str, str]()
         """First source with each hash of samples."""
         self.folders = set[Path]()
@@ -268,13 +268,13 @@ class _Run:
 
     @cached_property
     def _deleted(self) -> set[str]:
-        with suppress(StoreError):  # told by whoever computes
+        with suppress(StoreError):  # reported by the commands that compute
             return {one.trial_id for one in read_corrections(self.processed).values() if one.deleted}
         return set()
 
     @cached_property
     def _gone(self) -> dict[tuple[str, str], list[tuple[str, StoredSource]]]:
-        """Stored sources that are not there any more, by content and profile."""
+        """Stored sources that no longer exist, by content and profile."""
         found: dict[tuple[str, str], list[tuple[str, StoredSource]]] = {}
         for path in sorted(self.missing):
             if is_gone(path_of_text(path)) and (one := self.stored.get(path)) is not None:
@@ -282,7 +282,7 @@ class _Run:
         return found
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
-        """Find the sources; those that need no look are counted."""
+        """Find the sources; unchanged ones are only counted."""
         known = {} if self.dry_run or self.rehash else self.stored.states
         for path in (*self.refused, *growing):
             known.pop(path, None)
@@ -334,7 +334,7 @@ class _Run:
         """Return what became of all sources, and which are stored and stand no more below some folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
         missing = [key for key in self.missing if key.startswith(roots)]
-        # what may not be looked at is told as such; a folder in the place of a log is none
+        # unreadable files are reported elsewhere; a folder with the path of a log is no log
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
         counts = Counter(one.action for one in self.plan)
         return IngestReport(
@@ -384,7 +384,7 @@ class _Run:
         return self._read_alike(self._find(source, sha256), source)
 
     def _find(self, source: Source, sha256: str) -> str | None:
-        """Return the path under which a log is stored that is this one: content, and what its name tells."""
+        """Return the path of a stored log with the same content and the same conditions in its name."""
         return self.places.get(trial_id(sha256, None, source.told))
 
     def _read_alike(self, path: str | None, source: Source) -> bool:
@@ -408,7 +408,7 @@ class _Run:
         return None
 
     def _accept(self, source: Source, sha256: str, logs: tuple[Log, ...] | None) -> None:
-        """Store a log, or skip one that is known, for which nobody made `logs` of it.
+        """Store a log. `logs` is None for a known log that was not parsed; it is skipped.
 
         Raises
         ------
@@ -485,7 +485,7 @@ class _Run:
                 path, renamed = gone.pop(0)
                 self.missing.discard(path)
                 self.renamed |= dict(zip(renamed.trials, ids, strict=False))
-                self._drop(path, path, renamed, f"is now {source.shown}; its trials were read anew")
+                self._drop(path, path, renamed, f"is now {source.shown}; its trials were read again")
                 reason = f"its name was {path}"
         elif former.sha256 != row["source_sha256"]:
             reason = "content changed"
@@ -550,7 +550,7 @@ class _Run:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
         self.refusals.append(refusal)
         former = self.stored.get(source.key)
-        # without a hash nobody has seen other bytes, but for a file that has become too long to be read
+        # without a hash no changed bytes were read, except where a file has become too long to be read
         seen = record.sha256 is not None or record.code == "too-large"
         if former is not None and former.sha256 != record.sha256 and seen:
             outcome = "its new content is refused; the trials of the former one stay stored"

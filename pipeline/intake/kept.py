@@ -1,7 +1,7 @@
 """What is kept of each source: its trials, with what they replace; or why it was refused.
 
-A refused source has a record in a folder of its own below ``processed/quarantine``, and at most one: refusing it again
-replaces the record, accepting it removes the record. The source itself is never touched, and not copied.
+A refused source has one record, in a separate folder below ``processed/quarantine``. Refusing it again replaces the
+record, accepting it removes the record. The source itself is never changed or copied.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from pipeline.store.names import name_of_folder
 from pipeline.store.storage import alike, read_rows, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
-"""Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
+"""Columns that show whether a source is new; with groups of 64 rows each column costs a tenth of the time."""
 
 MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
 """Columns that are read when a log that is stored is asked for."""
@@ -55,7 +55,7 @@ class StoredSource(NamedTuple):
     devices, trials : tuple of str
         Device and id of each of its trials.
     whole : bool
-        Whether these are all that the source holds: an interrupted run may have written some of them.
+        Whether these are all trials of the source: an interrupted run may have written only some.
     """
 
     sha256: str
@@ -126,7 +126,7 @@ class StoredSources:
 class Periods:
     """Sampling period [s] of each experiment of a store, by device and name; the first log decides.
 
-    A log whose period differs is of another loop, and of an experiment of its own.
+    A log with another period belongs to another loop, and therefore to a separate experiment.
     """
 
     processed: Path
@@ -144,7 +144,7 @@ class Periods:
         return found
 
     def apart(self, log: Log) -> Log:
-        """Return a log with the name of the experiment of its own period; one that is renamed says so."""
+        """Return a log with the name of the experiment of its period, and a warning if that differs from the header."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
         if alike(common, period):
@@ -165,7 +165,7 @@ OTHER_GAINS = "other_gains"
 """Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
 
 LOG_BYTES = 2048
-"""Memory of a log beside its samples [byte]."""
+"""Memory of a log without its samples [byte]."""
 
 
 _CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "grip", "simulated")
@@ -199,7 +199,7 @@ class Accepted:
 def accepted_logs(
     source: Source, sha256: str, logs: Sequence[Log], known: Mapping[str, Motion], claims: str
 ) -> list[Accepted]:
-    """Return the trials of a source that was read; one whose command obeys other gains bears a mark and a warning.
+    """Return the trials of a source; one whose command follows other gains is marked and has a warning.
 
     Parameters
     ----------
@@ -288,10 +288,10 @@ def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
     label : str or None
         Which trial of the source it is.
     told : str, optional
-        What is read from the name of the file: under a name that tells otherwise the same samples are another trial.
+        Conditions read from the name of the file: the same samples with other conditions are another trial.
     """
     parts = [part for part in (label, told) if part is not None]
-    # neither label nor name holds a NUL
+    # neither label nor name contains a NUL
     return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]
 
 
@@ -333,7 +333,7 @@ class QuarantineRecord(Record):
     profile_line: str | None = None
 
     def knows_less(self, other: QuarantineRecord | None) -> bool:
-        """Return whether its profile does not fit the file at all, while another one, which did, said what is wrong."""
+        """Return whether its profile does not fit the file, while another record's profile fitted and found a fault."""
         if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
             return False
         return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS

@@ -56,7 +56,7 @@ _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
-    """Return the files of the bag that a file belongs to, as ``metadata.yaml`` beside it lists them; else none."""
+    """Return the files of the bag that a file belongs to, as listed in its folder's ``metadata.yaml``, else none."""
     if file.name != METADATA and file.suffix.lower() not in ENDINGS:
         return ()
     try:
@@ -72,7 +72,7 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
 
 
 UNCOUNTED = frozenset({"truth.json"})
-"""Files that stand beside logs and are none (of the simulator), in small letters; nothing is said of them."""
+"""Files of the simulator in folders of logs that are no logs, in small letters; they are not reported."""
 
 _PAPERS = ("readme", "license", "licence", "copying", "changelog", "citation", "makefile", "dockerfile", "thumbs.db")
 _NO_LOGS = {
@@ -81,7 +81,7 @@ _NO_LOGS = {
     "settings": "toml yaml yml ini cfg conf lock",
     "pictures": "png jpg jpeg gif svg bmp tif tiff webp eps mp4 avi mov mkv",
 }
-"""Beginnings and endings of the names of files that hold no samples."""
+"""Beginnings and endings of the names of files without samples."""
 
 _ENDINGS = frozenset(" ".join(_NO_LOGS.values()).split())
 
@@ -105,7 +105,7 @@ class Notices:
     folders : list of (Path, str)
         Folders that are not searched, each with the reason: it is a link, or may not be read.
     ignored : list of Path
-        Files in searched folders that are no logs, by their names or because the caller said so.
+        Files in searched folders that are no logs, by their names or by the caller's patterns.
     """
 
     folders: list[tuple[Path, str]] = field(default_factory=list)
@@ -158,7 +158,7 @@ class Source:
     def told(self) -> str | None:
         """What the profile reads from the name of the log, as text; None where it reads names not.
 
-        Names that tell the same, as 2 and 2.0, give the same text.
+        Names with the same meaning, such as 2 and 2.0, give the same text.
         """
         profile, name = self.profile, storable(self.path.name)
         if profile is None or not profile.reads_names:
@@ -380,7 +380,7 @@ def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None,
 class Read:
     """A source after reading: its logs, a refusal, or neither where its content is stored already.
 
-    ``source`` bears the size and time that the files had while they were read.
+    ``source`` has the size and time that the files had while they were read.
     """
 
     source: Source
@@ -398,7 +398,7 @@ def read_and_check(
     Parameters
     ----------
     sources : sequence of Source
-        All claimed by the same profile, or by none; at most some MB together, which are held in memory.
+        All claimed by the same profile, or by none; a few MB together at most, since they are kept in memory.
     known : callable
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
     together : bool, optional
@@ -419,7 +419,7 @@ def read_and_check(
             reads[index] = replace(reads[index], result=outcome)
     for read in reads:
         if isinstance(why := read.result, LogError):
-            # frames in which it was raised hold the bytes of logs until cycles are collected
+            # the frames of the traceback would keep the bytes of logs in memory
             why.__traceback__ = why.__cause__ = why.__context__ = None
     if together:
         find_together([log for read in reads if isinstance(read.result, tuple) for log in read.result])

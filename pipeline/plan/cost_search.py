@@ -30,7 +30,7 @@ DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
 
 ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
 """Places about the lowest of the grid, how far they reach in its distances, and about how many: the shortest settling
-times lie in a narrow valley beside a jump, of which a grid sees any place by chance."""
+times lie in a narrow valley next to a jump, which a grid hits only by chance."""
 
 LONGEST = 1000
 """Samples after which a response that still moves has no cost."""
@@ -75,7 +75,7 @@ class Target:
     dampings, highest : float64, shape (n,)
         Dampings B, rising, and the largest stiffness that is thought to be stable at each.
     by : Loop or None
-        The one by which costs are foretold.
+        The one that predicts the costs.
     holds : bool
         Whether it has the measured limits.
     """
@@ -98,15 +98,15 @@ class Target:
 
     @property
     def least_size(self) -> float:
-        """Least standard deviation of what costs differ by from what is foretold."""
+        """Least standard deviation of costs from the predicted ones."""
         return ROUGH if self.by is not None and self.holds else WRONG
 
     def highest_at(self, damping: Floats) -> Floats:
         """Return the largest stiffness that is thought to be stable at dampings."""
         return np.interp(damping, self.dampings, self.highest)
 
-    def foretold(self, K: Floats, B: Floats) -> Floats:
-        """Return the logarithm of foretold costs; 0 without a device, NaN where it has none."""
+    def predicted(self, K: Floats, B: Floats) -> Floats:
+        """Return the logarithm of predicted costs; 0 without a device, NaN where it has none."""
         if self.by is None:
             return np.zeros(len(K))
         found = costs_of(self.by, K, B, self.criterion) + self.offset
@@ -154,7 +154,7 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: F
 
     Notes
     -----
-    The logarithm of measured over foretold costs is a Gaussian random function with lengths `LENGTHS`; the wall with
+    The logarithm of measured over predicted costs is a Gaussian process with lengths `LENGTHS`; the wall with
     the largest expected improvement is tried (Jones 1998). Of a batch, each wall is taken as tried with the expected
     cost.
     """
@@ -191,21 +191,21 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: F
 
 
 def _best(tried: Tried, cost: Floats, target: Target) -> int | None:
-    """Return the trial of least cost; of those alike the one for which the least is foretold."""
+    """Return the trial of least cost; of equal ones the one with the least predicted cost."""
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
-    foretold = target.foretold(tried.stiffness[alike], tried.damping[alike])
+    foretold = target.predicted(tried.stiffness[alike], tried.damping[alike])
     return int(alike[np.argmin(np.nan_to_num(foretold, nan=np.inf))])
 
 
 def _places(target: Target) -> tuple[Floats, Floats, Floats]:
-    """Return K, B and the logarithm of the foretold cost of walls that may be tried: a grid, denser at its best."""
+    """Return K, B and the logarithm of the predicted cost of candidate walls: a grid, denser around its optimum."""
     dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
     K, B = np.outer(target.highest_at(B), SHARES).ravel(), np.repeat(B, len(SHARES))
     K, B = K[K > 0], B[K > 0]
-    cost = target.foretold(K, B)
+    cost = target.predicted(K, B)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
     for reach, starts in ZOOMS if target.by is not None and np.isfinite(cost).any() else ():
         # the lowest, each at another damping than those before
@@ -216,17 +216,17 @@ def _places(target: Target) -> tuple[Floats, Floats, Floats]:
         near_K = (K[low] + about * np.tile(ZOOM, len(ZOOM))).ravel()
         some = (near_K > 0) & (near_K <= SHARES[-1] * target.highest_at(near_B))
         K, B = np.append(K, near_K[some]), np.append(B, near_B[some])
-        cost = np.append(cost, target.foretold(near_K[some], near_B[some]))
+        cost = np.append(cost, target.predicted(near_K[some], near_B[some]))
     good = np.isfinite(cost)
     return K[good], B[good], cost[good]
 
 
 def _seen(tried: Tried, target: Target) -> tuple[Floats, Floats]:
-    """Return B and K of the trials, and by how much the logarithm of their costs differs from the foretold one."""
+    """Return B and K of the trials, and the difference of the logarithms of measured and predicted costs."""
     K, B = tried.stiffness, tried.damping
     inside = SHARES[-1] * target.highest_at(B) > K
     foretold = np.full(len(K), np.nan)
-    foretold[inside] = target.foretold(K[inside], B[inside])
+    foretold[inside] = target.predicted(K[inside], B[inside])
     value = np.log(tried.cost + target.offset) - foretold
     usual = float(np.nanmean(value)) if np.isfinite(value).any() else 0.0
     value = np.where(inside & np.isnan(tried.cost), usual + NO_COST, value)
@@ -235,8 +235,8 @@ def _seen(tried: Tried, target: Target) -> tuple[Floats, Floats]:
 
 
 def _beside(K: Floats, B: Floats, ahead: Floats, target: Target) -> Floats:
-    """Return by how much walls beside others are foretold to be worse, as logarithm: the best ones stand at a jump."""
-    off = [target.foretold(K * (1 + k), B * (1 + b)) - ahead for k, b in BESIDE]
+    """Return the predicted rise of the log cost in the neighbourhood of walls: the best ones are next to a jump."""
+    off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in BESIDE]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 

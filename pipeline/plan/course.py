@@ -55,7 +55,7 @@ RANGE = 1.5
 """Largest damping where none is named, relative to that of the stiffest wall."""
 
 AGAIN = 3
-"""Parts of a device are looked for anew when there are so many times as many logs."""
+"""Growth of the number of logs, as a factor, after which the parts of the device are selected again."""
 
 Look = Callable[[list[Recording]], ChosenParts | None]
 """What looks for the parts of a device; None as long as that goes on."""
@@ -84,7 +84,7 @@ RANGE_NEEDED = (
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """The device of some logs; None where they tell no mass. Its parts were looked for at so many logs."""
+    """The identified device of some logs, None without a mass, and the number of logs when its parts were selected."""
 
     chosen: ChosenParts
     device: IdentifiedLoop | None
@@ -227,7 +227,7 @@ def course_of(
     wish: Wish,
     force: Floats | None = None,
 ) -> Course:
-    """Return the trials of an experiment as verdicts alone tell of them: no device learnt.
+    """Return the trials of an experiment by their verdicts alone, without an identified device.
 
     ``force`` is the largest absolute command of each trial [N, Nm], where it matters.
     """

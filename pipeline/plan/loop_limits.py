@@ -18,14 +18,15 @@ from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
 
 LONGEST = 2000
-"""Samples of a simulated log: what neither grows nor decays in them is as near the limit as any log tells."""
+"""Samples of a simulated log: a wall whose motion neither grows nor decays in them is within a log's resolution of the
+limit."""
 
 BEYOND = 1.5
 """How far above its linear limit a limit for the step is looked for, in largest linear limits: friction of a tenth of
 the step doubles a limit."""
 
 WALLS, ROUNDS = 17, 3
-"""Walls of a round between a stable and an unstable one; three rounds tell a limit to 1/2700 of the largest."""
+"""Walls of a round between a stable and an unstable one; three rounds resolve a limit to 1/2700 of the largest."""
 
 DIGITS = 9
 """Significant digits of simulated walls, far more than a limit is known to."""

@@ -18,7 +18,7 @@ VOTES = 3
 wall, or trials of an end in place of a wall inside a bracket are enough."""
 
 MISFIT = 0.007
-"""Error of foretold limits, relative to the largest, before any is known: verdicts call what grows unseen stable."""
+"""Error of predicted limits, relative to the largest, before any is known: verdicts miss growth below the noise."""
 
 SMOOTH = 0.15
 """Length over which what a device misses changes, relative to the range of dampings."""
@@ -72,7 +72,7 @@ class Tried:
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``, as `measured.signal.verdict.judge` says.
     growth : float64, shape (n,)
-        Growth rate of the slowest visible mode [1/s], NaN where it is not told.
+        Growth rate of the slowest visible mode [1/s], NaN where it is unknown.
     force : float64, shape (n,)
         Largest absolute command [N, Nm], NaN where it does not matter.
     cost : float64, shape (n,)
@@ -235,7 +235,7 @@ class Aim:
 
     @property
     def start(self) -> float:
-        """Stiffest first wall, relative to the foretold limit."""
+        """Stiffest first wall, relative to the predicted limit."""
         return BOLD if self.gentle else START
 
 
@@ -277,7 +277,7 @@ class Split:
 class Column:
     """One damping: what verdicts and forecast say of its limit, and the wall to try; None where it is done.
 
-    ``estimate`` is None where nothing tells it, ``split`` None where a wall is tried again. ``most`` is the stiffest
+    ``estimate`` is None where it is unknown, ``split`` None where a wall is tried again. ``most`` is the stiffest
     wall that may be tried now.
     """
 
@@ -297,7 +297,7 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All dampings, the largest limit, and the forecast that they rest on."""
+    """All dampings, the largest limit, and the forecast behind them."""
 
     columns: tuple[Column, ...]
     largest: float
@@ -633,7 +633,7 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
     near = [bottom + apart, far - apart, value - 0.5 * apart, value + 0.5 * apart]
     about = [value + error * np.linspace(-2.5, 2.5, 21), value + apart * np.arange(-4, 5) / 4]
     inner = np.unique(np.concatenate([np.linspace(bottom, far, 9)[1:-1], near, *(about if np.isfinite(error) else [])]))
-    # walls nearer than this tell nothing new
+    # walls closer together than this give no new information
     kept = [bottom]
     for wall in inner[(inner > bottom) & (inner < far)]:
         if wall - kept[-1] > 0.05 * width:

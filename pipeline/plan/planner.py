@@ -74,8 +74,8 @@ class PlannedLimit(Record):
     """Limit of stability at a damping [N/m, Nm/rad].
 
     ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None where there is none;
-    ``estimate`` lies between them; None without a stable or unstable trial there, and where verdicts do not tell it.
-    ``note`` says what is special of it.
+    ``estimate`` lies between them; None without a stable or unstable trial there, and where verdicts do not bracket it.
+    ``note`` is a remark on this damping.
     """
 
     damping: float
@@ -88,8 +88,8 @@ class PlannedLimit(Record):
 class Best(Record):
     """Best trial so far by a criterion, the least cost that the loop of all logs foretells, and the region around it.
 
-    ``region`` holds the smallest and largest stiffness, and the smallest and largest damping, of walls whose cost is
-    foretold to be within the wanted accuracy of the least; None where no loop foretells it.
+    ``region`` is the smallest and largest stiffness, and the smallest and largest damping, of walls whose predicted
+    cost is within the wanted accuracy of the least; None where no loop predicts it.
     """
 
     criterion: str
@@ -103,8 +103,8 @@ class Best(Record):
 class Plan(Record):
     """What to try next, whether that is all, what is known, and how many trials it took and will take.
 
-    ``remarks`` are sentences on what the plan rests on. ``left_out`` names parts of the device file that the limits
-    leave out, as long as these come from it.
+    ``remarks`` are sentences on the basis of the plan. ``left_out`` names parts of the device file that its limits do
+    not include, as long as the plan uses these limits.
     """
 
     next: tuple[Next, ...]
@@ -137,7 +137,7 @@ def plan(
     Raises
     ------
     DeviceError
-        If neither a device file nor a log tells where to start, or the experiment is not known.
+        If neither a device file nor a log gives a range to start from, or the experiment is unknown.
     UsageError
         If several experiments are stored and none is named, or a limit leaves nothing to try.
     """
@@ -247,7 +247,7 @@ def aim_of(
 
 
 def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
-    """Return what the plan rests on: contradictions, and whether a loop explains the logs."""
+    """Return remarks on the basis of the plan: contradictions, and whether a loop explains the logs."""
     said = [
         f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit counts"
         for c in found.columns
@@ -434,7 +434,7 @@ def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim
         why = f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least"
         if search.region is None:
             why = f"{so_far}; no device predicts costs"
-        # neighbours may be one wall to all digits that are told
+        # neighbours may round to the same wall
         walls.setdefault((stiffness, damping), Next(stiffness=stiffness, damping=damping, expected="stable", why=why))
     return [*walls.values()]
 

@@ -40,8 +40,8 @@ SCALE = 0.005
 """Difference of ratios up to which a rig scales by one factor."""
 
 TWICE = 2
-"""Answers that tell how a rig sets walls; and times that an end of a bracket may answer for a wall inside before none
-counts as left, where no step explains it."""
+"""Answered walls that show how a rig sets its gains; also, how often an end of a bracket may be answered instead of a
+wall inside, without a step that explains it, before no wall counts as left."""
 
 STIFFER = 1.3
 """How much more is asked for where the stiffest wall answered for stiffer ones, relative to these."""
@@ -185,7 +185,7 @@ class RigRange:
 
     @property
     def several(self) -> bool:
-        """Whether walls of several stiffnesses were answered, so that these tell a step."""
+        """Whether walls of several stiffnesses were answered, so that the rig's step can be estimated."""
         return len(np.unique(self.asked)) >= TWICE
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
@@ -194,7 +194,7 @@ class RigRange:
         Parameters
         ----------
         wanted : float
-            Stiffness that would tell most.
+            Most informative stiffness.
         low, high : float
             Ends of the bracket; 0 and infinite where no wall is one.
         most : float

@@ -3,7 +3,7 @@
 Shipped profiles lie in ``schemas/profiles``; a user's own is given by file name. A profile names the files
 it claims, the partner file where one log is two files, the columns with their units and signs, and the
 conditions that the files themselves do not state. `pipeline.profiles.profile_model` describes the keys. A mistake is
-told with the line of the TOML text, the key, and the key that was meant.
+reported with the line of the TOML text, the key, and the most similar known key.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
 
 
 def find_questions(text: str) -> list[Mistake]:
-    """Return the questions of a draft that nobody has answered: ``# QUESTION: key: words`` above a key in remarks."""
+    """Return the open questions of a draft: ``# QUESTION: key: words`` above a key that is commented out."""
     found, lines = [], text.splitlines()
     for number, line in enumerate(lines, start=1):
         answered = number < len(lines) and not lines[number].lstrip().startswith("#")

@@ -1,6 +1,6 @@
 """The record of a log profile: which files, which format, which columns, which conditions, which part of the rows.
 
-All that does not fit together is found at once: `Profile` raises one error that holds every problem with its place.
+All contradictions are found at once: `Profile` raises one error that lists every problem with its place.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ class TextLayout(Record):
     header_at : str, optional
         Regular expression: the table begins at the first line in which it is found, as behind a banner.
     unit_line : bool
-        Whether the line below the names holds units. They are shown by checks, never used.
+        Whether the line below the names contains units. Checks show them; they are never used.
     comment : str, optional
         Lines that begin with it are left out.
     labels : str, optional
@@ -315,7 +315,7 @@ class Source(Record):
     sentinels : tuple of float
         Numbers that mean "no value".
     blanks : {"refuse", "hold", "skip"}
-        What becomes of a row in which the cell is blank or a sentinel: the log is refused, the value before it holds
+        Treatment of a row in which the cell is blank or a sentinel: refuse the log, repeat the value before it
         on, or the row is left out.
     provenance : str
         How the values came about ("motor current", "numerical derivative"); kept with each trial.
@@ -393,7 +393,7 @@ class PositionSource(ColumnSource):
 
 
 class Fraction(Record):
-    """Second part of a time stamp, such as nanoseconds beside seconds; both are whole numbers."""
+    """Second part of a time stamp, such as nanoseconds in addition to seconds; both are whole numbers."""
 
     name: Name
     unit: Literal["s", "ms", "us", "ns"]
@@ -417,7 +417,7 @@ class TimeSource(Source):
         What becomes of rows with one and the same stamp.
     """
 
-    blanks: Literal["refuse", "skip"] = "refuse"  # a stamp cannot hold on
+    blanks: Literal["refuse", "skip"] = "refuse"  # a repeated time stamp makes no sense
     kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
     wrap: Annotated[Number, Field(gt=0)] | None = None
     fraction: Fraction | None = None
@@ -504,7 +504,7 @@ def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -
     """
     sign, unit = 1, source.unit
     if isinstance(source, ColumnSource):
-        # a sign that is missing is a mistake of its own; here the unit is looked at
+        # a missing sign is reported separately; this checks the unit
         sign, unit = source.sign or 1, source.stands_for or source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
@@ -514,7 +514,7 @@ def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -
 
 
 def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> Iterator[Problem]:
-    """Yield what is missing or wrong in the columns; units are held against the motion of the device."""
+    """Yield what is missing or wrong in the columns; units must fit the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
             yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
@@ -536,11 +536,11 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
     if isinstance(source, ColumnSource) and source.sign is None:
         yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
     if source.name is not None and source.column is not None:
-        yield "column", "given beside name; expected one of them"
+        yield "column", "given together with name; expected one of them"
     if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
         yield "value", "give value and one of from_row, from_s, or none of them"
     if stated and source.in_file:
-        yield "value", "given beside the column; expected one of them"
+        yield "value", "given together with the column; expected one of them"
     if not source.in_file and not sampled and not stated:
         more = " (without such a column: value and from_row, or from_s)" if key == "command" else ""
         yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
@@ -574,7 +574,7 @@ Condition = Literal[
 CONDITIONS: tuple[str, ...] = get_args(Condition)
 REQUIRED_CONDITIONS = CONDITIONS[:6]
 PROBLEMS = "profile_problems"
-"""Type of the validation error that holds all problems of a profile."""
+"""Type of the validation error with all problems of a profile."""
 
 _EXAMPLES = {"device": '"bench"', "experiment": '"1"', "sampling_period_s": "0.001"}
 GROUPED: tuple[str, ...] = ("json", "matlab", "hdf5", "tdms", "mdf")
@@ -585,7 +585,7 @@ CONDITION_QUANTITIES = ("stiffness", "damping", "step", "sampling_period_s")
 
 
 class Partner(Record):
-    """Second file of a log, beside the first: its name is the first one's with a text replaced."""
+    """Second file of a log, in the folder of the first: its name is the first one's with a text replaced."""
 
     replace: Name
     by: Annotated[Name, Field(pattern=r"^[^/\\\x00]+$")]
@@ -609,7 +609,7 @@ class Conditions(Record):
 
 
 class Constants(Conditions):
-    """Conditions that hold for all files of a profile, and the motion of the device: by the unit of the position."""
+    """Conditions of all files of a profile, and the motion of the device, by the unit of the position."""
 
     motion: Kind | None = None
 
@@ -646,7 +646,7 @@ class StepTime(Record):
 
     @property
     def declared(self) -> list[str]:
-        """Keys by which something is said about the step; one is expected."""
+        """Given keys that describe the step; one is expected."""
         return [key for key in StepTime.model_fields if getattr(self, key) is not None]
 
 
@@ -688,7 +688,7 @@ class StepEntry(Conditions, StepTime, Window):
 
 
 class Profile(TextLayout, StepTime):
-    """How the files of one lab are read; keys of text files stand beside these (`TextLayout`).
+    """How the files of one lab are read, including the keys of text files (`TextLayout`).
 
     Parameters
     ----------
@@ -713,7 +713,7 @@ class Profile(TextLayout, StepTime):
     attributes, condition_columns : dict
         Condition -> attribute of the file (a label of text lines, an HDF5 attribute) or column that gives it.
     file : tuple of FileEntry
-        What holds for single files; one entry at most may fit a file.
+        Settings for single files; at most one entry may fit a file.
     sheet : Sheet, optional
         Its rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
     trial_column : str, optional
@@ -794,7 +794,7 @@ class Profile(TextLayout, StepTime):
         yield from self._condition_problems()
 
     def _step_problems(self) -> Iterator[Problem]:
-        """Yield what is wrong in [[steps]], and where it is not said when the step happens."""
+        """Yield mistakes in [[steps]], and files for which the time of the step is missing."""
         entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
         places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
@@ -806,16 +806,16 @@ class Profile(TextLayout, StepTime):
                 words = "one for the whole file is expected. Move it to [constants]"
                 yield ("steps", index, "sampling_period_s"), words
             if labels.index(step.label) != index:
-                yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a name of its own"
+                yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a unique name"
         if self.steps and (self.trial_column or self.window or any(entry.window for entry in self.file)):
-            yield ("steps",), "given beside trial_column or a window; expected one of them"
+            yield ("steps",), "given together with trial_column or a window; expected one of them"
         varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
         constant = 0.0 if self.kind != "step" else constant
         if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
             yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no step that is stated. Remove it"
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
-        # an entry that says nothing beside one that does is refused with the files that it reads
+        # an entry without a step, next to one with a step, is refused with the files that it reads
         if (
             self.sheet is None
             and not any(entry.declared for entry in (self, *entries.values()))
@@ -854,7 +854,7 @@ class Profile(TextLayout, StepTime):
         given = self.conditions()
         # what a sheet gives is known when it is read
         for key in REQUIRED_CONDITIONS if self.sheet is None else ():
-            # a log of motion without wall and step leaves out all that speaks of them
+            # a log of motion without wall and step needs none of their conditions
             if key not in given and not (key in FREE and given.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
@@ -941,7 +941,7 @@ class Profile(TextLayout, StepTime):
         return None if self.units.gain is None else Gain.read(self.units.gain, self.motion_kind)
 
     def _gain_or_none(self) -> Gain | None:
-        """Return a gain that is right: one that is wrong is a mistake of its own."""
+        """Return a valid gain or None; an invalid one is reported separately."""
         with suppress(ParameterError):
             return self.gain if self.drive else None
         return None
@@ -1034,5 +1034,5 @@ class Profile(TextLayout, StepTime):
 
 @cache
 def _name_pattern(files: tuple[str, ...]) -> re.Pattern[str]:
-    """Return one pattern for all of `Profile.files`: thousands of names are held against each profile."""
+    """Return one pattern for all of `Profile.files`: thousands of names are matched against each profile."""
     return re.compile("|".join(translate(pattern.lower()) for pattern in files))

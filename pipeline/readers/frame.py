@@ -36,8 +36,8 @@ LONGEST_HEADER = 1 << 16
 """Bytes searched for the column line; a header is some hundred bytes, a file without one may be huge."""
 
 KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE = 100, 10_000
-"""Attributes of a file that are kept beside each of its trials, and characters of each: a workspace dump may hold
-thousands, an attribute may be a whole file."""
+"""Most attributes of a file that are stored with each of its trials, and characters of each: a workspace dump may have
+thousands of attributes, and one of them may be a whole file."""
 
 LISTED_ELEMENTS, LISTED_NAMES = 64, 40
 """Elements of one vector that are listed, and names in a message: a robot has fewer, an image has more."""
@@ -57,7 +57,7 @@ ARRAY = 800
 
 @dataclass
 class Contents:
-    """What a file holds.
+    """Contents of a file: columns and attributes.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Contents:
     wanted : tuple of str
         Names that a profile asks for; others are left out. Empty means all.
     most : int
-        Values that the file may hold.
+        Most values that the file may contain.
     row_name : str
         What a row is called there: "line", "record", "sample", "message".
     columns : dict of str to array, shape (rows,)
@@ -128,7 +128,7 @@ class Contents:
         Raises
         ------
         LogError
-            If the file holds more arrays or values than a log has.
+            If the file contains more arrays or values than a log has.
         """
         try:
             array = np.asarray(values() if callable(values) else values)
@@ -150,7 +150,7 @@ class Contents:
             self.units |= {name: unit} if unit else {}
 
     def claim(self, values: int) -> None:
-        """Refuse a file that claims more values than it may hold, where it can before they are unpacked."""
+        """Refuse a file that claims more values than allowed, if possible before they are unpacked."""
         if values > self.most:
             text = f"claims more than {self.most} values"
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
@@ -175,7 +175,7 @@ class Contents:
         return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
     def of_group(self, group: str, wanted: tuple[str, ...] = ()) -> Self:
-        """Return what is in a group, by the names in it; attributes of the whole file stay beside its own."""
+        """Return the contents of a group, by the names in it, with its attributes and those of the whole file."""
 
         def inside(name: str) -> str:
             rest = name.removeprefix(group)
@@ -209,7 +209,7 @@ class Contents:
         vectors = {name: column for name, column in self.columns.items() if len(column) != 1} or self.columns
         columns = {key: self._column(key) for key in self.wanted} or vectors
         if not columns:
-            raise refusal("empty", self.name, f"holds no columns{self._reasons()}", "recorded signals")
+            raise refusal("empty", self.name, f"contains no columns{self._reasons()}", "recorded signals")
         rows = {key: len(column) for key, column in columns.items()}
         if len(set(rows.values())) > 1:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
@@ -285,7 +285,7 @@ _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|fil
 def trial_groups(contents: Contents) -> list[str]:
     """Return groups that look like trials of one kind, with the same columns of several rows.
 
-    They are numbered, or were recorded at other times, or each has one value of its own in a column that is constant.
+    They are numbered, or were recorded at other times, or each has another value in a column that is constant.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(Contents("a", columns=dict.fromkeys(names, np.zeros(9))))
@@ -356,7 +356,7 @@ def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, 
 
 
 def plain_column(values: Array) -> Array:
-    """Return values as columns hold them: float64, integers of 64 bits, or str.
+    """Return values in one of the types of columns: float64, integers of 64 bits, or str.
 
     Raises
     ------
@@ -370,7 +370,7 @@ def plain_column(values: Array) -> Array:
         # a counter of 64 bits may be above the largest signed number
         return values.astype(np.uint64 if kind == "u" and values.dtype.itemsize == 8 else np.int64, copy=False)
     if kind == "c":
-        raise TypeError("holds complex numbers; save real and imaginary part: re = real(x); im = imag(x)")
+        raise TypeError("contains complex numbers; save real and imaginary part: re = real(x); im = imag(x)")
     if kind in "mM":
         return values.astype(f"{kind}8[ns]").astype(np.int64)
     if kind in "UT" or (kind in "SO" and all(isinstance(value, str | bytes) for value in values.flat)):

@@ -1,4 +1,4 @@
-"""Reads files in a process of its own, with bounded time and memory: one place for all formats.
+"""Reading of files in a separate process with limited time and memory, for all formats.
 
 A log comes from a foreign computer: cut, changed on the way, or larger than it looks. libhdf5 loops for ever on some
 changed bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
@@ -28,8 +28,8 @@ from pipeline.readers.formats import FORMATS
 from pipeline.readers.frame import MOST_VALUES, Contents, allowed_bytes, library
 
 COPIES, SLACK = 3, 32 << 20
-"""Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns; and
-memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
+"""Copies of the unpacked file that reading may keep in memory (as read, as numbers, as columns), and additional memory
+for a library's caches, buffers and allocator [byte]."""
 
 CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
 """Processor time for any file, and more for each byte: libraries take 3e-9, ten times that where it is packed, and
@@ -40,7 +40,7 @@ WALL_FACTOR = 30
 
 
 def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()) -> Contents:
-    """Return what a file holds, read in a worker process.
+    """Return the contents of a file, read in a worker process.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
         contents = Contents(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
-            # the refusal tells what there is
+            # the refusal lists what the file has
             contents = Contents(name, most=most)
             read(paths[0], settings, contents)
             contents.wanted = wanted
@@ -142,7 +142,7 @@ def serve() -> None:
                     with reading(arguments[0], kind):
                         outcome = work(*arguments)
                 except LogError as error:
-                    outcome = error.with_traceback(None)  # which would hold what was read until the next call
+                    outcome = error.with_traceback(None)  # it would keep the data in memory until the next call
             pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
             del arguments, outcome

@@ -74,7 +74,7 @@ class Log:
     warnings : tuple of str
         What was accepted and should be known.
     label : str, optional
-        Which trial of its file it is, where the file holds several.
+        Name of the trial in its file, where the file has several.
     noted : tuple of Finding
         What is known of the recording beforehand: what was repaired in the samples, and where else they are.
     """
@@ -157,8 +157,8 @@ def check_samples(
     Raises
     ------
     LogError
-        If there are fewer than two samples, a step of 0 is said to be in some row, a condition or the sampling period
-        is out of its range, a value is not finite or lies out of that of readings (`LARGEST`, `stray`), or time does
+        If there are fewer than two samples, a row is declared for a step of 0, a condition or the sampling period is
+        out of its range, a value is not finite or outside the range of readings (`LARGEST`, `stray`), or time does
         not increase strictly or pauses for `LONGEST_PAUSE`.
     """
 

@@ -48,7 +48,7 @@ WINDOW_TOLERANCE = 1e-6
 rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
 
 MOST_STEPS = 24
-"""Changes of a command up to which each is a step of its own: relays and random sequences have hundreds."""
+"""Most changes of a command that count as separate steps: relays and random sequences have hundreds."""
 
 SHORTEST_STEP = 12
 """Rows between two changes from which on a step has a response."""
@@ -156,7 +156,7 @@ def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> Non
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) -> list[Log]:
-    """Return the logs that the file, or pair of files, of one recording holds.
+    """Return the logs in the file, or pair of files, of one recording.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | 
 
 
 def _extra(profile: Profile, frame: Contents, step_row: int | None) -> dict[str, str]:
-    """Return what is kept beside a trial: declared step, where columns come from, attributes of the file, warnings."""
+    """Return the additional texts of a trial: declared step, sources of columns, attributes of the file, warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():
         if source.provenance:
@@ -361,7 +361,7 @@ def _extra(profile: Profile, frame: Contents, step_row: int | None) -> dict[str,
     extra |= {f"file.{key}": str(value)[:LONGEST_ATTRIBUTE] for key, value in attributes[:KEPT_ATTRIBUTES]}
     if frame.warnings:
         extra["warnings"] = "; ".join(frame.warnings)
-    # some formats hold texts that UTF-8 has not
+    # some formats contain texts that UTF-8 cannot encode
     return {storable(key): storable(value) for key, value in extra.items()}
 
 

@@ -1,7 +1,8 @@
 """Does the command of a log obey the gains that its header states? If not: which it obeys, and the line that cures it.
 
-The law is u_k = F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. It is said only where the law
-with other gains explains the command: a filter, a clipped or one-sided wall, or a sensor too coarse leave it open.
+The wall law is u_k = F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Other gains are reported
+only where the wall law with these gains explains the command. A velocity filter, a clipped or one-sided wall, or a
+coarse sensor may leave the question open.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from pipeline.readers.log import Log
 from pipeline.records.trials import Booleans, Floats
 
 EXACT = 0.02
-"""Part of the command that the law may leave unexplained where each gain is told by itself; a velocity filter or a
-quantum leaves more."""
+"""Largest unexplained share of the command for which each gain is identifiable by itself; a velocity filter or a coarse
+sensor leaves more."""
 
 EXPLAINED = 0.02
 """Part of what the header's law leaves that other gains may leave: a velocity filter shifts gains by some percent, and
@@ -28,8 +29,8 @@ NEARLY = 0.3
 """Part that it may leave where gains are a power of ten or a unit off, as seen through a filter."""
 
 FACTOR = 8.0
-"""Factor by which K and B together must be off to be told through a filter: units differ by 10 at least, and a wall
-that only pushes and is clipped looks like one with a quarter of its gains."""
+"""Factor by which K and B together must be off to be reported behind a velocity filter: units differ by at least 10,
+and a clipped wall that only pushes looks like one with a quarter of its gains."""
 
 UNIT_TOLERANCE = 0.2
 """Part by which the factor between two units may be off in a log whose velocity is filtered."""
@@ -41,10 +42,10 @@ TOLERANCE = 0.1
 """Part by which a gain must differ, and by which two factors may that are one."""
 
 SHIFTED_ROWS = 2.0
-"""Rows by which a log may have command and position beside each other."""
+"""Rows by which command and position of a log may be shifted against each other."""
 
 SHARE = 0.05
-"""Part of the largest command that a gain must make to be told."""
+"""Least share of the largest command that a gain must contribute to be estimated."""
 
 LIMIT_ROWS = 3
 """Rows at the largest or smallest command from which on it is clipped there."""
@@ -105,7 +106,7 @@ def obeyed(log: Log) -> Obeyed | None:
     if left <= min(EXACT * size, EXPLAINED * _size(off[free])):
         told = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
         least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
-        # a position that is logged a row or two beside its command looks like B + K T
+        # a position that is logged a row or two before or after its command looks like B + K T
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
         other = told & (np.abs(values - gains) > least)
         return (
@@ -128,7 +129,7 @@ def _obeyed_freely(log: Log, stated: dict[str, float]) -> Obeyed | None:
     if fitted is None or not fitted[0].stiffness:
         return None
     law, error = fitted
-    # a position that is logged a row or two beside its command looks like B + K T
+    # a position that is logged a row or two before or after its command looks like B + K T
     slack = (0.0, SHIFTED_ROWS * abs(law.stiffness) * log.header.sampling_period_s)
     found = {
         name: value

@@ -98,7 +98,7 @@ def rows_of(
     if time.in_file:
         if time.fraction is not None:
             table["fraction"] = homes[time.file][1].columns[time.fraction.name][index]
-        # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
+        # a row without a time stamp cannot be used; other omitted rows still give the last valid value
         table, gaps = _taken(table, ~gaps["time"]), _taken(gaps, ~gaps["time"])
     counts |= add_seconds(time, table, period, place)
     order, counts["out_of_order"] = in_order(time, table, place)
@@ -127,7 +127,7 @@ def _numbers(profile: Profile, place: str, frame: Contents, index: Integers, key
     values = frame.columns[source.key][index]
     if values.dtype.kind not in "iufb":
         raise _no_number(profile, place, frame, values, index, key, source)
-    # 64 bits without sign may hold more than 64 bits with one
+    # unsigned 64-bit integers may exceed the range of signed ones
     beyond = values.dtype.kind == "u" and (values > np.iinfo(np.int64).max).any()
     values = values - values.min() if beyond and key == "time" else values
     whole = values.dtype.kind in "iub" and not (beyond and key != "time")
@@ -170,8 +170,8 @@ def _no_value(key: str, source: Source, place: str, frame: Contents, table: Tabl
     found, row = table[key][at], int(table["row"][at])
     what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
     found = f"{key} has no value: column {source.key!r} {what}{_called(frame, row)}"
-    hold = "" if key == "time" else ', or "hold" for the value before it'
-    line = f'[columns.{key}]\nblanks = "skip" # leaves such rows out{hold}'
+    repeat = "" if key == "time" else ', or "hold" for the value before it'
+    line = f'[columns.{key}]\nblanks = "skip" # leaves such rows out{repeat}'
     return refusal("no-value", place, found, row=row, line=line)
 
 
@@ -235,7 +235,7 @@ def _sampled(table: Table, period: float, place: str) -> Floats:
     time = np.arange(len(stamps)) * np.float64(period)
     steps = np.abs(np.diff(stamps))
     # a sample is late by less than one period; a stamp that is printed so coarsely that several samples share it lies
-    # up to its own last digit beside the true one. Where none is shared, each step is seen, and so is a lost sample
+    # up to one unit of its last digit from the true one. If none is shared, every step, and every lost sample, shows
     coarse = (steps == 0).any() and (steps > 0).any()
     allowed = (steps[steps > 0].min() if coarse else 0.0) + period
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period

@@ -69,7 +69,7 @@ class MeasuredAccuracy(Record):
 
 
 class AccuracyReport(Record):
-    """All that `pipeline accuracy` found; ``key`` says for which code and machine it holds.
+    """Results of `pipeline accuracy`; ``key`` identifies the code and the machine that they are valid for.
 
     ``rungs``, ``sweeps`` and what is made of them concern the theory, and are empty where it was left out;
     ``measured_branch`` is None where that was.
@@ -113,7 +113,7 @@ def _processor() -> str:
 
 
 def key() -> str:
-    """Return what a measurement holds for: code, reference values, machine and versions."""
+    """Return a hash of code, reference values, machine and versions, which a measurement is valid for."""
     code = digest_all(sha256(path.read_bytes()) for path in sorted(PACKAGE_FOLDER.rglob("*.py")))
     values = sha256(reference_file().read_bytes())
     return digest({"code": code, "values": values, **machine()})
@@ -136,7 +136,7 @@ def stored(processed: Path) -> AccuracyReport | None:
         return None
     try:
         report = AccuracyReport.model_validate_json(data)
-    except ValueError:  # damaged, or of another version: to be measured anew
+    except ValueError:  # damaged, or of another version: measure again
         return None
     return report if report.key == key() else None
 

@@ -18,7 +18,7 @@ DISCRETE = "_discrete"
 
 @dataclass(frozen=True)
 class Family:
-    """Criteria whose costs are computed together, in one stage of the measured branch that bears its name.
+    """Criteria whose costs are computed together, in the stage of the same name.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Criterion:
     reported : bool
         Whether it is part of a report that names no criteria.
     tabled : bool
-        Whether a table has it for an experiment that no published table holds.
+        Whether tables include it for an experiment without published values.
     optimum_only : bool
         Whether theory knows its optimum and no costs.
     """
@@ -218,7 +218,7 @@ WIDEST = 50.0
 
 
 def criterion_of(name: str) -> Criterion:
-    """Return the criterion of a name, also with `DISCRETE` appended, or of a settling time for a band of its own.
+    """Return the criterion of a name, also with `DISCRETE` appended, or of a settling time for any band.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def _of_band(name: str) -> Criterion:
 
 
 def is_criterion(name: str, names: Iterable[str]) -> bool:
-    """Tell whether a name is one of some criteria, with `DISCRETE` appended or not; among settling times any band is.
+    """Return whether a name is one of some criteria, with or without `DISCRETE`; settling times may have any band.
 
     >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
     (True, False)

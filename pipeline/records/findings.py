@@ -31,16 +31,16 @@ ROUNDING = 1e-9
 
 
 def holds(low: float, value: float, high: float) -> bool:
-    """Tell whether an interval holds a value, up to `ROUNDING`."""
+    """Return whether an interval contains a value, up to `ROUNDING`."""
     return low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high)
 
 
 MATTERS = 0.02
-"""Change of a result, relative to it, that is worth a word: a course brackets a limit no closer, and a header that
-rounds K and B stays below. Share of the logs above which what they show is no accident of single trials, too."""
+"""Relative change of a result that is worth reporting: campaigns bracket limits no closer than this, and headers with
+rounded K and B stay below. Also the share of logs above which a finding is not due to single trials."""
 
 DRIFTS = "drifts by"
-"""Beginning of a warning about a `Trend`, by which such warnings are told from others."""
+"""Beginning of a warning about a `Trend`, which identifies such warnings."""
 
 
 class Trend(Record):
@@ -115,8 +115,8 @@ class ModelCheck(Record):
 class Limit(Record):
     """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with its 95 % interval.
 
-    Where the tested range ended first it is ``censored``: all three are a lower bound. With friction it holds for the
-    step that was used; ``stiffness_large_motion`` is the linear limit, from which on a harder push is unstable.
+    Where the tested range ended first it is ``censored``: all three are a lower bound. With friction it is valid for
+    the step that was used; ``stiffness_large_motion`` is the linear limit, above which a harder push is unstable.
     """
 
     damping: float
@@ -132,8 +132,8 @@ class BoundaryPoint(Record):
 
     ``trials`` is the number of trials with K > 0 at that damping, ``undecided`` that of the undecided ones of them
     below the largest stable stiffness: worth a look, no evidence against it. Other undecided ones, and all where
-    ``stable`` is null, are not in it. Where friction was found, all of it holds for the step that was used;
-    ``stiffness_large_motion`` is the linear limit of the found device, from which on a harder push is unstable.
+    ``stable`` is null, are not in it. Where friction was found, all of it is valid for the step that was used;
+    ``stiffness_large_motion`` is the linear limit of the identified device, above which a harder push is unstable.
 
     ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone,
     one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a
@@ -180,8 +180,8 @@ class Optimum(Record):
     """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range.
 
     ``trials`` is the number of trials that have this cost; ``passive`` says whether the wall is passive for the whole
-    range of an adequate loop, None where that is not known. ``near`` holds the walls that are nearly as good: it is
-    small where the optimum is sharp. ``margin`` is the lower end of the measured limit at that damping over the
+    range of an adequate loop, None where that is not known. ``near`` lists the walls that are nearly as good: few
+    where the optimum is sharp. ``margin`` is the lower end of the measured limit at that damping over the
     stiffness, None without a limit. ``scatter_percent`` is that of single trials in the map of this cost.
     """
 
@@ -225,7 +225,7 @@ a wall; ``unusable``: it gives nothing."""
 
 
 MOST_UNSAFE = 0.2
-"""Share of logs with an unsafe finding above which the others are not trusted either: a rig records alike."""
+"""Share of logs with an unsafe finding above which the others are not trusted either: they come from the same rig."""
 
 OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
 """Unsafe findings that say nothing of other logs."""
@@ -234,7 +234,7 @@ FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
 
 NO_FINDINGS = f'"{FINDINGS}": []'
-"""What the time quality of a trial holds whose recording is good."""
+"""Entry in the time quality of a trial without recording faults."""
 
 BY_READING = frozenset({"same_samples"})
 """Findings that only the reading of a log shows, as do all that it repaired: its stored samples do not."""

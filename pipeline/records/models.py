@@ -21,7 +21,7 @@ from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
 
 STATED = "stated"
-"""Context of validation in which a delay beside its jitter is somebody's statement, which must not contradict it."""
+"""Validation context of files by users, in which a stated delay must not contradict the stated jitter."""
 
 
 class Limits(Record):
@@ -32,7 +32,7 @@ class Limits(Record):
 
 
 class Experiment(Record):
-    """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested.
+    """One experiment: configuration, plant as published, and the grid of (K, B) that is tested.
 
     A grid that is left out is laid over the walls that theory calls stable (`theory.cases.tested_grid`). Where each
     command draws its delay from ``jitter_samples``, ``delay_samples`` is the mean of these; a file may state any delay
@@ -108,7 +108,7 @@ class Device(Record):
     """A haptic device as data: everything that simulation, theory and reports need to know of it.
 
     A device file may leave out more (`device_data.devices.read_device`). ``published_as`` is the device whose printed
-    values stand beside this one's in tables; its own name where it is not given.
+    values appear next to this one's in tables; by default the device itself.
     """
 
     name: Name
@@ -206,7 +206,7 @@ class Deviation(Record):
 
 
 class ComparisonRow(Record):
-    """One row of Tables D.1 to D.6: computed or measured beside the published value.
+    """One row of Tables D.1 to D.6: a computed or measured value with the published one.
 
     ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows, and so
     are the deviations of cost, stiffness and damping from the discrete theory. ``published_deviation_percent`` is that
@@ -245,10 +245,10 @@ every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):
-    """What of a comparison is shown; None stands for all that there is data for.
+    """What a report shows; None means all that there is data for.
 
-    ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are delay
-    factors of the theoretical curves beside boundaries without operator, in place of those of the device file.
+    ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are the delays
+    [samples] of the theoretical curves drawn with boundaries without operator, instead of those of the device file.
     """
 
     figures: tuple[FigureKind, ...] | None = None
@@ -257,15 +257,15 @@ class Shown(Record):
     delays: tuple[NonNegative, ...] | None = None
 
     def has_figure(self, kind: FigureKind) -> bool:
-        """Tell whether a figure is asked for."""
+        """Return whether a figure is requested."""
         return self.figures is None or kind in self.figures
 
     def has_table(self, name: str) -> bool:
-        """Tell whether a table is asked for."""
+        """Return whether a table is requested."""
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:
-        """Tell whether an overlay is asked for; without a choice all are but the robust region."""
+        """Return whether an overlay is requested; by default all are, except the robust region."""
         return kind != "robust" if self.overlays is None else kind in self.overlays
 
 
@@ -294,7 +294,7 @@ else:
 
 
 class SceneFile(Record):
-    """A scene as a file (TOML): what one report shows. Keys that are left out stand for all that there is data for.
+    """A scene as a file (TOML): what one report shows. A missing key means all that there is data for.
 
     Parameters
     ----------

@@ -210,7 +210,7 @@ def _wrong(reason: str, row: int) -> LogError:
     return LogError(reason, row, code="condition-wrong")
 
 
-@lru_cache(1024)  # logs of a course share most lines, in all of these
+@lru_cache(1024)  # logs of an experiment share most of these lines
 def _name(key: str, value: str, row: int) -> str:
     name = _NOTE_BEHIND_TEXT.sub("", value).strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable():

@@ -198,21 +198,21 @@ CauseCode = Literal[
 
 
 LIMITS_WITHIN = 5.0
-"""Error of predicted limits [%] up to which a device is right: a course brackets a limit by 4 %."""
+"""Error of predicted limits [%] up to which a loop is adequate: campaigns bracket limits to within 4 %."""
 
 VERDICTS_RIGHT = 0.95
 """Share of the verdicts that a device must predict."""
 
 
 NOT_ADEQUATE = "its loop is not adequate"
-"""Begin of a warning about an estimate that holds as far as its loop does."""
+"""Beginning of a warning about an estimate from a loop that is not adequate."""
 
 
 class LoopResult(Record):
-    """The loop that theory and all statements about an experiment rest on, and whether it may bear them.
+    """The loop that theory and all conclusions about an experiment use, and whether it is adequate for that.
 
     ``mass``, ``damping``, ``stiffness`` and ``mode`` are what the wall feels, operator included, per unit of command;
-    ``delay_samples`` is not rounded. ``velocity``, ``mode`` and ``operator`` hold parameters by name. ``explained`` is
+    ``delay_samples`` is not rounded. ``velocity``, ``mode``, ``operator`` are parameters by name. ``explained`` is
     the share of the logs that the fitted model explains; None where none was fitted.
     """
 
@@ -251,7 +251,7 @@ class WallReplay(Record):
 
     @property
     def limits_open(self) -> bool:
-        """Whether the tested walls tell limits less well than the found device may predict them."""
+        """Whether the tested walls bracket the limits too widely to judge the predicted ones."""
         return (self.limits_known_percent or 0.0) > max(self.limits_off_percent or 0.0, LIMITS_WITHIN)
 
     @property
@@ -276,7 +276,7 @@ class ImpliedDelay(Record):
 
     It is that of an ideal loop with the mass and damping of the logs. Where it is longer than the delay of the logs, a
     lag or a velocity filter costs as much; where it is shorter near the origin than as a whole, the delay jitters, or
-    friction holds soft walls.
+    friction keeps soft walls stable.
     """
 
     origin: Quantity
@@ -340,7 +340,7 @@ class RecordingFault(Record):
 
 
 class LoopFindings(Record):
-    """Loop, limits, passive wall and causes of one experiment; what is missing is None, and why stands beside it.
+    """Loop, limits, passive wall and causes of one experiment; a missing result is None, with a reason.
 
     ``optimum`` says of each optimum whether it is passive.
     """
@@ -357,7 +357,7 @@ class LoopFindings(Record):
 
 
 class Truth(Record):
-    """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
+    """Ground truth of a simulated experiment: its loop, jitter [samples] and constant force [N, Nm].
 
     The delay of ``loop`` is the mean age of the command in force, ``jitter_samples`` its standard deviation.
     ``limit_reason`` says why the limits of the loop are not known.
@@ -387,7 +387,7 @@ class Truth(Record):
 
 
 class TruthHeld(Record):
-    """How many 95 % intervals there are for what is known of a simulation, and how many of them hold the truth."""
+    """Number of 95 % intervals with a known truth (simulations), and how many of them contain it."""
 
     estimates: int
     estimates_held: int
@@ -405,7 +405,7 @@ class CostRange(Record):
 
 
 STIFFEST = "stiffness"
-"""What walls are chosen by where no cost tells the best: the stiffest ones that are far from the limit."""
+"""Selection of walls where no cost is available: the stiffest ones that are far from the limit."""
 
 
 class UsePoint(Record):
@@ -428,7 +428,7 @@ class UseRegion(Record):
     ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
     chance of (n - 1)/(n + 1) for the n trials with that cost. ``margin`` is the lower end of the measured limit over
     the largest stiffness of the region, the least over its dampings, itself a lower bound where ``bound``.
-    ``criterion`` is what it was chosen by, `STIFFEST` where no cost tells. ``point`` is the wall to set.
+    ``criterion`` is what it was chosen by, `STIFFEST` where no cost is available. ``point`` is the wall to set.
     """
 
     criterion: str
@@ -488,8 +488,8 @@ class Prediction(Record):
     ``bounded`` limits with an interval, ``above`` and ``below`` lie outside of theory by more than that.
     ``safe`` where all walls that theory calls stable are. ``reason`` says why it is unknown.
 
-    ``boundary`` and ``optimal_costs`` are judged apart (6.3): the course of the boundary is predicted where at most one
-    limit in twenty lies outside, and partly where the regions overlap well all the same; costs where their median
+    ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted where at most one limit in
+    twenty lies outside, and partly where the regions overlap well all the same; costs where their median
     deviation is at most 10 %, and partly up to 30 %.
     """
 
@@ -527,12 +527,12 @@ class TestedWall(Record):
 
 
 class Answer(Record):
-    """What a reader of one screen is told: which wall, how sure, whether theory predicts it, why not, what is next.
+    """The first screen: which wall to use, how sure that is, whether theory predicts it, why not, what to do next.
 
     ``experiment`` is the one that is spoken of. Where no wall is recommended, ``safest`` is the stable tested one whose
     motion decays fastest. ``spacing_percent`` is the distance of the tested
-    walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts tell the
-    limits at ``limits_told`` of the ``limits_wanted`` dampings, and would at none of the others.
+    walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts bracket the
+    limits at ``limits_told`` of the ``limits_wanted`` dampings, and cannot at the others.
     """
 
     experiment: str
@@ -609,7 +609,7 @@ class ExperimentResult(Record):
 
     @property
     def delay(self) -> Estimate:
-        """The delay by the logs: as fitted where walls do not speak against the loop, else the integer factor (6.3)."""
+        """The delay by the logs: as fitted unless the walls contradict the loop, else the integer factor (6.3)."""
         factor = self.estimates["delay_samples"]
         fitted = factor.by_method.get("model")
         if fitted is None or fitted.value is None or self.loop is None:
@@ -660,7 +660,7 @@ class ComparisonResult(Record):
         return next((each for each in self.experiments if each.experiment == name), None)
 
     def numbers(self) -> dict[str, Any]:
-        """Return the document as JSON values, without what tells of files and runs."""
+        """Return the document as JSON values, without its information on files and runs."""
         return self.model_dump(mode="json", exclude={"provenance", "logs", "report"})
 
 
@@ -687,8 +687,8 @@ class Side(Record):
 class ValueDifference(Record):
     """A quantity with its 95 % intervals on both sides.
 
-    ``difference`` is second minus first with its interval. ``significant`` tells whether that interval leaves out zero;
-    None with a ``reason`` where it cannot be told.
+    ``difference`` is second minus first with its interval. ``significant`` is true where that interval excludes zero;
+    None with a ``reason`` where it is unknown.
     """
 
     part: Literal["estimates", "optima", "scores"]

@@ -1,8 +1,8 @@
 """Parquet files of the stored tables, checked against the dictionary of columns (`tables`).
 
 Writing stamps units and meanings into the file's metadata; reading refuses a file that is damaged or whose columns or
-types differ. A file bears the SHA-256 of its content in its name. One that is read as a whole is held against it; of
-one that is read in part Parquet's own checksums hold the pages.
+types differ. The name of a file contains the SHA-256 of its content, which is checked when the file is read as a whole.
+When it is read in part, Parquet's checksums of the pages are checked.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def read_metadata(path: Path) -> dict[str, str]:
 def _check(path: Path, schema: pa.Schema) -> None:
     table = (schema.metadata or {}).get(b"pipeline.table", b"").decode()
     if table not in TABLES:
-        raise StoreError(f"{path}: holds no known table (found {table!r}); expected one of {sorted(TABLES)}.")
+        raise StoreError(f"{path}: expected one of the tables {sorted(TABLES)}, found {table!r}.")
     found = [(f.name, str(f.type)) for f in schema]
     expected = [(name, str(COLUMNS[name].dtype)) for name in TABLES[table]]
     if found != expected:

@@ -75,19 +75,19 @@ COLUMNS: dict[str, Column] = {
     "grip": _same(_S, "", "none, comfortable or firm"),
     "simulated": _same(_B, "", "true where the log says that it was simulated"),
     "rows": _same(_I, "", "number of samples"),
-    "extra": _same(_S, "", "metadata of the log that has no column of its own, as JSON"),
+    "extra": _same(_S, "", "metadata of the log without a dedicated column, as JSON"),
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
-    "source_trials": _same(_I, "", "number of trials that the source holds"),
+    "source_trials": _same(_I, "", "number of trials in the source"),
     "source_size": _same(_I, "byte", "size of the source log"),
     "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
     "profile": _same(_S, "", "log profile that read it"),
     "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
     "claims": _same(_S, "", "hash of all profiles that might have claimed it"),
     "package_version": _same(_S, "", "version that stored it"),
-    "sample_file": _same(_S, "", "file below processed/ that holds the trial; not stored, but told by who reads"),
+    "sample_file": _same(_S, "", "file below processed/ that contains the trial; not stored, added by the reader"),
     "sample_row": _same(_I, "", "row of that file"),
     # corrections
     "exclusion_reason": _same(_S, "", "why the trial is excluded by hand; empty where it is in use"),
@@ -105,7 +105,7 @@ COLUMNS: dict[str, Column] = {
     "raw_time": _same(_L, "", "time stamp in the source, where it is no whole number and not time_s", True),
     "raw_count": _same(_LI, "", "whole time stamp in the source (a date: without its decimal sign)", True),
     # stages with a row a trial
-    "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of conditions and samples that the row rests on"),
+    "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of the conditions and samples behind the row"),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
@@ -166,13 +166,13 @@ COLUMNS: dict[str, Column] = {
     "origin": Column(_F, "m", "rad", "where a spring is relaxed; none where that is the begin of each log", True),
     "lead_rows": _same(_I, "", "rows before a segment whose commands a delay may need", True),
     "part_names": _same(_LS, "", "parts that some of the trials show or do not exclude", True),
-    "part_gains": _same(_L, "1", "gain of held-out log-likelihood by each; 0 for one that may be there or not", True),
+    "part_gains": _same(_L, "1", "gain of cross-validated log-likelihood by each; 0 where undecided", True),
     "assumed": _same(_LS, "", "parameters that are taken as none", True),
     # device stage
     "parameter_names": _same(_LS, "", "parameters of the identified loop by names of `PARAMETERS`, P of them", True),
     "parameter_values": _same(_L, "SI", "their values", True),
     "covariance": _same(_L, "SI", "their covariance, P rows of P numbers", True),
-    "parts": _same(_LS, "", "what the loop has beside mass, damper and delay", True),
+    "parts": _same(_LS, "", "parts of the loop in addition to mass, damper and delay", True),
     "mode_sensor": _same(_S, "", "motor or load: side of a vibration mode at which the position is read", True),
     "unidentifiable": _same(_LS, "", "those of the parameters whose value cannot be identified", True),
     "bound_names": _same(_LS, "", "parameters with an upper end or a second end", True),
@@ -194,7 +194,7 @@ COLUMNS: dict[str, Column] = {
     "largest_command": Column(_F, "N", "Nm", "largest command of these logs", True),
     "largest_step": Column(_F, "N", "Nm", "largest step of these logs", True),
     "travel": Column(_F, "m", "rad", "range of the positions of these logs", True),
-    "remedy": _same(_S, "", "what to record to separate parts that act alike", True),
+    "remedy": _same(_S, "", "what to record to separate parts with similar effects", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -223,13 +223,13 @@ TABLES: dict[str, tuple[str, ...]] = {
 """Columns of each table; those of a stage are the fields of its record."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity", "raw_time", "raw_count")
-"""Columns of the trials table that hold a list of samples."""
+"""Columns of the trials table with a list of samples in each row."""
 
 LOCATION = ("sample_file", "sample_row")
 """Where a trial is stored; added by who reads it."""
 
 OF_TRIALS = (*(name for name in TABLES["trials"] if name not in SAMPLES), *LOCATION)
-"""What is told of a trial, but its samples."""
+"""Columns of a trial without its samples."""
 
 
 def unit_of_column(column: Column, motion: Motion) -> str:

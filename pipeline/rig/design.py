@@ -75,7 +75,7 @@ class Design:
         ``damping``, ``stiffness_limit`` at this damping, ``settling_s``, ``settling_samples``, ``overshoot``; None
         where it is not stable.
     stiffness_reached : float or None
-        Largest K [N/m, Nm/rad] for which all else that is wished for holds; with a settling time, the one next to K.
+        Largest K [N/m, Nm/rad] with which the rest of the wish is met; with a settling time, the one next to K.
     changes : tuple of Change
         Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
         factors.
@@ -119,7 +119,7 @@ def design(
     Parameters
     ----------
     loop : Loop
-        The rig: a hand that holds it is its ``operator``.
+        The rig; a hand on it is its ``operator``.
     stiffness, settling_s, overshoot, margin, tolerance
         As of `Wish`.
     keep : sequence of str
@@ -173,7 +173,7 @@ def _wall(loop: Loop, best: Best) -> dict[str, float | None]:
 
 
 def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
-    """Return the K next to the wished one up to which, or down from which, the rest of the wish holds."""
+    """Return the K next to the wished one up to which, or down from which, the rest of the wish is met."""
     wanted = wish.stiffness
     if wanted is None:
         return best.stiffness if best.room >= 0 else None

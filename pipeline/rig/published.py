@@ -1,4 +1,4 @@
-"""Published conditions for the stiffness of a virtual wall, beside the exact limit of stability."""
+"""Published conditions for the stiffness of a virtual wall, compared with the exact limit of stability."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Condition:
 
 
 def _late(loop: Loop) -> float:
-    """Effective delay t_d + T/2 [s]: the hold delays by half a sample."""
+    """Effective delay t_d + T/2 [s]: the zero-order hold delays by half a sample."""
     return (loop.delay_samples + 0.5) * loop.sampling_period_s
 
 
@@ -155,7 +155,7 @@ def _without(loop: Loop) -> str:
 
 def _exact_assumes(loop: Loop) -> str:
     left_out = ["adaptive velocity filter" if name == "velocity" else name for name in loop.left_out]
-    return f"the linear loop, without {', '.join(left_out)}" if left_out else "nothing beside the loop"
+    return f"the linear loop, without {', '.join(left_out)}" if left_out else "the whole loop"
 
 
 def published_limits(

@@ -10,7 +10,7 @@ from pipeline.device.parameters import PARAMETERS
 from pipeline.surface.physical_loop import Loop
 
 _SMALL = 1e-2
-"""Damping of its own from which a device without any is changed, in m/T."""
+"""Damping from which a device without damping is changed, in m/T."""
 
 
 @dataclass(frozen=True)

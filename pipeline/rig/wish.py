@@ -42,7 +42,7 @@ _BISECTIONS = 40
 """Halvings of the frequency at which a damping becomes unstable: more than its digits."""
 
 _NOTHING = -10.0
-"""Room of a stable wall that settles too late to be told; its negative is that of one without a bound."""
+"""Margin of a stable wall whose settling time is too long to be computed; its negative is that without a bound."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Wish:
     margin : float
         The wall stays stable with a stiffness so many times as large, >= 1.
     tolerance : float
-        The wish holds with mass, damping and delay wrong by this share, each either way; 0 to 0.9.
+        The wish is met with mass, damping and delay wrong by this share, each either way; 0 to 0.9.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Best:
-    """The wall of a rig that comes nearest to a wish: K, B, and the room that is left, >= 0 where the wish holds."""
+    """The wall of a rig that comes nearest to a wish: K, B, and the remaining margin, >= 0 where the wish is met."""
 
     stiffness: float
     damping: float
@@ -134,7 +134,7 @@ def quickest(loop: Loop, wish: Wish, best: Best) -> Best:
 def decay(loop: Loop, wish: Wish) -> float:
     """Return how fast the slowest mode decays [1/s] behind the wall of a first look at which it is fastest.
 
-    It is quicker to tell than the room, and where it is large walls settle early and overshoot little.
+    It is quicker to compute than the margin, and where it is large walls settle early and overshoot little.
     """
     unit = loop.units
     K, B = np.array(list(product(*_first_look(loop, wish)))).T

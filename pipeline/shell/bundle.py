@@ -1,7 +1,7 @@
 """`pipeline bundle`: a report with all that `verify` needs in one zip, and its verification anywhere.
 
-A bundle holds the page, its JSON document, ``processed/`` with the stored trials, and ``devices/`` with the device file
-where there is one. Equal inputs give equal bytes.
+A bundle contains the page, its JSON document, ``processed/`` with the stored trials, and ``devices/`` with the device
+file, if any. Equal inputs give equal bytes.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from pipeline.store.objects import opened
 
 ENDING = ".zip"
 TIME = (1980, 1, 1, 0, 0, 0)
-"""Time of every entry, so that equal inputs give equal bytes: the earliest that a zip can hold."""
+"""Time of every entry, so that equal inputs give equal bytes: the earliest that a zip allows."""
 
-READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline); all that it was computed from lies beside it.
-To compute every number anew and compare it with the report, wherever this file lies:
+READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline); the data that it was computed from are here.
+To recompute every number and compare it with the report, wherever this file is:
 
     pipeline verify {bundle}
 """
 
 
 class Bundle(Record):
-    """What a bundle holds: its file, how many trials, and how many files and bytes in all."""
+    """A bundle: its file, number of trials, number of files and bytes."""
 
     bundle: str
     trials: int
@@ -44,17 +44,17 @@ class Bundle(Record):
 
 
 def bundle(report: Path) -> Bundle:
-    """Write a report and all that it rests on into one zip beside it.
+    """Write a report and all its inputs into one zip in the folder of the report.
 
     Parameters
     ----------
     report : Path
-        HTML page by `compare`, with its JSON document beside it.
+        HTML page by `compare`, with its JSON document in the same folder.
 
     Raises
     ------
     UsageError
-        If the file is no report, or has no document beside it.
+        If the file is no report, or its document is missing.
     DeviceError
         If the device file behind the report is not known here.
     StoreError
@@ -64,7 +64,7 @@ def bundle(report: Path) -> Bundle:
     _, _, request = read_report(report)
     document, notes = read_document(report)
     if document is None:
-        raise UsageError(f"{notes[0]}. A bundle holds it, too: write the report anew, or lay its document beside it.")
+        raise UsageError(f"{notes[0]}. A bundle needs it: write the report again, or put its document into its folder.")
     device, lists = request.scene.device, {logs.experiment: logs for logs in document.logs}
     files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json")}
     if request.device_file:
@@ -74,8 +74,8 @@ def bundle(report: Path) -> Bundle:
         store = Path(temporary) / "processed"
         fresh = read_anew(device, processed, request.logs, lists, store, None, request.excluded)
         for problem in fresh.problems:
-            raise StoreError(f"{problem.path}: {problem.problem}. Ingest its log again, or write the report anew.")
-        # exclusions are in the page, corrections bear the time of now
+            raise StoreError(f"{problem.path}: {problem.problem}. Ingest its log again, or write the report again.")
+        # exclusions are in the page, corrections have the present time
         kept = (*(store / "trials").rglob("*.parquet"), *store.glob("*.json"))
         files |= {path.relative_to(temporary).as_posix(): path for path in kept}
         size = sum(path.stat().st_size for path in files.values())
@@ -88,7 +88,7 @@ def bundle(report: Path) -> Bundle:
 
 
 def verify_bundle(path: Path) -> Verification:
-    """Verify the report of a bundle by nothing but what the bundle holds; nothing is left behind.
+    """Verify the report of a bundle with the contents of the bundle only, in a temporary folder.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def _device_file(request: Request) -> Path:
     file = device_file(request.scene.device)
     if file is None:
         raise DeviceError(
-            f"device {request.scene.device!r}: the report rests on its device file, which is not known here. Name its "
+            f"device {request.scene.device!r}: the report uses its device file, which is not known here. Name its "
             f"folder in {USER_FOLDER_VARIABLE}."
         )
     return file

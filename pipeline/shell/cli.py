@@ -34,7 +34,7 @@ COMMANDS = {
     )
     for name in names
 }
-"""Module of each command, in the order of the help; its function bears the last word of the name."""
+"""Module of each command, in the order of the help; its function has the last word of the command as name."""
 
 PLAIN = ("demo", "serve")
 """Commands without a result, and so without --json."""

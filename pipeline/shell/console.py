@@ -48,7 +48,7 @@ Json = Annotated[bool, option("--json", "Print JSON on stdout, and nothing else 
 
 
 def command(work: Callable[..., int | None]) -> Callable[..., None]:
-    """Return a command with the option ``--json``: it tells its result by `tell`, and returns its exit status."""
+    """Return a command with the option ``--json``. It prints its result by `tell` and returns its exit status."""
 
     @wraps(work)
     def run(as_json: bool = False, **given: Any) -> None:
@@ -74,7 +74,7 @@ def tell(document: object, lines: Iterable[str]) -> None:
 
 
 def tell_line(document: object, lines: Iterable[str]) -> None:
-    """Print one result of many as it comes, as `tell`; a document on one line."""
+    """Print one result of many as it comes, like `tell`; a JSON document on one line."""
     if _JSON.get():
         _write(json.dumps(document, allow_nan=False) + "\n")
     else:
@@ -105,7 +105,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
 
 
 def _flush() -> None:
-    """Write out what was said, while an error can still be told by name and status."""
+    """Flush the output while an error can still be reported by name and exit status."""
     try:
         if sys.stdout is not None:
             with naming(Path("standard output")):
@@ -134,7 +134,7 @@ def _drop_output() -> None:
 
 
 def _write(text: str) -> None:
-    if sys.stdout is not None:  # started without one, as by `>&-`: nobody listens
+    if sys.stdout is not None:  # None where it is closed, as by `>&-`
         with naming(Path("standard output")):
             sys.stdout.write(text)
 
@@ -157,12 +157,12 @@ def step(text: str) -> None:
 
 
 def _harmless(text: str) -> str:
-    """Return a text without control characters: names and cells of logs may hold commands to the terminal."""
+    """Return a text without control characters: names and cells of logs may contain commands to the terminal."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
-def grouped(told: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield what is told of places: equal texts once, with their number and the first place."""
+def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield messages on places: equal texts once, with their number and the first place."""
     groups: dict[str, list[str]] = {}
     for place, text in told:
         groups.setdefault(text, []).append(place)

@@ -1,4 +1,4 @@
-"""Logs of a report read anew into a folder of their own, and what is not as it was when the report was made.
+"""Logs of a report, read again into a temporary folder, and their differences from the time of the report.
 
 Nothing that was computed from the logs is taken over: the folder gets trials and samples, no stages and no theory.
 """
@@ -113,7 +113,7 @@ def read_anew(
         files |= {load_profile(path).name: path for path in profiles}
     if excluded:
         write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
-    # a bundle holds no corrections: the page alone has them
+    # a bundle contains no corrections: only the page has them
     now = excluded if profiles is None else tuple(read_exclusions(processed).values())
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
@@ -145,7 +145,7 @@ def read_anew(
 
 
 def _hold_exclusions(store: FreshStore, trials: pa.Table, said: Iterable[Exclusion], now: Iterable[Exclusion]) -> None:
-    """Hold what the report says was excluded by hand, and why, against what is now."""
+    """Compare the exclusions in the report, and their reasons, with the present ones."""
     paths = dict(zip(*(trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
     before, after = ({one.trial_id: one.exclusion_reason for one in each} for each in (said, now))
     for trial in sorted({*before, *after} & paths.keys()):
@@ -206,7 +206,7 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
 
 
 def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:
-    """Hold all samples against the hash in the page, where logs of the same hashes were found."""
+    """Compare all samples with the hash in the page, where logs of the same hashes were found."""
     trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
     if joint_sha256(trials.column("source_sha256").to_pylist()) != said.sha256:
         if not store.problems:

@@ -1,4 +1,4 @@
-"""The index page over all reports of a folder, made from the JSON document beside each.
+"""The index page over all reports of a folder, made from their JSON documents.
 
 Reports may come from other versions, be damaged, or be written at this moment: what cannot be read is listed with the
 reason. The page depends on the reports alone, so that the same reports give the same bytes.
@@ -24,7 +24,7 @@ from pipeline.rendering.report.page_template import fill_template, policy, scrip
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
-"""Tells our index from a page of somebody else, which is never replaced."""
+"""Identifies our index page; an index page of another program is never replaced."""
 
 MOST_NAMES = 4
 """Experiments that are named one by one: a list of all delays of a sweep says less than its ends."""
@@ -73,7 +73,7 @@ def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, st
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """A page: a report with its document, or why nothing can be said of it (``problem``), or another page."""
+    """A page: a report with its document, a report that cannot be read (``problem``), or another page."""
 
     page: str
     title: str
@@ -94,7 +94,7 @@ class IndexEntry:
 def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry, ...]]:
     """Return the reports of a folder, sorted by title, damaged ones last, and its other pages.
 
-    A page (``*.html``) with the JSON document of a comparison beside it is a report. Nothing is written.
+    A page (``*.html``) with the JSON document of a comparison in its folder is a report. Nothing is written.
     """
     pages = (p for p in folder.glob("*.html") if p.name != INDEX_FILE and not p.name.startswith(".") and p.is_file())
     found = [_entry(page) for page in sorted(pages)]
@@ -168,12 +168,12 @@ def _entry(page: Path) -> IndexEntry:
     name = storable(document.name)
     if not text:
         return IndexEntry(page.name, title, "the page cannot be read, or is empty")
-    if _REPORT_MARK not in text[:_HEAD]:  # a page beside another document, such as that on accuracy
+    if _REPORT_MARK not in text[:_HEAD]:  # a page with another document, such as that on accuracy
         return IndexEntry(page.name, title or storable(page.name))
     if not text.rstrip().endswith("</html>"):
         return IndexEntry(page.name, title, "the page is not complete; make the report again")
     if not document.is_file():
-        return IndexEntry(page.name, title, f"{name} is missing beside it; make the report again")
+        return IndexEntry(page.name, title, f"{name} is missing in its folder; make the report again")
     try:
         found = json.loads(document.read_bytes())
         return IndexEntry(page.name, found["title"], document=_row(found))

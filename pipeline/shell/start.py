@@ -37,7 +37,7 @@ LEAST_NAMED = 0.5
 CONDITIONS = ("stiffness", "damping", "step")
 
 MOST_CHECKED = 400
-"""Logs that are held against their commands before anything is stored: some seconds."""
+"""Most logs whose walls are checked against their commands before anything is stored: some seconds."""
 
 _OFF = (
     "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
@@ -48,7 +48,7 @@ _OFF = (
 
 @dataclass(frozen=True)
 class Folder:
-    """What a folder holds.
+    """Contents of a folder.
 
     Parameters
     ----------
@@ -112,12 +112,12 @@ class Proposal:
 
 
 def look_at(path: Path) -> Folder:
-    """Return what a folder, or the folder of a log, holds.
+    """Return the contents of a folder, or of the folder of a log.
 
     Raises
     ------
     UsageError
-        If it does not exist or holds no log.
+        If it does not exist or contains no log.
     """
     notices = Notices()
     everything = Profile.model_construct(name="all", format="delimited", files=("*",))

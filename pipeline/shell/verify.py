@@ -1,4 +1,4 @@
-"""`pipeline verify`: every number of a report computed anew from the logs, and the names of those that differ."""
+"""`pipeline verify`: every number of a report recomputed from the logs, and the names of those that differ."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _NUMBER = re.compile(r"[\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:[eE][+\N{MINUS SIGN}-]?
 
 
 class Difference(Record):
-    """A part of the report that differs: ``expected`` was computed anew, ``found`` stands in the report."""
+    """A part of the report that differs: ``expected`` was recomputed, ``found`` is in the report."""
 
     name: str
     kind: Literal["cell", "sentence", "value", "page"]
@@ -69,7 +69,7 @@ class Verification(Record):
     equal : bool
         Whether all numbers are those of the logs, and all logs those of the report.
     checked : dict of str to int
-        Number of parts that were held against the logs, or against the hashes in the page, by kind.
+        Number of parts that were compared with the logs, or with the hashes in the page, by kind.
     differences : tuple of Difference
     logs : tuple of LogProblem
     notes : tuple of str
@@ -85,7 +85,7 @@ class Verification(Record):
 
 
 class Request(BaseModel):
-    """What the head of a page says of its comparison: how it was asked for, and what it rests on."""
+    """Metadata in the head of a page: the request of its comparison, and its inputs."""
 
     processed: str
     scene: Scene
@@ -108,7 +108,7 @@ def verify(
     processed: Path | str | None = None,
     profiles: Sequence[Path] | None = (),
 ) -> Verification:
-    """Compute the numbers of a report anew and compare them, part by part.
+    """Recompute the numbers of a report and compare them, part by part.
 
     The logs are read again from where they lay, or from the stored samples where they are gone; stages, costs and
     theory are computed in a temporary folder. Nothing in ``processed`` is changed.
@@ -119,7 +119,7 @@ def verify(
         HTML page by `compare`.
     processed : Path or str, optional
         Folder or URL of the stored tables; by default that which the report names, a folder looked for in the current
-        one and beside the report.
+        one and in that of the report.
     profiles : sequence of Path or None
         Profile files of the lab that read the logs; None takes the stored samples alone.
 
@@ -156,7 +156,7 @@ def verify(
         expected = take_apart(again.read_text(encoding="utf-8"))
     untouched = found.digests is not None and found.digests.page == page_digest(page)
     problems = (*devices, *fresh.problems)
-    # what was changed by hand, or rests on other logs, must agree to the last digit
+    # numbers changed by hand, or from other logs, must agree to the last digit
     as_made = untouched and not problems
     differences = [*_cell_differences(expected, found, as_made)]
     said, anew = ({n: t for n, t in parts.texts.items() if not is_free_text(n)} for parts in (found, expected))
@@ -185,7 +185,7 @@ def verify(
 
 
 def _cell_differences(expected: Parts, found: Parts, rounding: bool) -> Iterator[Difference]:
-    """Yield the cells that are not those computed anew; cells that no log determines are held against their hashes."""
+    """Yield the cells that differ from the recomputed ones, or from their hashes where no log determines them."""
     new, old = ({n: t for n, t in parts.cells.items() if not is_free_cell(n)} for parts in (expected, found))
     yield from _differences("cell", new, old, same_text if rounding else _equal)
     stored = found.digests.cells if found.digests else {}
@@ -218,7 +218,7 @@ def _equal(name: str, a: Any, b: Any) -> bool:
 
 
 def same_value(name: str, a: Any, b: Any) -> bool:
-    """Tell whether two values of a JSON document differ by rounding only; ``name`` ends with the value's key."""
+    """Return whether two values of a JSON document differ by rounding only; ``name`` ends with the value's key."""
     if isinstance(a, str) and isinstance(b, str):
         return same_text(name, a, b)
     if not (isinstance(a, float) and isinstance(b, float)):
@@ -228,7 +228,7 @@ def same_value(name: str, a: Any, b: Any) -> bool:
 
 
 def same_text(name: str, a: str, b: str) -> bool:
-    """Tell whether two texts differ at most by one in the last digit of numbers with a decimal point.
+    """Return whether two texts differ at most by one in the last digit of numbers with a decimal point.
 
     Examples
     --------
@@ -277,7 +277,7 @@ def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> Co
     except (UsageError, StoreError):
         raise
     except PipelineError as error:
-        raise StoreError(f"{report}: its numbers cannot be computed anew: {error}") from error
+        raise StoreError(f"{report}: its numbers cannot be recomputed: {error}") from error
 
 
 def lines_of(verification: Verification) -> list[str]:
@@ -287,7 +287,7 @@ def lines_of(verification: Verification) -> list[str]:
         + (f"; expected {problem.expected}, found {problem.found or MISSING}" if problem.expected else "")
         for problem in verification.logs
     ]
-    lines += [f"{d.name}: computed anew {d.expected}, the report says {d.found}" for d in verification.differences]
+    lines += [f"{d.name}: recomputed {d.expected}, the report has {d.found}" for d in verification.differences]
     lines += [f"Note: {note}" for note in verification.notes]
     counts = ", ".join(f"{count} {kind}" for kind, count in verification.checked.items())
     if verification.equal:
@@ -315,18 +315,18 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
         raise UsageError(f"{report}: cannot be read ({why}). Give a report by `pipeline compare`.") from error
     except ValidationError as error:
         raise UsageError(
-            f"{report}: holds no request of a comparison that can be read; expected a report by `pipeline compare`, of "
-            "this version or a later one. Write it anew with the command in its section on origin."
+            f"{report}: contains no readable request of a comparison; expected a report by `pipeline compare`, of "
+            "this version or a later one. Write it again with the command in its section on origin."
         ) from error
 
 
 def device_problems(request: Request) -> tuple[LogProblem, ...]:
-    """Tell whether the device file here is another one than that behind a page.
+    """Return a problem if the device file here is another one than that behind a page.
 
     Raises
     ------
     DeviceError
-        If the page rests on a device file and none is known here: all of theory would differ.
+        If the page uses a device file and none is known here: all of theory would differ.
     """
     name = request.scene.device
     if request.device_file is None:
@@ -334,13 +334,13 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
     here = known_devices().get(name)
     if here is None:
         raise DeviceError(
-            f"device {name!r}: the report rests on its device file, which is not known here, so that no number of "
-            f"theory can be computed anew. Name the folder of the file in {USER_FOLDER_VARIABLE}, or verify a bundle "
+            f"device {name!r}: the report uses its device file, which is not known here, so that no number of "
+            f"theory can be recomputed. Name the folder of the file in {USER_FOLDER_VARIABLE}, or verify a bundle "
             "(`pipeline bundle`), which holds it."
         )
     if digest_of(here) == request.device_file:
         return ()
-    text = "its device file is not the one that the report rests on"
+    text = "its device file is not the one that the report used"
     return (LogProblem(path=f"device {name}", problem=text, expected=request.device_file, found=digest_of(here)),)
 
 
@@ -367,7 +367,7 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
 
 
 def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
-    """Return the JSON document beside a page; None with a note where there is none of this version."""
+    """Return the JSON document of a page; None with a note where there is none of this version."""
     path = report.with_suffix(".json")
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []

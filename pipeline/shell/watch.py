@@ -1,4 +1,4 @@
-"""Keeps reports current while logs arrive, and plans beside a rig: both look at folders, and take in what is at rest.
+"""Renewal of reports and plans while logs arrive: both watch folders and read files that no longer change.
 
 Nothing is kept but what lies in `processed/`: after an end of any kind the next start does what is left.
 """
@@ -40,7 +40,7 @@ RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
 """Time after which a pass that failed is tried again [s], as after a full disk; doubles up to the second number."""
 
 PLAN_SETTLE_S = 0.3
-"""For which a log must stay the same before the planner reads it [s]: the next wall is told within a second."""
+"""Time for which a log must be unchanged before the planner reads it [s]: the next wall appears within a second."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ class Arrivals:
 
 
 def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
-    """Yield what happens while logs arrive, without end; not what is as it was, nor what was told before."""
+    """Yield events while logs arrive, endlessly; without unchanged states and repeated messages."""
     places = {"folders": [str(f) for f in watched.folders], "interval_s": interval_s, "settle_s": watched.settle_s}
     yield {"event": "started", **places, "processed": str(watched.processed), "reports": str(watched.reports)}
     arrivals, unreachable, told = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()

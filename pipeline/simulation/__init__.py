@@ -1,1 +1,1 @@
-"""Simulated devices, and the course of experiments that a lab would run on them."""
+"""Simulated devices, and the sweep over walls that a lab would run on them."""

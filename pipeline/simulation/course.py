@@ -1,4 +1,4 @@
-"""A simulated course of experiments: which pairs (K, B) a lab would test, and the logs that it would keep.
+"""A simulated sweep: the pairs (K, B) that a lab would test, and the logs that it would record.
 
 For each damping B the stiffness K is raised by the stiffness step until a trial is unstable, then once more
 from the last stable K in steps of 20 % (6.1.1). Trials at K = 0 with falling B follow, from which the
@@ -36,15 +36,15 @@ LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
 
 LONGEST_TRIAL = 20_000
-"""Samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. Each array of the 2,300 trials of a
-course has 370 MB then."""
+"""Most samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. Each array of a sweep of 2,300
+trials then has 370 MB."""
 
 TRUTH_FILE = "truth.json"
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """Trials of one course in the order in which a lab would have recorded them, and what was true.
+    """Trials of one sweep in the order in which a lab would have recorded them, and their ground truth.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Course:
     passes : int64, shape (n,)
         1 for a trial of the coarse steps, 2 for one of the fine steps.
     verdict : array of str, shape (n,)
-        What the course judged from the log: stable, unstable or undecided.
+        Verdict from the log: stable, unstable or undecided.
     """
 
     device: Device
@@ -80,7 +80,7 @@ def run_course(
     progress: Callable[[int], None] | None = None,
     **changes: Any,
 ) -> Course:
-    """Simulate the course of one experiment.
+    """Simulate the sweep of one experiment.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def run_course(
     duration_s : float, optional
         Length of a trial [s] in place of the device's, at most `LONGEST_TRIAL` samples.
     coarsen : int
-        Every n-th damping and n times the stiffness step, for a small course. K = 0 is tested in full.
+        Every n-th damping and n times the stiffness step, for a small sweep. K = 0 is tested in full.
     progress : callable, optional
         Called with the number of trials kept so far.
     **changes
@@ -166,7 +166,7 @@ def _digits(value: float, width: int) -> str:
 
 
 def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> int:
-    """Write a course as native logs with ``truth.json`` below ``folder/<device>/<experiment>``.
+    """Write a sweep as native logs with ``truth.json`` below ``folder/<device>/<experiment>``.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
     Raises
     ------
     UsageError
-        If the folder holds an earlier simulation and ``overwrite`` is false, or a file that is not listed has
+        If the folder contains an earlier simulation and ``overwrite`` is false, or a file that is not listed has
         the name of a log; nothing is written then.
     PipelineError
         If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
@@ -254,7 +254,7 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
         return set()
     if not overwrite:
         raise UsageError(
-            f"{target} holds the logs of an earlier simulation. Give overwrite=True to replace them, "
+            f"{target} contains the logs of an earlier simulation. Give overwrite=True to replace them, "
             "or choose another folder (--out)."
         )
     try:

@@ -27,7 +27,7 @@ WAVE = 12
 """Trials simulated ahead for each damping: fewer cost more passes of the sample loop, more are discarded."""
 
 LONGEST_CLIMB = 2000
-"""Steps after which a course is given up; the stiffest column of the thesis needs 65 steps."""
+"""Most stiffness steps at one damping; the stiffest column of the thesis needs 65."""
 
 AT_ZERO_STIFFNESS = 1 << 30
 """Column of the trials with K = 0, behind every damping."""
@@ -60,7 +60,7 @@ class Climb:
     stiffness_step, damping_step : float
         Coarse step of K at a fixed damping, and of -B at K = 0.
     lowest_damping : float
-        Largest -B that is tested at K = 0: friction or a force limit may hold a device there whatever B is.
+        Largest -B that is tested at K = 0: friction or a force limit may keep a device at rest for any B.
     progress : callable or None
         Called with the number of trials kept so far.
     kept, verdicts, order : list

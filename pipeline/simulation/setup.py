@@ -1,6 +1,6 @@
-"""What the trials of one experiment share: loop, step, length, limits of travel, and what nobody stated.
+"""Common settings of the trials of one experiment: loop, step, length, travel limits, and undocumented faults.
 
-And what chance decides in them: noise, delays, samples that the sensor holds, rows the log lacks.
+And the random quantities of each trial: noise, delays, repeated sensor samples, missing rows.
 """
 
 from __future__ import annotations
@@ -95,12 +95,12 @@ class Setup:
 
     @property
     def true_gain(self) -> float:
-        """Force at the actuator per unit of command, with the error that nobody knows of."""
+        """Force at the actuator per unit of command, with its undocumented error."""
         return self.loop.force_gain * (1 + self.hidden.gain_error)
 
     @property
     def constant_force(self) -> float:
-        """Force on the motor beside the command, stated or not [N, Nm]."""
+        """Force on the motor in addition to the command, stated or not [N, Nm]."""
         return self.loop.constant_force + self.hidden.constant_force
 
     @property

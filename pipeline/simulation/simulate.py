@@ -57,7 +57,7 @@ def simulate(
         Name the random streams together with K and B: the same five give the same trial, whatever it is
         simulated together with, and a longer trial starts with the samples of the shorter one.
     disturbance : float64, shape (rows, n), optional
-        Force on the device beside the command [N, Nm], such as the push of a hand, constant from one row to the
+        Force on the device in addition to the command [N, Nm], such as the push of a hand, constant from one row to the
         next. The controller knows nothing of it, and it acts without delay.
 
     Returns
@@ -151,9 +151,9 @@ def external_force(setup: Setup) -> Floats:
 
 
 def _sunk(setup: Setup, K: float) -> float:
-    """Return how deep in the wall the constant force holds the device before the step [m, rad].
+    """Return the depth in the wall at which the constant force rests before the step [m, rad].
 
-    A wall without stiffness cannot hold it, nor can a one-sided wall that the force pulls away from.
+    A wall without stiffness cannot balance it, nor can a one-sided wall that the force pulls away from.
     """
     constant = setup.constant_force
     holds = K > 0 and (not setup.hidden.one_sided_wall or constant * setup.step > 0)
@@ -163,7 +163,7 @@ def _sunk(setup: Setup, K: float) -> float:
 def in_force(delays: Integers) -> Integers:
     """Return which command the plant feels in each interval when every command has its own delay.
 
-    Commands never overtake: the newest that has arrived holds, an older one that arrives later is ignored.
+    Commands never overtake: the newest that has arrived is applied, an older one that arrives later is ignored.
 
     Parameters
     ----------

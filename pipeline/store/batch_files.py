@@ -1,7 +1,6 @@
-"""Writes batches of trials: one file each, whole by itself; merges small ones, and leaves out what does not count.
+"""Writing of batch files, each with the trials of one experiment; merging of small ones, removal of outdated trials.
 
-What stands in the place of other files names them; they are removed when it is on the disk. So what is replaced is
-there at any moment, and whoever reads meanwhile sees it once.
+A replacement lists the files it replaces; they are deleted once it is on disk. Readers see each trial exactly once.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from pipeline.records.trials import Booleans
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
-"""Trials of a group of rows, and bytes of their samples, at most: one trial is read by reading its group."""
+"""Most trials of a row group, and bytes of their samples: reading one trial reads its group."""
 
 READING_BYTES = 24
 """Bytes of a sample in memory: time, command, position."""
@@ -45,17 +44,17 @@ _REPEATED = [
     *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
     *("time_s.list.element", "position.list.element"),
 ]
-"""Columns of words, times and quantised positions, which repeat; a dictionary of others takes time for nothing."""
+"""Columns with repeated values (words, times, quantised positions), for which a dictionary saves space."""
 
 MOST_SMALL = 8
-"""Batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next size: a
-trial is rewritten once for each factor of eight, and n batches of one trial become some 7 log8 n."""
+"""Batches of similar size that an experiment may have. The eighth merges them into one of the next size: a trial is
+rewritten once for each factor of eight, and n batches of one trial become about 7 log8 n."""
 
 OPEN_FILES = 8
-"""Files that are written at once: each recording may be an experiment of its own, and open files are few."""
+"""Files written at the same time: each recording may be a separate experiment, and open files are limited."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
-"""Trials, or bytes of the file, from which on an ingest leaves a batch alone."""
+"""Trials, or bytes of the file, above which ingest does not merge a batch."""
 
 
 Key = tuple[str, str, str]
@@ -163,7 +162,7 @@ def kept_of(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
 
 
 def without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
-    """Return which rows are left of each file that holds trials which are dropped; damaged files are told and kept."""
+    """Return the remaining rows of each file with dropped trials; damaged files are reported and left as they are."""
     rows = read_rows(processed, KEY_COLUMNS, damaged)
     keys = zip(*map(rows.column, KEY_COLUMNS), strict=True)
     kept = kept_of(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
@@ -178,11 +177,11 @@ def store(
     outdated: Collection[Key],
     damaged: dict[Path, str],
 ) -> set[Path]:
-    """Store trials, a file for each place, and drop what they replace; return the folders that changed.
+    """Store trials, one file for each place, and drop the trials that they replace; return the changed folders.
 
-    What they replace goes with the same file that brings the new trials, where it is of their place. Elsewhere it goes
-    before, since what is new can be read again from its log; but what is outdated goes afterwards: a reader who sees
-    two contents of a log takes the newer one, and misses none.
+    A replaced trial in the same place is dropped by the file with the new trials. In another place it is dropped
+    before, since new trials can be read again from their log. Outdated contents are dropped afterwards: a reader that
+    finds two contents of a log takes the newer one.
     """
     absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
     first = without(processed, dropped, damaged) if dropped else {}
@@ -208,17 +207,17 @@ def store(
 
 
 def remove_incomplete(processed: Path) -> None:
-    """Remove what interrupted writers left; hold the lock."""
+    """Remove incomplete files of interrupted writers. Call with the lock of the store."""
     for name in ("trials", "quarantine", "corrections"):
         remove_temporary(processed / name, deep=True)
 
 
 def tidy(processed: Path, damaged: dict[Path, str]) -> None:
-    """Remove replaced files, and trials that do not count; hold the lock.
+    """Remove replaced files, and trials that are not used. Call with the lock of the store.
 
-    Two writers on an object store may have stored, or merged, the same trials. Which of the files gives way, each might
-    decide in another way; one that stands in the place of all that share a trial loses nothing. Of damaged files, which
-    `damaged` gets, nothing counts.
+    Two writers on an object store may have stored, or merged, the same trials, and each might choose another file to
+    remove. A file that replaces all those with shared trials loses nothing. Damaged files are added to `damaged` and
+    ignored.
     """
     rows = read_rows(processed, VERSION_COLUMNS, damaged)
     remove_all(rows.replaced)

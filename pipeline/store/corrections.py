@@ -151,7 +151,7 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
-    """Store corrections beside those of other trials, in one step. For who holds the lock of the store."""
+    """Add corrections to those of other trials, in one step. Call with the lock of the store."""
     known, former = read_corrections(processed), corrections_files(processed)
     now = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())])
     known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}
@@ -163,7 +163,7 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
 
 
 def carry(processed: Path, ids: Mapping[str, str]) -> None:
-    """Let corrections of trials hold for those of another id, too: their logs were renamed."""
+    """Apply corrections of trials to new ids as well: their logs were renamed."""
     known = read_corrections(processed)
     new = [known[old].model_copy(update={"trial_id": now}) for old, now in ids.items() if old in known]
     if new:

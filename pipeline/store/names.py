@@ -1,7 +1,7 @@
-"""Names of devices and experiments as names of folders and reports that every system can hold, and back.
+"""Names of devices and experiments as portable names of folders and reports, and back.
 
-Windows refuses some signs and names, and there, as on most disks of macOS, two names that differ in case only are one
-file. What such a system could not hold, or would mix up, is written as % and two digits.
+Windows refuses some characters and names. There, and on most disks of macOS, two names that differ only in case are one
+file. Characters that are not portable for these reasons are written as % and two digits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
 """Names that Windows keeps for its devices, with any ending."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
-"""Pages beside the reports of devices: `pipeline watch`, `pipeline accuracy`; `theory` was one of earlier versions."""
+"""Pages in the folder of device reports: `pipeline watch`, `pipeline accuracy`, and `theory` of earlier versions."""
 
 _AGAINST = "-against"
 """Part of the names of pages that set two experiments, or two versions of a report, against each other."""
@@ -64,7 +64,7 @@ def report_of(reports: Path, device: str) -> Path:
 
 def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
     """Return the file of the page on two experiments (device, experiment), which is that of no other page."""
-    # no name of a folder holds the sign between device and experiment
+    # folder names never contain the character between device and experiment
     one, other = ("=".join(map(_without_against, pair)) for pair in (first, second))
     if first[0] == second[0]:
         other = _without_against(second[1])
@@ -73,9 +73,9 @@ def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str])
 
 
 def page_against_document(report: Path, document: Path) -> Path:
-    """Return the file, beside a report, of the page on it and the document of an earlier one, another for each place.
+    """Return the page, in the folder of a report, that compares it with an earlier document.
 
-    Documents of several versions lie in folders of several names, and bear one name.
+    Documents of several versions have the same name in different folders, so the folder is part of the page's name.
     """
     place = digest(os.path.realpath(document))
     return report.with_name(f"{report.stem}{_AGAINST}-earlier-{place[:8]}.html")

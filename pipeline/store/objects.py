@@ -1,10 +1,9 @@
-"""A store by URL, such as S3: worked on as a folder, into which its files are brought, and from which changes go back.
+"""A store by URL, such as S3: its files are copied to a temporary folder, and changes are copied back.
 
-Files bear the hash of their content, are whole by themselves and never change, so that an object store needs no more
-than a folder does: what is new is put, and then what it stands in the place of is deleted. Nobody waits for anybody:
-what two writers store at once are other files, or the same one. The folder is a copy that is removed at the end. For a
-store that is a folder nothing of this happens, and the package for object stores (the extra ``cluster``) is not
-imported.
+Files are named by the hash of their content, are complete and never change, so an object store works like a folder: new
+files are put, then the files that they replace are deleted. Writers never wait for each other, because two writers
+store different files, or the same one. The temporary folder is removed at the end. A store that is a folder is used
+directly, and the package for object stores (the extra ``cluster``) is not imported.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ RETRIES = 10
 """Attempts after one that failed by the network or a busy server, with growing pauses from 0.1 s on."""
 
 PATIENCE_S = 30.0
-"""How long one request is tried [s]: a server that restarts is back by then, one that is gone is told soon."""
+"""How long one request is retried [s]: enough for a server that restarts, and soon an error for one that is down."""
 
 _TREES = ("trials", "stages", "theory", "corrections", "quarantine")
-"""What is stored; locks and incomplete files are of one machine. Trials are put before anything that rests on them."""
+"""Folders that are stored; locks and incomplete files stay local. Trials are put before results that depend on them."""
 
 REPEATS = 20
 """Times that a store is listed again because files were merged while they were brought."""
@@ -150,7 +149,7 @@ class _Mirror:
     folder: Path
     place: tuple[str, ...]
     known: dict[str, int] = field(default_factory=dict)
-    """Time [ns] of each file that the store has, too; one that a repair has written anew has another one."""
+    """Modification time [ns] of each file that the store has, too; a file rewritten by a repair has another one."""
 
     def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
         """Bring what came to the store since; return whether anything did."""

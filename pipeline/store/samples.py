@@ -1,6 +1,6 @@
 """Samples of stored trials as `Trials`.
 
-Files may be merged while samples are read: where one is gone, its trials are looked up anew.
+Files may be merged while samples are read: if a file is gone, its trials are looked up again.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@
     corrections/<SHA-256>.parquet                            what was excluded, moved or deleted by hand
     quarantine/                                              logs that were refused, with the reason
 
-Each file is whole by itself and bears the hash of its content. One that takes the place of others names them in its
-metadata, so that readers, which take no lock, see each trial once: they leave out files that are replaced, and look at
-the folder again where it changed while they read.
+Each file is complete and named by the hash of its content. A replacement lists the replaced files in its metadata, so
+that readers see each trial once without a lock: they skip replaced files, and list the folder again if it changed while
+they read.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ Result = TypeVar("Result")
 TABLE = ".parquet"
 
 VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "source_mtime_ns")
-"""Columns that tell trials, and versions of them, apart."""
+"""Columns that identify a trial and its version."""
 
 ATTEMPTS = 50
-"""Times that reading starts anew because files were merged meanwhile; a merge takes longer than listing files, so that
-one suffices nearly always."""
+"""Most repetitions of a read because files were merged meanwhile; a merge takes longer than listing files, so that one
+nearly always suffices."""
 
 _PAUSE_S = 0.02
 """Wait before a new attempt [s], for a writer that removes many files."""
@@ -66,7 +66,7 @@ def stage_folder(processed: Path, device: str, experiment: str) -> Path:
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path | None:
-    """Return the file that holds the result of a stage for an experiment, None where there is none."""
+    """Return the file with the result of a stage for an experiment, or None."""
     return next(iter(kept_files(stage_folder(processed, device, experiment), stage, TABLE)), None)
 
 
@@ -290,7 +290,7 @@ def alike(one: float, other: float) -> bool:
 def row_parts(
     file: Path, rows: Integers | None = None, columns: list[str] | None = None
 ) -> Iterator[tuple[Integers, pa.Table]]:
-    """Yield some rows of a file, by default all, group by group: beside what is made of them, one is in memory."""
+    """Yield some rows of a file, by default all, one row group at a time to save memory."""
     with open_table(file) as stored:
         ends = np.cumsum([0, *(stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups))])
         rows = np.arange(ends[-1]) if rows is None else rows
@@ -309,11 +309,11 @@ def check_version(processed: Path) -> None:
     Raises
     ------
     StoreError
-        If it is one.
+        If another version wrote it.
     """
     folders = set[str]()
     for file in trials_files(processed)[:ATTEMPTS]:
-        with suppress(pa.ArrowException, OSError, KeyError):  # what is damaged is told as such
+        with suppress(pa.ArrowException, OSError, KeyError):  # damaged files are reported elsewhere
             if pq.read_schema(file).names == list(TABLES["trials"]):
                 return
             if said_content(file.name) in (None, content_of(file)):
@@ -321,16 +321,16 @@ def check_version(processed: Path) -> None:
                 folders |= set(map(os.path.dirname, paths))
     if folders:
         raise StoreError(
-            f"{processed}: was written by another version. Rebuild it beside: `pipeline ingest "
+            f"{processed}: was written by another version. Rebuild it in another folder: `pipeline ingest "
             f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`; then remove "
             "the old one."
         )
 
 
 class Exclusion(Record):
-    """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601).
+    """A trial that is excluded by hand: device, experiment, log, reason, and since when (UTC, ISO 8601).
 
-    It is known by its id, a hash of its log, of which trial of that it is, and of what the name tells.
+    Its id is a hash of the log's content, the trial's label, and the conditions in the name of the file.
     """
 
     trial_id: str
@@ -344,7 +344,7 @@ class Exclusion(Record):
 
 
 class Correction(Exclusion):
-    """All that was corrected of a trial; device and experiment are those of its log."""
+    """All corrections of a trial; device and experiment are those of its log."""
 
     exclusion_reason: str = ""
     excluded_since: str = ""
@@ -355,7 +355,7 @@ class Correction(Exclusion):
 
     @property
     def changes_place(self) -> bool:
-        """Whether the trial counts where its log says no more."""
+        """Whether the trial is no longer used in the experiment that its log states."""
         return self.deleted or self.place != (self.device, self.experiment)
 
     @property
@@ -439,16 +439,16 @@ def applied(trials: pa.Table, corrections: Mapping[str, Correction], place: tupl
 
 
 FIRST_STAGE = "response"
-"""Stage that has a row for each trial in use."""
+"""Stage with a row for each trial in use."""
 
 MOST = 3
 """Ids that are named in a sentence."""
 
 
 def gone(processed: Path, device: str | None = None) -> tuple[str, ...]:
-    """Return what stored results were computed with and no file holds any more, of all devices or of one.
+    """Return a sentence for each experiment whose stored results used trials or corrections that no longer exist.
 
-    A sentence for each experiment. Trials that a later ingest may have replaced by as many others are not told.
+    Of all devices or of one. Trials that a later ingest may have replaced by as many others are not reported.
     """
     found = list[str]()
     damaged: dict[Path, str] = {}

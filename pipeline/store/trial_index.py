@@ -26,7 +26,7 @@ INDEXED = (
     *("trial_id", "device", "experiment", "rows"),
     *("source_path", "source_sha256", "source_mtime_ns", "profile_sha256"),
 )
-"""Columns that it copies: what tells trials, their versions and their experiments apart."""
+"""Columns in the index: those that identify trials, their versions and their experiments."""
 
 MIN_INDEXED_FILES = 100
 """Files of trials from which on there is an index: to open fewer takes less than 0.2 s."""

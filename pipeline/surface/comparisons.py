@@ -62,7 +62,7 @@ class Comparison:
 
     @property
     def tables(self) -> pd.DataFrame:
-        """Tables of optima as Tables D.1 to D.6, measured and theory beside the published values.
+        """Tables of optima as Tables D.1 to D.6: measured, theoretical and published values.
 
         ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
         Nms/rad], ``cost`` (``cost_s`` [s], where it counts samples), ``published_stiffness``, ``published_damping``,
@@ -98,7 +98,7 @@ class Comparison:
         return frames(self.result)["scores"]
 
     def write(self, path: Place) -> Path:
-        """Write the HTML report, and the document as JSON beside it; return the path of the report.
+        """Write the HTML report, and the document as JSON next to it; return the path of the report.
 
         The report is made of what is stored at that moment; where that changed, the numbers here are renewed with it.
 
@@ -114,8 +114,8 @@ class Comparison:
         result = None if self._compute is None else self._compute(target)
         if result is None:
             raise UsageError(
-                f"{target}: this comparison was loaded from a document, which does not hold what the report draws. "
-                f"Compare anew: pipeline.compare({self.result.device!r}).write(...)."
+                f"{target}: this comparison was loaded from a document, which does not contain the drawn samples. "
+                f"Compare again: pipeline.compare({self.result.device!r}).write(...)."
             )
         self.result = result
         return target
@@ -140,7 +140,7 @@ def compare(
     experiments, criteria : sequence of str, optional
         What to compare; by default everything that is stored, and all criteria.
     full : bool
-        Whether a report holds the response of every trial, whatever its size.
+        Whether a report includes the response of every trial, whatever its size.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def compare(
 
 
 def load(report: Place) -> Comparison:
-    """Read a comparison from the JSON document beside a report (or by the name of the report itself).
+    """Read a comparison from the JSON document of a report (or by the name of the report itself).
 
     Raises
     ------
@@ -180,12 +180,12 @@ def load(report: Place) -> Comparison:
     except OSError as error:
         raise UsageError(
             f"{document}: cannot be read ({error.strerror or error}). Give the JSON document that `pipeline compare` "
-            "writes beside its report."
+            "writes next to its report."
         ) from error
     except ValidationError as error:
         (first, *_) = error.errors(include_url=False)
         place = ".".join(map(str, first["loc"])) or "document"
         raise UsageError(
             f"{document}: is no document of a comparison by this version ({place}: {first['msg']}). Give the JSON that "
-            "`pipeline compare` writes beside its report, or make it anew."
+            "`pipeline compare` writes next to its report, or compare again."
         ) from error

@@ -68,7 +68,7 @@ WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "dampin
 class IdentifiedDevice:
     """A device as logs show it.
 
-    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs identify it alone);
+    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs alone identify it);
     ``replay``: ``log``, ``fit_percent``; ``loop``: the linear loop as `Loop`, None where mass or delay cannot be
     identified; ``document``: what `pipeline identify --json` prints.
     """
@@ -83,7 +83,7 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit of free runs to held-out logs."""
+        """Fit of free runs to the logs that are left out of the estimation."""
         return frame_of("log fit_percent", self.document["replay"]["logs"], {})
 
     @property
@@ -135,7 +135,7 @@ def identify(
     LogError
         If every log is refused, with path and row; a bad one among others is listed in the document.
     ParameterError
-        If the logs hold no motion, no command or too few rows, a value is out of range, or most were recorded wrongly.
+        If the logs have no motion, no command or too few rows, a value is out of range, or most were recorded wrongly.
     UsageError
         If a path does not exist, or no log is found.
     """
@@ -442,7 +442,7 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
         "source": "estimated",
         "adequate": is_known and fit is not None and fit >= FOLLOWS,
         "reason": ("no log could be replayed" if fit is None else f"free runs fit held-out logs to {fit:.1f} %")
-        + ("" if is_known else "; mass or delay is not told by these logs")
+        + ("" if is_known else "; mass or delay cannot be identified from these logs")
         + (f"; {drift}" if drift else ""),
         "explained": None,
         **{name: number(name) for name in LINEAR},
@@ -476,7 +476,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
     if loop["mode"]:
         numbers = {name: number["value"] for name, number in loop["mode"].items()}
         sensor: Literal["motor", "load"] = "load" if numbers.pop("sensor_at_load") else "motor"
-        # both have errors of their own; the load has no more than all
+        # both are estimates; the load cannot have more damping than the whole device
         mode = Mode(**numbers | {"load_damping": min(numbers.get("load_damping", 0.0), damping)}, sensor=sensor)
     return LoopRecord(
         value["mass"],
@@ -546,16 +546,17 @@ def device_text(document: dict[str, Any], name: str) -> str:
     loop = wall_loop(document)
     if loop is None:
         missing = "mass" if numbers["mass"] is None else "delay"
-        raise ParameterError(" ".join([f"no device file: these logs do not tell the {missing}.", *_remedies(document)]))
+        why = f"no device file: the {missing} cannot be identified from these logs."
+        raise ParameterError(" ".join([why, *_remedies(document)]))
 
     def line(key: str) -> str:
         number = numbers[key]
         if number is None:
-            return f"{key} = 0.0  # not told by the logs"
+            return f"{key} = 0.0  # not identifiable from the logs"
         ends = f"{number['low']:.6g} to {number['high']:.6g} {PARAMETERS[key].unit(motion)}"
         return f"{key} = {number['value']!r}  # {ends} (95 %)"
 
-    delay, about_delay = numbers["delay_samples"], "given, or not told by the logs"
+    delay, about_delay = numbers["delay_samples"], "given, or not identifiable from the logs"
     if delay is not None and wall["delay_samples"] is None:
         about_delay = f"at T = {document['sampling_period_s']:g} s: {delay['low']:.6g} to {delay['high']:.6g} (95 %)"
         about_delay = f"mean of jitter_samples; in force {about_delay}" if loop.jitter_samples else about_delay

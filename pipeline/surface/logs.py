@@ -77,7 +77,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
     profile : str or path, optional
         As in `ingest`.
     label : str, optional
-        Which trial, where a file holds several.
+        Which trial, where a file has several.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
     LogError
         If the log is refused, with the row at fault.
     UsageError
-        If the path does not exist or holds no single log, or ``label`` names no trial of it.
+        If the path does not exist or is not a single log, or ``label`` names no trial of it.
     """
     given = _profile(profile)
     sources = find_sources([Path(path)], asked_profiles(given, [Path(path)]).profiles)
@@ -126,7 +126,7 @@ def simulate(
     out: Place | None = None,
     overwrite: bool = False,
 ) -> list[pd.DataFrame]:
-    """Simulate the course of an experiment, as `pipeline simulate` does.
+    """Simulate all trials of an experiment, as `pipeline simulate` does.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def simulate(
     ideal : bool
         Without noise, quantum and jitter.
     coarsen : int
-        Every n-th damping and n times the stiffness step, for a small course.
+        Every n-th damping and n times the stiffness step, for a small experiment.
     duration_s : float, optional
         Length of a trial [s] in place of the device's.
     out : path, optional
@@ -160,7 +160,7 @@ def simulate(
     ParameterError
         If a value is out of range.
     UsageError
-        If ``out`` holds an earlier simulation.
+        If ``out`` contains an earlier simulation.
 
     Examples
     --------
@@ -208,7 +208,7 @@ def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:
     labels = ", ".join(str(log.label) for log in logs)
     named = [log for log in logs if label is not None and log.label == label]
     if len(named) != 1:
-        raise UsageError(f"{path}: holds the trials {labels}; expected one of them as label, found {label!r}.")
+        raise UsageError(f"{path}: contains the trials {labels}; expected one of them as label, found {label!r}.")
     return named[0]
 
 

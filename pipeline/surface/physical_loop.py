@@ -92,7 +92,7 @@ class Loop(device_loop.Loop):
         Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
         ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
     operator : mapping, optional
-        What holds the motor rigidly: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
+        Rigidly attached to the motor: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
     friction : mapping, optional
         On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
     sensor : mapping, optional
@@ -191,7 +191,7 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         stiffness, damping : float or array_like, shape (n,)
-            K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number stands for all.
+            K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number is used for all.
         criteria : sequence of str
             Such as ``settle_2pct``, ``energy_step_w0_discrete``; by default all costs.
 
@@ -229,7 +229,7 @@ class Loop(device_loop.Loop):
         pandas.DataFrame
             ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] from which all softer walls are stable in linear theory,
             exact to 1e-9 (nan where none is). With a ``step`` also ``stiffness_step``, the wall from which on that step
-            makes the loop unstable, as a report shows it beside measured limits, and ``stiffness_step_open``, half of
+            makes the loop unstable, as a report shows it with measured limits, and ``stiffness_step_open``, half of
             the range that simulated logs leave undecided; nan where no wall up to 1.5 times the largest linear limit
             above the linear one is unstable. A harder push is unstable from softer walls on, down to ``stiffness``.
 
@@ -344,13 +344,13 @@ class Loop(device_loop.Loop):
         return self._curve("damping", "stiffness", found)
 
     def passive(self) -> pd.DataFrame:
-        """Return the boundary of the passive walls, those that are stable whoever holds the device.
+        """Return the boundary of the passive walls, which are stable with every passive operator.
 
         Returns
         -------
         pandas.DataFrame
             ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary and closed; ``attrs``
-            has ``stiffness_max`` and ``damping_at_stiffness_max``. All zero where the device has no damping of its own.
+            has ``stiffness_max`` and ``damping_at_stiffness_max``. All zero for a device without damping.
 
         Raises
         ------
@@ -378,7 +378,7 @@ class Loop(device_loop.Loop):
         pandas.DataFrame
             ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary, and ``spring``, the
             stiffness of the device at which it is reached [N/m, Nm/rad]; ``attrs`` has ``stiffness_max`` and
-            ``damping_at_stiffness_max``. Empty where the device has no damping of its own.
+            ``damping_at_stiffness_max``. Empty for a device without damping.
 
         Raises
         ------

@@ -187,7 +187,7 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
         with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
         ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
         ``undecided`` (those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: where friction was
-        found, all this holds for the step that was used, and a harder push is unstable from there. A row a damping.
+        found, all this is valid for the step that was used, and a harder push is unstable from there. A row a damping.
 
     Raises
     ------

@@ -135,7 +135,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
         ("sampling_period_s = 0.001", "sampling_period_s = 0", 26, "key 'constants.sampling_period_s'"),
         ("sign = -1", "sign = 2", 16, "key 'columns.command.sign'"),
         ("sign = -1", 'file = "partner"', 1, r"key 'partner': missing, but columns.command"),
-        ("sign = -1", "column = 3", 16, "'columns.command.column': given beside name"),
+        ("sign = -1", "column = 3", 16, "'columns.command.column': given together with name"),
         ("sign = -1", "counts_per_unit = 0", 16, "counts_per_unit.*greater than 0, found 0"),
         ('name = "F"', "", 13, "'columns.command.name': missing. Add name = "),
         ("skip_rows = 1", 'header_at = "["', 7, "'header_at': no regular expression"),

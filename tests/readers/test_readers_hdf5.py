@@ -78,7 +78,7 @@ def test_what_is_no_column_is_refused_with_the_reason():
         file["z"] = np.array([1 + 1j])
         file["nothing"] = h5py.Empty("f8")
 
-    with pytest.raises(LogError, match="'/z' holds complex numbers"):
+    with pytest.raises(LogError, match="'/z' contains complex numbers"):
         frame(hdf5_file(write), "t", "z")
     with pytest.raises(LogError, match="'/nothing' is empty"):
         frame(hdf5_file(write), "nothing")

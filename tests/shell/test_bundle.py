@@ -133,7 +133,7 @@ def test_a_changed_sample_or_document_in_it_is_named(away, tmp_path):
 
 def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
     monkeypatch.delenv("PIPELINE_DEVICES", raising=False)
-    with pytest.raises(DeviceError, match=r"device 'bench': the report rests on its device file, which is not known"):
+    with pytest.raises(DeviceError, match=r"device 'bench': the report uses its device file, which is not known"):
         verify(bench.report, bench.folder / "processed", [bench.profile])
     with pytest.raises(DeviceError, match="not known here"):
         bundle(bench.report)
@@ -144,7 +144,7 @@ def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_pat
     (tmp_path / "other.toml").write_text(text.replace('title = "', 'title = "Other ', 1))
     monkeypatch.setenv("PIPELINE_DEVICES", str(tmp_path))
     found = verify(bench.report, bench.folder / "processed", [bench.profile])
-    assert lines_of(found)[0].startswith("device bench: its device file is not the one that the report rests on")
+    assert lines_of(found)[0].startswith("device bench: its device file is not the one that the report used")
 
 
 def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):

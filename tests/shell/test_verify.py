@@ -322,7 +322,7 @@ def test_command_exits_with_status_1_and_names_the_cell(desk, quick):
     desk.report.write_text(change_cell(desk.page(), name, 0), encoding="utf-8")
     result = runner.invoke(app, arguments)
     assert result.exit_code == 1
-    assert f"{name}: computed anew" in result.stdout
+    assert f"{name}: recomputed" in result.stdout
     result = runner.invoke(app, [*arguments, "--json"])
     document = json.loads(result.stdout)
     assert [d["name"] for d in document["differences"]] == [name]

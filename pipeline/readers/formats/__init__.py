@@ -1,8 +1,8 @@
 """One table of file formats: a row is the module that reads it, the first bytes by which it is known, its extra.
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
-`Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory of
-all formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which
+`Contents`, by the keys of a profile (``settings``). It runs in a separate process with limited time and memory
+(`isolation`); any exception that it raises means a damaged file. Native logs have a separate reader, which
 parses many files at once.
 """
 
@@ -30,7 +30,7 @@ _OTHERS = {
     rb"%PDF-|{\\rtf|\xd0\xcf\x11\xe0": "a document (PDF, RTF, old Excel or Word)",
     rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)": "a web page or other markup (HTML, XML)",
 }
-"""What files are that hold no samples, by how they begin."""
+"""Kinds of files without samples, by their first bytes."""
 
 _PROBE = 1 << 16
 """Bytes that are looked at; the names of parts of a ZIP archive stand at its beginning and end."""

@@ -28,8 +28,8 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     for name in asked:
         if schema.names.count(name) > 1:
             text = f"column {name!r} stands {schema.names.count(name)} times in the file"
-            cure = "Name the columns apart where the file is written."
-            raise refusal("header-missing", contents.name, text, "it once, since nobody can tell which is meant", cure)
+            cure = "Give the columns different names where the file is written."
+            raise refusal("header-missing", contents.name, text, "it once, since it is ambiguous", cure)
     # the library does not survive that its memory ends; constant columns pack without bound
     contents.claim(footer.num_rows * len(asked) if footer else 0)
     read_table = parquet.read_table if footer else feather.read_table

@@ -97,7 +97,7 @@ def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
     except AnyReaderError as error:
         raise refusal("damaged", contents.name, f"cannot be read as a bag: {error}", cure=_CLOSE) from error
     if not topics:
-        raise refusal("empty", contents.name, "holds no topics", "recorded messages")
+        raise refusal("empty", contents.name, "contains no topics", "recorded messages")
     return topics
 
 
@@ -147,7 +147,7 @@ def _times(where: str, axis: str, name: str, topic: _Topic) -> Integers:
 
 
 def _numbered(times: Integers) -> Integers:
-    """Return times beside the number of equal ones before each: equal times of one topic are rows of their own."""
+    """Return times with the number of equal ones before each, so that equal times of a topic remain separate rows."""
     order = np.argsort(times, kind="stable")
     number = np.empty_like(times)
     number[order] = np.arange(len(times)) - np.searchsorted(times[order], times[order])

@@ -43,7 +43,7 @@ FEW_KEYS, LEAST_TABLE = 3, 10
 """Lines of numbers above a table that are none of its rows, where the table has at least so many."""
 
 NUMERIC_SHARE = 0.5
-"""Share of numbers among the cells of a row, from which it is one: text columns may stand beside numbers."""
+"""Share of numbers among the cells of a row, from which it is a row of samples: some columns may be texts."""
 
 _GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
 """Blanks and apostrophes that part thousands, as in French and Swiss numbers."""
@@ -131,7 +131,7 @@ def unpacked(name: str, data: bytes) -> bytes:
     Raises
     ------
     LogError
-        If it cannot be unpacked, or holds more than a file of its size may.
+        If it cannot be unpacked, or contains more than a file of its size may.
     """
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
@@ -151,7 +151,7 @@ def unpacked(name: str, data: bytes) -> bytes:
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
     """Return the text of a file without blanks at its end, and whether the last line had a line end.
 
-    Lines are parted by one line feed each, and the last one ends with one. A byte order mark tells the encoding.
+    Lines are separated by one line feed each, and the last one ends with one. A byte order mark gives the encoding.
 
     Raises
     ------
@@ -451,7 +451,7 @@ def _decimal(cells: list[str], layout: Layout) -> None:
 
 
 def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
-    """Return whether a line holds the names or units of so many columns."""
+    """Return whether a line consists of the names or units of that many columns."""
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()

@@ -1,4 +1,4 @@
-"""JSON: a list of records, alone or under a key beside a header; one record a line; or lists beside each other.
+"""JSON: a list of records, alone or under a key next to a header; one record a line; or one list for each column.
 
 What is inside records is a column by its path: ``state.q[3]``; ``1``, ``2`` of plain lists. A value that is null or not
 there is NaN, or an empty text; true and false are 1 and 0.
@@ -25,7 +25,7 @@ Cells = dict[int, Any]
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
-    """Add the keys of records, and single values beside them as attributes."""
+    """Add the keys of records as columns, and single values as attributes."""
     data = unpacked(contents.name, path.read_bytes())
     text = data.decode(json.detect_encoding(data)).removeprefix("\ufeff")
     if not text.strip():
@@ -50,7 +50,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         contents.row_name = "line" if len(contents.row) else "record"
         columns = columns_of(records)
         if not columns:
-            raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
+            raise refusal("empty", contents.name, "contains no records with values", "samples", row=1)
     for key, cells in columns.items():
         if isinstance(next(iter(cells.values()), None), list):  # a matrix
             contents.add(key, partial(np.array, list(cells.values())))
@@ -60,7 +60,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
 
 
 def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
-    """Return what records hold by path, in the order in which the paths are found."""
+    """Return the values in records by path, in the order in which the paths are found."""
     columns: dict[str, Cells] = {}
     for number, record in enumerate(records):
         if not isinstance(record, dict | list):
@@ -77,7 +77,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
     Raises
     ------
     LogError
-        If texts stand beside numbers.
+        If a column has both texts and numbers.
     """
     found, number = list(cells.values()), [*cells]
     texts = [isinstance(value, str) for value in found]
@@ -142,11 +142,11 @@ def _parsed(contents: Contents, text: str) -> Any:
 
 
 def _records(contents: Contents, value: Any, path: str) -> list[Any] | None:
-    """Return the list of records; None where each column is a list of its own. Single values become attributes."""
+    """Return the list of records; None where each column is a separate list. Single values become attributes."""
     if isinstance(value, list):
         value = {"": value}
     if not isinstance(value, dict):
-        raise refusal("header-missing", contents.name, "holds a single value", "a list of records", row=1)
+        raise refusal("header-missing", contents.name, "is a single value", "a list of records", row=1)
     lists: dict[str, list[Any]] = {}
     for key, inner in _flat(value, lists=False):
         if isinstance(inner, list) and (not key or (inner and isinstance(inner[0], dict))):

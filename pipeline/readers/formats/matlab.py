@@ -32,7 +32,7 @@ _EXPORTS = {
     "table": "s = table2struct(T, 'ToScalar', true)",
     "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
 }
-"""How MATLAB makes plain arrays of what it saves in a form of its own, by class."""
+"""MATLAB commands that convert objects in MATLAB's private format to plain arrays, by class."""
 
 
 def read(path: Path, settings: Profile, contents: Contents) -> None:
@@ -50,7 +50,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
     for name in contents.columns:
-        # Simulink writes what a signal is beside its values
+        # Simulink writes the properties of a signal next to its values
         stem, _, rest = name.rpartition(".values")
         if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
             contents.hints[name] = str(label)
@@ -91,7 +91,7 @@ def _advice(kind: str) -> str:
 
 
 def _add(contents: Contents, path: str, value: Any) -> None:
-    """Add a variable, a field of a struct, an element of a cell or what an object holds."""
+    """Add a variable, a field of a struct, an element of a cell or the properties of an object."""
     if hasattr(value, "properties"):
         _add_object(contents, path, value)
     elif hasattr(value, "columns"):  # a table or timetable

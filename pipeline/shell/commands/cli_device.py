@@ -45,7 +45,7 @@ COMBINATIONS = {
     "friction_less_force": "friction less the constant force in the direction of motion",
     "delay_and_lag": "delay and actuator lag together",
 }
-"""Combinations of parameters that logs tell, where they do not tell them apart."""
+"""Identifiable combinations of parameters that cannot be separated."""
 
 LIMITS = {
     "stiffness": "largest_stiffness",
@@ -66,7 +66,7 @@ LIMIT_QUANTITIES = {
 
 
 def demo() -> None:
-    """Simulate, ingest and compare small courses of three devices.
+    """Simulate, ingest and compare small experiments with three devices.
 
     Writes raw/demo/, processed/demo/ and the reports falcon-real, falcon and lwr (reports/*.html) below the current
     folder, and replaces files of these names.
@@ -87,7 +87,7 @@ def simulate(
     seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
     coarsen: Annotated[int, option("--coarsen", "Take each n-th damping, n times the step in K.")] = 1,
 ) -> None:
-    """Write simulated logs of a device, with the truth beside them.
+    """Write simulated logs of a device, and the true parameters next to them.
 
     Logs of an earlier simulation in the folder are replaced, other files never.
 
@@ -165,19 +165,19 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
         names = [row["name"] for row in document["parameters"] if row["reason"] == reason]
         yield f"not identifiable: {_words(names)}. {reason[0].upper()}{reason[1:]}"
     parts = {found: ", ".join(p["name"] for p in document["parts"] if p["found"] is found) for found in (True, False)}
-    yield f"parts found beside mass, damping and delay: {parts[True] or 'none'}"
+    yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
         yield f"not excluded by these logs: {parts[False]}"
     if document["assumed_none"]:
         yield f"assumed zero, since the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:
         known = f"{each['value']:.5g} ({each['low']:.5g} to {each['high']:.5g}) {each['unit']}"
-        yield f"not told apart: {_words(each['members'])}. Known is {COMBINATIONS[each['combination']]}: {known}."
-        yield f"  To tell them apart, record {each['record']}."
+        yield f"cannot be separated: {_words(each['members'])}. Known is {COMBINATIONS[each['combination']]}: {known}."
+        yield f"  To separate them, record {each['record']}."
     if not document["scatter_in_interval"]:
         yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
     if fit is not None:
-        yield f"replay of held-out logs: fit {fit:.1f} % (median)"
+        yield f"replay of logs left out of the fit: {fit:.1f} % (median)"
         if fit < FOLLOWS and document["replay"]["behind_walls"]:
             yield f"  ({DRIFT})"
         elif fit < FOLLOWS:
@@ -265,7 +265,7 @@ def design(
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
-    """Return the loop of a device, held by an arm where one is named."""
+    """Return the loop of a device, with an arm attached if one is named."""
     from dataclasses import replace
 
     from pipeline.device.parameters import is_rotation

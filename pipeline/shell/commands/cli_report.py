@@ -52,7 +52,7 @@ def compare(
     """Estimate, judge and compare with theory; write the report.
 
     With --against two experiments, devices (in the plane of alpha and beta) or code versions are compared with each
-    other, on a page of their own.
+    other, on a separate page.
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
@@ -194,8 +194,8 @@ def verify(
     """Recompute the numbers of a report, and name those that differ.
 
     Reads the logs from where they lay (their stored samples where they are gone) or from a bundle, computes everything
-    in a temporary folder, and compares each cell and value. What no log determines, such as run times, is held against
-    hashes in the page. Exit status 1 where something differs.
+    in a temporary folder, and compares each cell and value. Values that no log determines, such as run times, are
+    compared with hashes in the page. Exit status 1 where something differs.
 
     Example: pipeline verify reports/falcon.html
     """
@@ -205,7 +205,7 @@ def verify(
 
     if report.suffix.lower() == ENDING:
         if processed or profile:
-            raise UsageError(f"{report}: a bundle holds all that is needed. Leave the options out.")
+            raise UsageError(f"{report}: a bundle contains all that is needed. Leave the options out.")
         with console.progress("verify"):
             found = verify_bundle(report)
     else:
@@ -218,7 +218,7 @@ def verify(
 def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`.")]) -> None:
     """Pack a report and all that `pipeline verify` needs into one zip.
 
-    It lies beside the report.
+    It is written into the folder of the report.
 
     Example: pipeline bundle reports/falcon.html
     """

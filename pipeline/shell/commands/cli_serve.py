@@ -30,7 +30,7 @@ def serve(
     """Serve the lab in the browser and by REST, until Ctrl-C.
 
     Limits are set by variables: PIPELINE_MAX_FILE and PIPELINE_MAX_REQUEST (MiB, 64 and 1024), PIPELINE_RATE (requests
-    a minute of a token or address; 0: any), PIPELINE_RENEW (0: reports are not made anew when logs come).
+    a minute of a token or address; 0: any), PIPELINE_RENEW (0: reports are not renewed when logs arrive).
 
     Example: pipeline serve --processed processed
     """
@@ -50,8 +50,8 @@ def serve(
 def token(
     deed: Annotated[Literal["create", "list", "revoke"], argument("What to do.", metavar="create|list|revoke")],
     identifier: Annotated[str | None, argument("Token to revoke, as the list shows it.")] = None,
-    role: Annotated[Literal["viewer", "contributor", "admin"] | None, option("--role", "What he may do.")] = None,
-    name: Annotated[str, option("--name", "Holder; stands beside all that he does.")] = "",
+    role: Annotated[Literal["viewer", "contributor", "admin"] | None, option("--role", "What the user may do.")] = None,
+    name: Annotated[str, option("--name", "User, who is recorded with each change.")] = "",
     days: Annotated[float | None, option("--days", "Days until it expires.", min=0)] = None,
     processed: Processed = Path("processed"),
 ) -> None:

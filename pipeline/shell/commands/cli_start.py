@@ -47,8 +47,8 @@ def start(
 ) -> int:
     """Lead from a folder of logs to a report, and print the commands.
 
-    Shows what the folder holds and a picture of a log, proposes what each column is, with the evidence, and asks what
-    is open (Enter accepts); then stores the logs, compares walls with theory or identifies the device, and opens the
+    Shows the contents of the folder and a picture of a log, proposes what each column is, with the evidence, and asks
+    open questions (Enter accepts); then stores the logs, compares walls with theory or identifies the device, opens the
     report. With --yes, or without a terminal, nothing is asked: where something is open, it is listed, and nothing is
     done.
 

@@ -95,7 +95,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     yield from counts_of(report)
     plan: dict[tuple[str, str], list[str]] = {}
     for source in report.get("plan", ()):
-        if source["action"] != "refuse":  # told one by one below
+        if source["action"] != "refuse":  # listed one by one below
             plan.setdefault((source["action"], source["reason"]), []).append(source["path"])
     for (action, reason), paths in sorted(plan.items(), key=lambda group: -len(group[1])):
         yield from _listed(f"{action} ({reason})", paths)
@@ -156,7 +156,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
 def status(processed: Processed = Path("processed")) -> int:
     """Show stored experiments, exclusions, deletions and refused logs.
 
-    What is out of date is told by `pipeline compare --dry-run` and `pipeline ingest --dry-run`.
+    `pipeline compare --dry-run` and `pipeline ingest --dry-run` list what is out of date.
 
     Example: pipeline status --processed processed
     """
@@ -205,8 +205,8 @@ def exclude(
 ) -> None:
     """Exclude trials from all results; they stay stored, and are reported.
 
-    They stay excluded when their logs are ingested again or renamed, and when the store is merged or repaired. Reports
-    are made anew by `pipeline compare`. `pipeline status` lists what is excluded.
+    They stay excluded when their logs are ingested again or renamed, and when the store is merged or repaired.
+    `pipeline compare` renews the reports. `pipeline status` lists the excluded trials.
 
     Example: pipeline exclude 3f9a12c07be41d55 --reason "gripper slipped"
 
@@ -237,7 +237,7 @@ def move(
 ) -> None:
     """Rename or move a device, an experiment or a trial.
 
-    It holds when logs are ingested again. Moving back undoes it.
+    It stays in force when logs are ingested again. Moving back undoes it.
 
     Example: pipeline move falcn falcon
 

@@ -45,7 +45,7 @@ def points(
 ) -> None:
     """Compute stability and costs of the points in a CSV file.
 
-    With --device, columns are stiffness and damping. The picture shows points of one loop beside its limit.
+    With --device, columns are stiffness and damping. The picture shows points of one loop and its stability limit.
 
     Example: pipeline theory points cases.csv --out costs.csv --picture points.svg
     """
@@ -138,7 +138,7 @@ def _boundary_lines(answer: Boundary) -> Iterator[str]:
 
 
 def _beside(said: dict[str, Any]) -> Iterator[str]:
-    """Yield what is said of a device beside its numbers: a delay that jitters, and what is left out."""
+    """Yield remarks on a device: a jittering delay, and parts that are left out."""
     if said.get("delay_samples_low") != said.get("delay_samples_high"):
         low, high = said["delay_samples_low"], said["delay_samples_high"]
         yield f"delay {said['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}"
@@ -162,7 +162,7 @@ def optimum(
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
-    With --stiffness, the best damping for that stiffness, beside the rules for continuous time (5.17).
+    With --stiffness, the best damping for that stiffness, and the rules for continuous time (5.17).
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
 
@@ -221,7 +221,7 @@ def _check_files(out: Path | None, picture: Path | None) -> None:
 
 
 def _rows_file(out: Path, columns: dict[str, list[Any]], case: Case | None) -> list[str]:
-    """Write columns; return what is said of it."""
+    """Write columns; return the lines to print about it."""
     from pipeline.rendering.theory_files import write_rows
 
     write_rows(out, columns, case)
@@ -348,9 +348,9 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
 def tables(
     table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a), D.2 (default: all).")] = None,
 ) -> None:
-    """Compute Tables B, C, D and 5.1 of the thesis anew.
+    """Recompute Tables B, C, D and 5.1 of the thesis.
 
-    Of Tables D these are the rows of theory; the printed measurements stand beside with their deviation from it.
+    Of Tables D these are the rows of theory; the printed measurements are listed with their deviation from it.
 
     Example: pipeline theory tables C.1 D.6
     """

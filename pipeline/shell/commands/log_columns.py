@@ -1,4 +1,4 @@
-"""Options by which a command that reads logs is told their columns: each names a column with its unit, or a constant.
+"""Options of commands that read logs without a profile: each names a column with its unit, or a constant.
 
 They become an ordinary profile (`pipeline.shell.profile.columns`), which the command gets in place of ``--profile``.
 """

@@ -1,5 +1,5 @@
-"""What a profile would read of sample files: conditions and where each comes from, columns in SI, time, step, warnings
-where a log reads without a fault and yet speaks against its profile; and the picture of a log as it was recorded.
+"""Preview of a profile on sample files: conditions and their sources, columns in SI, time, step, and warnings about
+logs that can be read but contradict the profile; and the picture of a log as it was recorded.
 
 Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
 """
@@ -41,8 +41,8 @@ NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
 
 STEP_ROWS, STEP_TOLERANCE = 3, 0.1
-"""Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity;
-and part of the step by which it may differ: a round number stands for what the controller commands."""
+"""Rows from the step on whose median is its size: a single one may flicker, and later ones include the velocity filter;
+and relative difference that is allowed: a header often states a round number."""
 
 PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
@@ -63,8 +63,8 @@ Checked = dict[str, Any]
 
 ``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` of the profile (or the header) that gives
 it, and what is ``usual`` of devices; displacement and duration are of the samples. ``columns`` have the SI name
-``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` holds
-the flags of `pipeline.readers.log.step_flags` and what was settled in the rows. ``step_row`` is the row of the step,
+``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` has the
+flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the row of the step,
 counted from 0, ``step`` how it is known, or why it is not. ``other_gains`` says which stiffness, damping or step the
 command obeys where the conditions state others, and the line that cures it; ``obeyed`` has their numbers in SI.
 """
@@ -250,7 +250,7 @@ MOST_TRIALS = 12
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A log: its name, the columns of each of its trials by title, what is to be said, and what they stand over."""
+    """Picture of a log: its name, the columns of each of its trials by title, remarks, and the horizontal axis."""
 
     log: str
     trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
@@ -271,7 +271,7 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
     Raises
     ------
     UsageError
-        If the path does not exist or holds several logs.
+        If the path does not exist or contains several logs.
     LogError
         If the profile refuses the log, or no columns of numbers are found in it.
     """
@@ -290,7 +290,7 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
         return Picture(str(log), (_as_it_stands(log),), tuple(notes), "row")
     notes = [f"Read by profile {claimant.name}, in SI."]
     if len(outcome) > MOST_TRIALS:
-        notes.append(f"The file holds {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
+        notes.append(f"The file contains {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
     motions = {name: device.motion for name, device in known_devices().items()}
     trials = []
     for one in outcome[:MOST_TRIALS]:
@@ -301,7 +301,7 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
 
 
 def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], list[str]]:
-    """Return the title of a trial, its columns, how its step is known and what else is to be said."""
+    """Return the title of a trial, its columns, the source of its step, and other remarks."""
     row, how = step_of(log)
     columns = tuple(
         _column(key, si_unit(quantity(key, motion)), log.time, values, log.time, row)

@@ -1,8 +1,8 @@
 """From columns that a command line names to an ordinary profile: what it does not state, the logs have to prove.
 
 The layout of the files, the sampling period, the direction in which positions count and the row of the step are read
-from the logs themselves; units that nobody states are never guessed. The profile is held against some of the logs
-before it is used: a wall that their commands do not obey is refused.
+from the logs themselves; units are never guessed. The profile is checked against some of the logs before it is used: a
+wall that their commands do not follow is refused.
 """
 
 from __future__ import annotations
@@ -305,7 +305,7 @@ class _Maker:
         return known is not None and known.quantity in ("angle", "angular velocity")
 
     def _condition(self, values: dict[str, Any], name: str, text: str) -> None:
-        """Put a condition where it comes from: a constant, a value beside the table, a column, the name of the file.
+        """Store the source of a condition: a constant, a value outside the table, a column, the name of the file.
 
         Raises
         ------
@@ -339,7 +339,7 @@ class _Maker:
         if found.unit:
             values["units"][key] = found.unit
         place = {
-            "attributes": f"the value {column!r} beside the table",
+            "attributes": f"the value {column!r} outside the table",
             "condition_columns": f"column {column!r}",
             "name_pattern": f"{column!r} in the names of the files",
         }[where]

@@ -1,4 +1,4 @@
-"""Numbers that logs state of their walls, held against what their commands obey: the unit of each is what agrees."""
+"""Units of the walls that logs state, by comparison with the walls that their commands follow."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind)
 
 
 def numbers_inside(contents: Sequence[Contents]) -> dict[tuple[str, str], Numbers]:
-    """Return the numbers that files, or trials of a file, state: values beside the table, columns that are constant.
+    """Return the numbers that files, or trials of a file, state: values outside the table and constant columns.
 
     They are by the table of a profile (``attributes``, ``condition_columns``) and their name. Those that have a unit
     behind them are in SI.
@@ -73,7 +73,7 @@ def numbers_inside(contents: Sequence[Contents]) -> dict[tuple[str, str], Number
 
 
 def _number(value: Scalar | None) -> float | None:
-    """Return the number of a value beside a table, in SI where it has a unit; None where it is no number."""
+    """Return the number of a value outside the table, in SI where it has a unit; None where it is no number."""
     if isinstance(value, int | float):
         return float(value)
     try:

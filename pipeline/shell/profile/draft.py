@@ -2,8 +2,8 @@
 
 A question stands as ``# QUESTION: key: words`` above the key, which is commented out with a possible answer: to take
 the remark sign off the key, and to correct its value, answers it. Only what would change a number silently is asked,
-and of that at most `MOST_QUESTIONS`: columns that neither their names nor the motion tell apart, units that neither the
-file nor the wall law of the command shows.
+and at most `MOST_QUESTIONS`: columns that neither their names nor the motion identifies, units that neither the file
+nor the wall law of the command shows.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST_QUESTIONS = 5
 """Questions of a draft: more are not read, and each answer opens the next ones."""
 
 LISTED = 24
-"""Columns, and values beside them, that the draft lists as comments; a bag has hundreds."""
+"""Most columns, and values outside the table, that the draft lists as comments; a bag has hundreds."""
 
 
 def draft_profile(path: Path, *others: Path) -> str:
@@ -53,7 +53,7 @@ def draft_profile(path: Path, *others: Path) -> str:
             alike.append(opened)
     found = answers(alike, [path, *others])
     lines = [*_lines(sample, found), *different]
-    # what TOML does not allow, or nobody sees, is escaped
+    # characters that are invisible or not allowed in TOML are escaped
     shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line)
     return "".join(f"{line}\n" for line in shown).replace("\n[", "\n\n[")
 
@@ -110,14 +110,14 @@ def _remarks(sample: Sample) -> Iterator[str]:
         yield f"#   and {len(contents.columns) - LISTED} more"
     yield from (f"# Not read: {key} {reason}" for key, reason in contents.refused.items())
     if attributes := contents.attributes:
-        yield "# Values beside the table, which [attributes] may take conditions from:"
+        yield "# Values outside the table, which [attributes] may take conditions from:"
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns],"
     yield "# [[file]] or [sheet]. A log of motion without wall and step has no stiffness, damping and step."
 
 
 def file_pattern(name: str) -> str:
-    """Return the pattern of the names of a file and of those beside it, which differ in their numbers."""
+    """Return the pattern of the names of a file and of its neighbours, which differ in their numbers."""
     suffix = "".join(Path(name).suffixes[-2 if name.lower().endswith((".gz", ".zst")) else -1 :])
     pattern = re.sub(r"-?\d+(?:[.,]\d+)*", "*", re.sub(r"[\[*?]", "?", name.removesuffix(suffix)))
     return (pattern if "*" in pattern else "*") + suffix

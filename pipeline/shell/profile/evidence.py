@@ -195,7 +195,7 @@ def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: An
 
 
 def trials_of(samples: Sequence[Sample]) -> list[Sample]:
-    """Return samples one a trial: some of those of a file that holds several."""
+    """Return one sample for each trial, of some of the trials of a file."""
     found: list[Sample] = []
     for each in samples:
         some = spread(each.trials, MOST_LAWS)
@@ -250,8 +250,8 @@ def wall_law(sample: Sample) -> WallLaw | None:
 def _kind_of(law: Law, time: Floats, command: Floats, position: Floats) -> Excitation | None:
     """Return what moves a device whose command obeys a law; None where nothing does that is seen.
 
-    A release from a position looks like a step of the force with which the wall holds the device there. It is one where
-    that wall is at the position 0, as no step leaves it by chance.
+    A release from a position looks like a step of the wall's force at that position. It is a release if that wall is at
+    the position 0, which does not happen by chance with a step.
     """
     way = float(np.sign(law.stiffness))
     wall = (abs(law.stiffness), way * law.damping, 0.0, float(np.median(np.diff(time))))
@@ -388,7 +388,7 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
 
 
 def _stated_period(sample: Sample) -> Answers:
-    """Return the sampling period of a file without stamps: a value beside the table; else the question."""
+    """Return the sampling period of a file without time stamps: a value outside the table; else the question."""
     place = "constants.sampling_period_s"
     stated: dict[str, set[float]] = {}
     for name, value in sample.contents.attributes.items():
@@ -416,7 +416,7 @@ _PERIODS = (
     "sampling_time",
     "wf_increment",
 )
-"""Names of a value beside a table that is its sampling period."""
+"""Names of values outside a table that are its sampling period."""
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:
@@ -455,7 +455,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
 
 
 def _asked_walls(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
-    """Yield what has to be asked of walls whose stiffness the names hold, and whose law no command shows."""
+    """Yield questions on walls whose stiffness is in the file names and whose wall law no command shows."""
     for key in named:
         units = [symbol for symbol, unit in UNITS.items() if unit.quantity == key]
         words = (

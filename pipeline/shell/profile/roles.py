@@ -83,9 +83,9 @@ _WORDS = {
 """Words in the names of columns that belong to a role, where no name is one by itself."""
 
 _ASKED = {
-    "time": 'which column holds the time stamps (without any: kind = "sampled")?',
-    "command": "which column holds the total force or torque that the controller commands?",
-    "position": "which column holds the position that the controller measures?",
+    "time": 'which column is the time stamps (without any: kind = "sampled")?',
+    "command": "which column is the total force or torque that the controller commands?",
+    "position": "which column is the position that the controller measures?",
 }
 
 
@@ -229,7 +229,7 @@ def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str
     """Return the column that is the rate of another one, and the seconds of a unit of time by which it is; else None.
 
     A velocity is the change of its position per second: what its integral over the stamps has to be multiplied by is
-    the unit of the stamps. It is told where it is that of a unit.
+    the unit of the stamps. It is returned where it is the factor of a known unit.
     """
     numbers = sample.numbers
     for name in numbers:

@@ -22,15 +22,15 @@ SPEEDS = frozenset(QUANTITIES["velocity"].values())
 """Quantities of a column that a position is the integral of."""
 
 _BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
-"""Quantities that a column may have in place of its own."""
+"""Quantities that a column may have instead of its usual one."""
 
 
 _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
 
 
 class Sample(NamedTuple):
-    """A log of which nothing is known: its format, keys of its layout and questions about them, what it holds, and what
-    each trial of the file holds where it is one of several."""
+    """An unknown log: its format, keys of its layout and questions about them, its contents, and the contents of each
+    trial where the file has several."""
 
     name: str
     kind: Format
@@ -63,7 +63,7 @@ SHORTEST_TRIAL = 10
 
 
 def _trial_column(contents: Contents) -> tuple[str, list[slice]] | None:
-    """Return the column of a long table that tells trials apart, and their rows: time begins again where it changes."""
+    """Return the column of a long table that numbers the trials, and their rows: time restarts where it changes."""
     columns = contents.columns
     rows = len(next(iter(columns.values()), ()))
     if any(len(column) != rows for column in columns.values()) or rows < 2 * SHORTEST_TRIAL:
@@ -86,7 +86,7 @@ def _trial_column(contents: Contents) -> tuple[str, list[slice]] | None:
 
 
 def _rows_of(contents: Contents, rows: slice) -> Contents:
-    """Return some rows of what a file holds."""
+    """Return some rows of the contents of a file."""
     return replace(
         contents, columns={name: column[rows] for name, column in contents.columns.items()}, row=contents.row[rows]
     )
@@ -131,5 +131,5 @@ def open_sample(path: Path) -> Sample:
     if not sample.numbers:
         reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
         cure = "; ".join(reasons) or "Export the recorded signals as plain columns."
-        raise refusal("empty", "", "it holds no columns of numbers with several rows", cure=cure)
+        raise refusal("empty", "", "it contains no columns of numbers with several rows", cure=cure)
     return sample
