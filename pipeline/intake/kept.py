@@ -279,7 +279,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
 
 
 def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
-    """Return the id of a trial: of its source, with its label where the source holds several.
+    """Return the id of a trial: of its source, with its label where the source has several.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ FIRST, FIRST_ELSE = 6, 15
 
 ROUGH, WRONG = 0.03, 0.15
 """Standard deviation of the logarithm of a cost about that of a device with the measured limits, as settling times jump
-from one swing to the next, and about one without them: as much may all costs differ alike."""
+from one swing to the next, and about one without them. All costs may differ together by as much."""
 
 FINALISTS, BESIDE = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
 """Most promising walls, and how far from each others are looked at: so far device and rig may be off."""

@@ -164,7 +164,7 @@ def _harmless(text: str) -> str:
 def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield messages on places: equal texts once, with their number and the first place."""
     groups: dict[str, list[str]] = {}
-    for place, text in told:
+    for place, text in messages:
         groups.setdefault(text, []).append(place)
     for text, places in groups.items():
         yield f"{places[0] if len(places) == 1 else f'{len(places)} logs, first {places[0]}'}: {text}"

@@ -336,7 +336,7 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
         raise DeviceError(
             f"device {name!r}: the report uses its device file, which is not known here, so that no number of "
             f"theory can be recomputed. Name the folder of the file in {USER_FOLDER_VARIABLE}, or verify a bundle "
-            "(`pipeline bundle`), which holds it."
+            "(`pipeline bundle`), which contains it."
         )
     if digest_of(here) == request.device_file:
         return ()

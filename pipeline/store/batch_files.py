@@ -82,7 +82,7 @@ def place_of_file(file: Path) -> Place:
 def write_batch(
     processed: Path, place: Place, parts: Iterable[pa.Table], replaces: Collection[Path] = ()
 ) -> Path | None:
-    """Write trials into one file that stands in the place of others, which are removed then.
+    """Write trials into one file that replaces others, which are then removed.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""What sample logs prove of themselves, key by key of a profile, with the evidence; and what has to be asked.
+"""Keys of a profile that sample logs prove, with the evidence, and questions about the others.
 
-The wall law of a command tells its columns, signs, step, and the units of stiffness and damping in file names; a free
-motion tells which column it follows; stamps tell their unit and the sampling period; headings and unit lines state
-units. What remains changes numbers silently, and is asked.
+The wall law of a command identifies its columns, signs, step, and the units of stiffness and damping in file names. A
+free motion identifies the column that it follows. Time stamps show their unit and the sampling period. Headings and
+unit lines state units. Other keys that would change numbers silently become questions.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
     samples : sequence of Sample
         Of one layout; the first is described.
     paths : sequence of Path
-        Their files, and those of others, whose names may hold conditions.
+        Their files and other files, whose names may contain conditions.
     """
     sample = samples[0]
     laws = common_laws(samples)
