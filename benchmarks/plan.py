@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.plan.course import Wish, wanted_dampings
+from pipeline.plan.campaign import PlanOptions, wanted_dampings
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from rigs import KINDS, Rig, as_in_the_thesis, at_random, bisected, error_of, look_for_best, planned
@@ -38,7 +38,7 @@ def searched(rig: Rig, dampings: Sequence[float], ends: Any, name: str) -> dict[
     """Run a course of the planner to its end."""
     began, slowest, last = time.process_time(), 0.0, time.process_time()
     course = []
-    for known in planned(rig, Wish(gentle=name == "gentle")):
+    for known in planned(rig, PlanOptions(gentle=name == "gentle")):
         slowest, last = max(slowest, time.process_time() - last), time.process_time()
         course.append(known)
     known = course[-1]
@@ -57,7 +57,7 @@ def run(kind: str, seed: int, goals: Sequence[str]) -> dict[str, Any]:
     """Run one device by all methods."""
     found: dict[str, Any] = {"kind": kind, "seed": seed}
     rig = Rig(kind, seed)
-    dampings = wanted_dampings(rig.course(), Wish())
+    dampings = wanted_dampings(rig.course(), PlanOptions())
     if set(goals) & {"boundary", "gentle"}:
         ends = rig.truth(dampings)
         largest = float(ends[0].max())

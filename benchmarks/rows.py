@@ -31,9 +31,9 @@ import numpy as np
 from pipeline.device_data.devices import load_device
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.recordings import Recording
-from pipeline.simulation.course import run_course
+from pipeline.simulation.sweep import run_sweep
 device, experiment, coarsen, count = sys.argv[1:]
-course = run_course(load_device(device), experiment, seed=1, coarsen=int(coarsen))
+course = run_sweep(load_device(device), experiment, seed=1, coarsen=int(coarsen))
 logs = [
     Recording(each.trial_id, each.time, each.command, each.position, each.sampling_period_s) for each in course.trials
 ]

@@ -35,7 +35,7 @@ from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages, do, job_of
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.objects import Objects, opened, stored_by
 from pipeline.store.storage import read_trials
 
@@ -85,7 +85,7 @@ class Cost:
 
 def write_logs(folder: Path, experiments: int, logs: int) -> Path:
     """Write the logs of all experiments; one after the other has other bytes in its header alone."""
-    write_course(run_course(load_device(DEVICE), COURSE, seed=1), folder / "once")
+    write_sweep(run_sweep(load_device(DEVICE), COURSE, seed=1), folder / "once")
     files = sorted((folder / "once").rglob("*.csv"))
     if len(files) < logs:
         raise SystemExit(f"a course has {len(files)} logs; expected --logs of that at most, found {logs}")

@@ -25,7 +25,7 @@ from serving import read_for, read_together, serving
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
 from pipeline.store.storage import trials_files
 
@@ -44,8 +44,8 @@ TRIALS_SHOWN = 50
 
 
 def store(folder: Path, trials: int) -> None:
-    course = run_course(load_device("falcon"), "1", ideal=True, coarsen=12)
-    write_course(course, folder / "raw")
+    course = run_sweep(load_device("falcon"), "1", ideal=True, coarsen=12)
+    write_sweep(course, folder / "raw")
     ingest([folder / "raw"], folder / "processed")
     (file,) = trials_files(folder / "processed")
     table = read_table(file)

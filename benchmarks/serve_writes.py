@@ -22,7 +22,7 @@ from serving import Server, get, on_one_core, read_together, serving, until
 
 from pipeline.device_data.devices import load_device
 from pipeline.service.settings import Settings
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.storage import read_trials
 
 ROWS = 620
@@ -54,8 +54,8 @@ def uploads(folder: Path, logs: int) -> dict[str, object]:
 
 def jobs(folder: Path) -> dict[str, object]:
     """Memory of the server, and times of its pages, while the numbers and a report of a course are made."""
-    course = run_course(load_device("falcon"), "1", ideal=True, coarsen=6)
-    write_course(course, folder / "course")
+    course = run_sweep(load_device("falcon"), "1", ideal=True, coarsen=6)
+    write_sweep(course, folder / "course")
     with serving(folder) as server:
         subprocess.run(
             [sys.executable, "-m", "pipeline", "push", str(folder / "course"), "--to", server.url],

@@ -21,9 +21,9 @@ COURSE = [
 import sys
 from pathlib import Path
 from pipeline.device_data.devices import load_device
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 duration, seed, folder = sys.argv[1:]
-write_course(run_course(load_device("falcon"), "1", seed=int(seed), duration_s=float(duration)), Path(folder))
+write_sweep(run_sweep(load_device("falcon"), "1", seed=int(seed), duration_s=float(duration)), Path(folder))
 """,
 ]
 """Writes the logs of Falcon 1: followed by their duration [s], a seed and a folder."""

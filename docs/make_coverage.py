@@ -24,7 +24,7 @@ from pipeline.measured.identification.identified import Identification, identifi
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.recordings import Recording
 from pipeline.records.trials import Floats
-from pipeline.simulation.simulate import age_in_force
+from pipeline.simulation.simulate import applied_delay_moments
 
 PAGE = Path(__file__).with_name("coverage.md")
 T = 1e-3
@@ -114,7 +114,7 @@ def course(kind: Kind, seed: int) -> Course:
         truth["friction"] = kind.friction * STEP
     truth |= {"actuator_lag": kind.lag * T} if kind.lag else {}
     truth |= {"mode_frequency": turn / (2 * np.pi), "mode_mass": far} if kind.mode else {}
-    truth |= {"jitter": age_in_force(kind.jitter)[1]} if kind.jitter else {}
+    truth |= {"jitter": applied_delay_moments(kind.jitter)[1]} if kind.jitter else {}
     return Course(recordings, truth)
 
 
@@ -250,20 +250,20 @@ class Count:
         return half / abs(true)
 
 
-ABOUT = """# How often intervals hold
+ABOUT = """# How often intervals contain the truth
 
-Made by `python docs/make_coverage.py`: {courses} courses of {trials} trials of {rows} rows behind walls, simulated by
-fine steps that share nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5 samples,
-quantum 2 to 20 um. *Told*: with a value, of so many courses; *right*: within 5 % of the truth; *wrong*: off by more
-than 5 % **and** by more than three half widths; *held*: 95 % intervals with the truth in them; *width*: median half
-width relative to the truth.
+Made by `python docs/make_coverage.py`: {courses} simulated experiments of {trials} trials of {rows} rows behind walls, by a fine
+simulation that shares nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5 samples,
+quantum 2 to 20 um. *Identified*: with a value, of all experiments; *right*: within 5 % of the truth; *wrong*: off by
+more than 5 % **and** by more than three half widths; *covered*: 95 % intervals that contain the truth; *width*: median
+half width relative to the truth.
 
-| kind | quantity | told | right | wrong | held [%] | width [%] |
+| kind | quantity | identified | right | wrong | covered [%] | width [%] |
 |---|---|---|---|---|---|---|
 """
 AFTER = """
 In italics are kinds that the model does not contain: their truth is that of the device's own number. `jitter` is
-the [age of the command in force](definitions.md#measured), {jitter}.
+the [delay of the applied command](definitions.md#measured), {jitter}.
 
 All kinds inside the model: {inside}. Outside: {outside}.
 
@@ -293,11 +293,12 @@ def page(kept: Sequence[dict[str, Any]]) -> str:
             for key, value in asdict(count).items():
                 setattr(total, key, getattr(total, key) + value)
     inside, outside = (
-        f"{each.told} of {each.courses} told, {each.right} right, {each.wrong} wrong, {each.held} held "
+        f"{each.told} of {each.courses} identified, {each.right} right, {each.wrong} wrong, "
+        f"{each.held} covered "
         f"({100 * each.held / max(each.told, 1):.1f} %)"
         for each in (totals[True], totals[False])
     )
-    jitter = "delays of 3, 4, 5 samples drawn alike, in samples"
+    jitter = "delays of 3, 4, 5 samples with equal probability, in samples"
     about_text = ABOUT.format(courses=len(kept), trials=TRIALS, rows=ROWS)
     return about_text + "\n".join(lines) + "\n" + AFTER.format(inside=inside, outside=outside, jitter=jitter)
 

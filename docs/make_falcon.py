@@ -27,9 +27,9 @@ from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.models import Device
 from pipeline.records.trials import Floats, Trial
-from pipeline.simulation.course import Course, run_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.simulation.sweep import SimulatedSweep, run_sweep
 
 FILE = Path(__file__).with_name("falcon.md")
 FIGURE = Path(__file__).parent / "img" / "falcon.svg"
@@ -107,11 +107,11 @@ class Candidate:
             loop = loop.model_copy(update={"mode": _held(loop.mode, self.mass)})
         return base.model_copy(update={"experiments": (experiment,), "tables": (), "loop": loop})
 
-    def course(self, coarsen: int, seed: int, firm: bool = False) -> Course:
+    def course(self, coarsen: int, seed: int, firm: bool = False) -> SimulatedSweep:
         """Return the thesis's course with an ideal sensor, whose noise would swamp an energy with w = 2."""
         device = self.device(firm)
         name = device.experiments[0].name
-        return run_course(device, name, sensor={}, coarsen=coarsen, seed=seed)
+        return run_sweep(device, name, sensor={}, coarsen=coarsen, seed=seed)
 
     def words(self) -> str:
         """Return what is not ideal, with its numbers."""
@@ -141,7 +141,7 @@ def _held(mode: Mode, mass: float) -> Mode:
     return mode.model_copy(update={**update, "damping_ratio": mode.damping_ratio * change**0.5})
 
 
-def limits(course: Course) -> Floats:
+def limits(course: SimulatedSweep) -> Floats:
     """Return damping and stiffness limit, shape (n, 2), of each damping with an unstable trial."""
     (K, B), found = (course.trials.stiffness, course.trials.damping), []
     for damping in np.unique(B[B >= 0]):
@@ -153,13 +153,13 @@ def limits(course: Course) -> Floats:
     return np.array(found).reshape(-1, 2)
 
 
-def stable_trials(course: Course) -> list[Trial]:
+def stable_trials(course: SimulatedSweep) -> list[Trial]:
     """Return the stable trials behind a wall."""
     verdicts = zip(course.trials, course.verdict.tolist(), strict=True)
     return [trial for trial, verdict in verdicts if verdict == "stable" and trial.stiffness > 0]
 
 
-def costs(course: Course, measured: bool) -> dict[str, Floats]:
+def costs(course: SimulatedSweep, measured: bool) -> dict[str, Floats]:
     """Return K, B and the costs of the stable trials, by sums over whole logs (thesis 5.7, 5.14, 6.1.4).
 
     ``measured`` takes the mean of the last samples as final position in place of x_0 + F_0/K.
@@ -190,7 +190,7 @@ def period(candidate: Candidate) -> float:
     return 2 * half * setup.loop.sampling_period_s if 0 < half < HALF_PERIOD - 1 else np.nan
 
 
-def numbers(candidate: Candidate, course: Course, origin: Floats, measured: bool) -> Values:
+def numbers(candidate: Candidate, course: SimulatedSweep, origin: Floats, measured: bool) -> Values:
     """Return what the thesis printed, of a simulated course."""
     cost, edge = costs(course, measured), limits(course)
     upper = edge[(edge[:, 0] >= 104) & (edge[:, 0] <= 160)]
@@ -207,7 +207,7 @@ def numbers(candidate: Candidate, course: Course, origin: Floats, measured: bool
     return values
 
 
-def momentum_mass(course: Course) -> float:
+def momentum_mass(course: SimulatedSweep) -> float:
     """Return the median mass by (6.4) as in 6.1.2: the first 15 ms after the step, the command taken 5 ms late [kg]."""
     edge, last = course.setup.edge_row, course.setup.edge_row + MOMENTUM_ROWS
     ratio = [

@@ -21,7 +21,7 @@ from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures.boundaries import by_theory
 from pipeline.rendering.figures.drawing import Series, draw
 from pipeline.rendering.labels import UNITS
-from pipeline.simulation.course import Course, run_course
+from pipeline.simulation.sweep import SimulatedSweep, run_sweep
 from pipeline.theory.costs import cost_maps
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Theory
@@ -42,7 +42,7 @@ STYLE = (
 """Colours of the page, which a report's style sheet would bring."""
 
 
-def theory_map(course: Course) -> CostMap:
+def theory_map(course: SimulatedSweep) -> CostMap:
     """Return the theoretical cost map for the published parameters of the experiment."""
     plant = course.experiment
     theory = Theory(
@@ -69,7 +69,7 @@ def theory_map(course: Course) -> CostMap:
     )
 
 
-def measured_map(course: Course) -> CostMap:
+def measured_map(course: SimulatedSweep) -> CostMap:
     """Return the cost map that the measured branch makes of the simulated logs."""
     trials = course.trials
     responses = [find_response(trial) for trial in trials]
@@ -115,7 +115,7 @@ def side_by_side(panels: tuple[str, ...], title: str) -> str:
 
 def main() -> None:
     """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
-    course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter_samples=())
+    course = run_sweep(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter_samples=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
     maps = theory_map(course), measured_map(course)
     figure = map_figure("readme", CRITERION, maps, UNITS[course.device.motion])

@@ -20,7 +20,7 @@ from pipeline.device.parts import LoopTable
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
 from pipeline.records.results import ExperimentResult, SourcedLoop, Truth, TruthHeld
-from pipeline.simulation.simulate import age_in_force
+from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.predictions import Theory
 
@@ -65,7 +65,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     doubts = ["the delay jitters"] if jitter else []
     doubts += ["there is friction"] if table.friction else []
     doubts += [f"the simulation has {name.replace('_', ' ')}" for name in _MOVES_THE_LIMIT if hidden[name]]
-    delay, spread = age_in_force(jitter) if jitter else (document["delay_samples"], 0.0)
+    delay, spread = applied_delay_moments(jitter) if jitter else (document["delay_samples"], 0.0)
     parts = dict(table) | {"force_gain": table.force_gain * (1 + hidden["gain_error"])}
     period = document["sampling_period_s"]
     loop = Loop(**document["plant"], sampling_period_s=period, delay_samples=delay, **parts)

@@ -12,8 +12,8 @@ import numpy as np
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.plan.course import SAME
-from pipeline.plan.next_wall import VOTES, Tried
+from pipeline.plan.campaign import SAME
+from pipeline.plan.next_wall import VOTES, TriedWalls
 from pipeline.records.criteria import criterion_of
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import stiffness_limit
@@ -42,7 +42,7 @@ ROUGH, WRONG = 0.03, 0.15
 """Standard deviation of the logarithm of a cost about that of a device with the measured limits, as settling times jump
 from one swing to the next, and about one without them. All costs may differ together by as much."""
 
-FINALISTS, BESIDE = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
+FINALISTS, NEIGHBOUR_OFFSETS = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
 """Most promising walls, and how far from each others are looked at: so far device and rig may be off."""
 
 NO_COST = 1.0
@@ -66,7 +66,7 @@ def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class CostTarget:
     """What is looked for, and where.
 
     Parameters
@@ -138,14 +138,16 @@ class Search:
     region: tuple[float, float, float, float] | None
 
 
-def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: Floats | None = None) -> Search:
+def search_walls(
+    tried: TriedWalls, target: CostTarget, accuracy: float, count: int, unset: Floats | None = None
+) -> Search:
     """Return walls to try and whether the best cost is found.
 
     Parameters
     ----------
-    tried : Tried
+    tried : TriedWalls
         With the costs.
-    target : Target
+    target : CostTarget
     accuracy : float
         By which the best trial may be worse than the best wall, relative.
     count : int
@@ -158,8 +160,8 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: F
     the largest expected improvement is tried (Jones 1998). Of a batch, each wall is taken as tried with the expected
     cost.
     """
-    K, B, ahead = _places(target)
-    seen, value = _seen(tried, target)
+    K, B, ahead = _candidates(target)
+    seen, value = _observations(tried, target)
     cost = np.log(tried.cost + target.offset)
     best = _best(tried, cost, target)
     record = float(cost[best]) if best is not None else np.inf
@@ -173,7 +175,7 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: F
     first = mean, spread = _expected(seen, value, place, ahead, target)
     for _ in range(count):
         top = np.argsort(-np.where(often, -np.inf, _gain(record, mean, spread)), kind="stable")[:FINALISTS]
-        around = mean[top] + _beside(K[top], B[top], ahead[top], target)
+        around = mean[top] + _neighbour_rise(K[top], B[top], ahead[top], target)
         pick = int(top[np.argmax(np.where(often[top], -np.inf, _gain(record, around, spread[top])))])
         walls.append((float(K[pick]), float(B[pick]), float(np.exp(mean[pick]) - target.offset)))
         seen, value = np.vstack([seen, place[pick]]), np.append(value, mean[pick] - ahead[pick])
@@ -190,7 +192,7 @@ def look_for(tried: Tried, target: Target, accuracy: float, count: int, unset: F
     return Search(tuple(walls), done, best, float(np.exp(mean.min()) - target.offset), region)
 
 
-def _best(tried: Tried, cost: Floats, target: Target) -> int | None:
+def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
     """Return the trial of least cost; of equal ones the one with the least predicted cost."""
     if not np.isfinite(cost).any():
         return None
@@ -199,7 +201,7 @@ def _best(tried: Tried, cost: Floats, target: Target) -> int | None:
     return int(alike[np.argmin(np.nan_to_num(foretold, nan=np.inf))])
 
 
-def _places(target: Target) -> tuple[Floats, Floats, Floats]:
+def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
     """Return K, B and the logarithm of the predicted cost of candidate walls: a grid, denser around its optimum."""
     dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
@@ -221,7 +223,7 @@ def _places(target: Target) -> tuple[Floats, Floats, Floats]:
     return K[good], B[good], cost[good]
 
 
-def _seen(tried: Tried, target: Target) -> tuple[Floats, Floats]:
+def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats]:
     """Return B and K of the trials, and the difference of the logarithms of measured and predicted costs."""
     K, B = tried.stiffness, tried.damping
     inside = SHARES[-1] * target.highest_at(B) > K
@@ -234,9 +236,9 @@ def _seen(tried: Tried, target: Target) -> tuple[Floats, Floats]:
     return np.column_stack([B, K])[told], value[told]
 
 
-def _beside(K: Floats, B: Floats, ahead: Floats, target: Target) -> Floats:
+def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:
     """Return the predicted rise of the log cost in the neighbourhood of walls: the best ones are next to a jump."""
-    off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in BESIDE]
+    off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in NEIGHBOUR_OFFSETS]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 
@@ -250,7 +252,7 @@ def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
     return np.asarray(spread * (z * ndtr(z) + np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)))
 
 
-def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target: Target) -> tuple[Floats, Floats]:
+def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target: CostTarget) -> tuple[Floats, Floats]:
     """Return mean and standard deviation of the logarithm of costs at places, given what was seen."""
     if not len(value):
         return ahead, np.full(len(place), target.least_size)
@@ -258,14 +260,14 @@ def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target:
     most = np.inf if target.by is None else WRONG
     usual = float(np.clip(np.median(value), -most, most))
     size = max(float(np.sqrt(np.mean((value - usual) ** 2))), target.least_size)
-    among = _likeness(seen, seen) + np.eye(len(seen)) * ((ROUGH / size) ** 2 + 1e-9)
-    toward = _likeness(place, seen)
+    among = _correlation(seen, seen) + np.eye(len(seen)) * ((ROUGH / size) ** 2 + 1e-9)
+    toward = _correlation(place, seen)
     gain = np.linalg.solve(among, toward.T).T
     variance = np.maximum(1 - (gain * toward).sum(axis=1), 1e-9)
     return ahead + usual + gain @ (value - usual), size * np.sqrt(variance)
 
 
-def _likeness(first: Floats, second: Floats) -> Floats:
+def _correlation(first: Floats, second: Floats) -> Floats:
     apart = ((first[:, None, :] - second[None, :, :]) / LENGTHS) ** 2
     distance = np.sqrt(3 * apart.sum(axis=2))
     return np.asarray((1 + distance) * np.exp(-distance))

@@ -62,7 +62,7 @@ HIGHER = 1.3
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
+class TriedWalls:
     """Trials so far, a row each.
 
     Parameters
@@ -97,9 +97,9 @@ class Tried:
     def __len__(self) -> int:
         return len(self.stiffness)
 
-    def select(self, rows: Booleans) -> Tried:
+    def select(self, rows: Booleans) -> TriedWalls:
         """Return some of the trials."""
-        return Tried(**{name: column[rows] for name, column in vars(self).items()})
+        return TriedWalls(**{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Brack
 
 
 @dataclass(frozen=True)
-class Aim:
+class PlanGoal:
     """What is to be known, and within what limits.
 
     Parameters
@@ -265,7 +265,7 @@ class Forecast:
 
 
 @dataclass(frozen=True)
-class Split:
+class NextTrial:
     """Best wall to try: its place among the edges, the chance that it is unstable, and the trials expected in all."""
 
     place: int
@@ -274,7 +274,7 @@ class Split:
 
 
 @dataclass(frozen=True)
-class Column:
+class DampingState:
     """One damping: what verdicts and forecast say of its limit, and the wall to try; None where it is done.
 
     ``estimate`` is None where it is unknown, ``split`` None where a wall is tried again. ``most`` is the stiffest
@@ -284,7 +284,7 @@ class Column:
     damping: float
     bracket: Bracket
     estimate: float | None
-    split: Split | None = None
+    split: NextTrial | None = None
     wall: float | None = None
     note: str = ""
     most: float = inf
@@ -296,10 +296,10 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class PlanState:
     """All dampings, the largest limit, and the forecast behind them."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[DampingState, ...]
     largest: float
     forecast: Forecast
 
@@ -309,16 +309,16 @@ class State:
         return all(column.wall is None for column in self.columns)
 
 
-def state(
-    tried: Tried, aim: Aim, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
-) -> State:
+def plan_state(
+    tried: TriedWalls, goal: PlanGoal, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
+) -> PlanState:
     """Return what is known and left to do at each damping.
 
     Parameters
     ----------
-    tried : Tried
+    tried : TriedWalls
         Trials at any damping with K > 0.
-    aim : Aim
+    goal : PlanGoal
     by : Forecast, optional
         Limits by the device that the logs show, else by its file; without one verdicts are bisected.
     trial_s : float
@@ -326,51 +326,57 @@ def state(
     rig : RigRange, optional
         What the rig sets instead of walls that it is asked for; by default the walls themselves.
     """
-    rows = [tried.select(tried.damping == b) for b in aim.dampings]
+    rows = [tried.select(tried.damping == b) for b in goal.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
     ends = np.array([(of.bottom, of.top) for of in found])
-    ahead = corrected(by, ends, np.array(aim.dampings)) if by is not None else Forecast.none(len(found))
+    ahead = corrected(by, ends, np.array(goal.dampings)) if by is not None else Forecast.none(len(found))
     known = len(tried) and (ends[:, 0].any() or np.isfinite(ends[:, 1]).any() or np.isfinite(ahead.limit).any())
-    least = (aim.accuracy if known else 1.0) * float(tried.stiffness.max(initial=0.0))
+    least = (goal.accuracy if known else 1.0) * float(tried.stiffness.max(initial=0.0))
     largest = _largest(ahead.limit, ends, least)
     largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any size where nothing is stable
-    width = CLOSE * aim.accuracy * largest
+    width = CLOSE * goal.accuracy * largest
     columns, decided = [], bool((tried.verdict != "undecided").any())
     for i, own in enumerate(rows):
         of = bracket(own.stiffness, own.verdict, width)
-        stable = stiffest_stable(tried, aim.dampings[i])
-        task = Task(
-            aim, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable, decided
+        stable = stiffest_stable(tried, goal.dampings[i])
+        task = PlanTask(
+            goal, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable, decided
         )
-        column = _wall_to_try(aim.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= aim.accuracy)
-        if len(tried) and not len(own) and aim.bold == inf and task.limit <= 0 and (task.error <= width or aim.gentle):
+        column = _wall_to_try(goal.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= goal.accuracy)
+        if (
+            len(tried)
+            and not len(own)
+            and goal.bold == inf
+            and task.limit <= 0
+            and (task.error <= width or goal.gentle)
+        ):
             # a verdict there changes no map: it is known closely enough that nothing is stable; a rig is spared it
-            column = Column(aim.dampings[i], of, 0.0, note="no stable wall")
+            column = DampingState(goal.dampings[i], of, 0.0, note="no stable wall")
         if rig is not None:
-            column = _as_set(column, rig, aim)
+            column = _as_set(column, rig, goal)
         if by is not None and not len(tried) and column.wall is not None:
             limit = by.low[i] if by.low[i] > 0 else SOFT * by.limit[i]
-            most = aim.start * float(limit if limit > 0 else SOFTEST * max(by.scale, largest))
+            most = goal.start * float(limit if limit > 0 else SOFTEST * max(by.scale, largest))
             column = replace(column, wall=min(column.wall, most), most=most)
         columns.append(column)
-    return State(tuple(columns), largest, ahead)
+    return PlanState(tuple(columns), largest, ahead)
 
 
-def _as_set(column: Column, rig: RigRange, aim: Aim) -> Column:
+def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState:
     """Return a column with a wall that the rig sets; without one where it sets none inside the bracket."""
     of = column.bracket
-    if column.note == "limit of the tests" and (aim.highest == rig.highest or 0 < aim.lowest == rig.lowest):
+    if column.note == "limit of the tests" and (goal.highest == rig.highest or 0 < goal.lowest == rig.lowest):
         return replace(column, note="step of the rig")
     if column.wall is None or column.split is None:
         return column
     low, high = (0.0, of.bottom) if column.note == "softer" else (of.bottom, of.top)
-    wall = rig.wall(column.wall, low, high, max(min(column.most, aim.highest), column.wall))
+    wall = rig.wall(column.wall, low, high, max(min(column.most, goal.highest), column.wall))
     if wall is not None:
         return replace(column, wall=wall)
     return column if column.note == "softer" else replace(column, wall=None, split=None, note="step of the rig")
 
 
-def stiffest_stable(tried: Tried, damping: float) -> float:
+def stiffest_stable(tried: TriedWalls, damping: float) -> float:
     """Return the stiffness up to which walls at a damping count as stable by the stable walls at any damping.
 
     Notes
@@ -382,7 +388,7 @@ def stiffest_stable(tried: Tried, damping: float) -> float:
 
     Examples
     --------
-    >>> tried = Tried(np.array([2000.0]), np.array([10.0]), np.array(["stable"]), np.array([-9.0]))
+    >>> tried = TriedWalls(np.array([2000.0]), np.array([10.0]), np.array(["stable"]), np.array([-9.0]))
     >>> [stiffest_stable(tried, damping) for damping in (0.0, 5.0, 20.0)]
     [200.0, 1000.0, 2000.0]
     """
@@ -440,12 +446,12 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 
 
 @dataclass(frozen=True)
-class Task:
+class PlanTask:
     """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit,
     standard error, lowest limit that is allowed, and stiffness that counts as stable [N/m, Nm/rad]; and whether trials
     at any damping have a verdict."""
 
-    aim: Aim
+    goal: PlanGoal
     largest: float
     trial_s: float
     limit: float
@@ -457,7 +463,7 @@ class Task:
     @property
     def half(self) -> float:
         """Wanted largest error of a limit [N/m, Nm/rad]."""
-        return self.aim.accuracy * self.largest
+        return self.goal.accuracy * self.largest
 
     @property
     def width(self) -> float:
@@ -465,53 +471,55 @@ class Task:
         return CLOSE * self.half
 
 
-def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere: Floats, *, holds: bool) -> Column:
-    aim, half, width = task.aim, task.half, task.width
-    top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
-    bold = aim.bold * task.stable if aim.bold < inf else 0.0
+def _wall_to_try(
+    damping: float, of: Bracket, own: TriedWalls, task: PlanTask, everywhere: Floats, *, holds: bool
+) -> DampingState:
+    goal, half, width = task.goal, task.half, task.width
+    top = min(of.top, goal.highest, own.stiffness[own.force > goal.force].min(initial=inf))
+    bold = goal.bold * task.stable if goal.bold < inf else 0.0
     far = top if np.isfinite(top) else max(2 * of.bottom, HIGHER * task.largest, width, bold)
     value = 0.5 * (of.bottom + far) if np.isnan(task.limit) else float(np.clip(task.limit, of.bottom, far))
     if of.again:
-        return Column(damping, of, value, None, of.again[0], "contradiction")
+        return DampingState(damping, of, value, None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
-        if weak := doubtful_ends(own, of, task.trial_s, gentle=aim.gentle):
-            return Column(damping, replace(of, again=weak), value, None, weak[0], "weak")
-        return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)))
+        if weak := doubtful_ends(own, of, task.trial_s, gentle=goal.gentle):
+            return DampingState(damping, replace(of, again=weak), value, None, weak[0], "weak")
+        return DampingState(damping, of, float(np.clip(value, of.high - half, of.bottom + half)))
     inside = own.select((own.stiffness > of.bottom) & (own.stiffness < of.top) & (own.verdict == "undecided"))
     blind, often = of.low is None and of.high is None, len(inside) >= VOTES
-    if len(inside) and blind and (aim.bold < inf or len(inside) >= 2 * VOTES):
-        if aim.bold == inf and task.decided and len(inside) >= 3 * VOTES:
-            return Column(damping, of, None, note="undecided")
+    if len(inside) and blind and (goal.bold < inf or len(inside) >= 2 * VOTES):
+        if goal.bold == inf and task.decided and len(inside) >= 3 * VOTES:
+            return DampingState(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
     if often and of.low is None and len(inside) < 2 * VOTES:
         # what is undecided is near the limit: verdicts farther from it enclose it
         softer = APART * float(inside.stiffness.min())
-        stiffer = blind and not aim.gentle and len(inside) == 2 * VOTES - 1
-        lowest = task.low if task.low > aim.lowest else inf
+        stiffer = blind and not goal.gentle and len(inside) == 2 * VOTES - 1
+        lowest = task.low if task.low > goal.lowest else inf
         wall = float(inside.stiffness.max()) / APART if stiffer else min(softer, lowest)
-        if wall > aim.lowest:
-            most = max(_most(of, task, inside), aim.lowest)
+        if wall > goal.lowest:
+            most = max(_most(of, task, inside), goal.lowest)
             wall = min(wall, most)
             unstable = 0.5 if np.isnan(task.limit) else NormalDist().cdf((wall - task.limit) / max(task.error, 1e-300))
-            return Column(damping, of, value, Split(0, max(unstable, float(stiffer)), 1.0), wall, most=most)
-    if often and (of.high is not None or aim.gentle):
-        return Column(damping, of, None, note="undecided")
-    if of.bottom >= 0.99 * top or top <= aim.lowest:
-        return Column(damping, of, value, note="limit of the tests")
-    answer = answers(own, of, everywhere, gentle=aim.gentle)
+            return DampingState(damping, of, value, NextTrial(0, max(unstable, float(stiffer)), 1.0), wall, most=most)
+    if often and (of.high is not None or goal.gentle):
+        return DampingState(damping, of, None, note="undecided")
+    if of.bottom >= 0.99 * top or top <= goal.lowest:
+        return DampingState(damping, of, value, note="limit of the tests")
+    answer = answers(own, of, everywhere, gentle=goal.gentle)
     if answer == "step of the rig":
-        return Column(damping, of, value, note=answer)
-    if aim.gentle and holds and of.low is not None and abs(task.limit - of.low) + task.error <= half:
-        return Column(damping, of, value, note="from below")
+        return DampingState(damping, of, value, note=answer)
+    if goal.gentle and holds and of.low is not None and abs(task.limit - of.low) + task.error <= half:
+        return DampingState(damping, of, value, note="from below")
     repeated = answer == "middle" and len(np.unique(own.stiffness)) > 1
     most = _most(of, task, inside, repeated=repeated)
     if most <= of.bottom or answer == "softer":
         return _softer(damping, of, own, value)
     limit, error = task.limit, task.error
-    if aim.gentle and of.high is not None and limit - SAFE * error > of.high:
+    if goal.gentle and of.high is not None and limit - SAFE * error > of.high:
         # an unstable wall refutes the forecast: it would be asked for next to that again and again
         limit = error = np.nan
-    edges = walls(max(of.bottom, aim.lowest), far, value, error, width)
+    edges = walls(max(of.bottom, goal.lowest), far, value, error, width)
     # no walls next to undecided ones
     kept = np.asarray((np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1))
     kept[[0, -1]] = True
@@ -519,56 +527,60 @@ def _wall_to_try(damping: float, of: Bracket, own: Tried, task: Task, everywhere
     if edges[0] < most < edges[-1]:
         edges = np.unique(np.append(edges, most))
     chance = chances(edges, limit, error)
-    split = best_split(edges, chance, width, PRICE if aim.gentle else 1.0, most)
+    split = best_split(edges, chance, width, PRICE if goal.gentle else 1.0, most)
     if split is None and len(inside):
-        return Column(damping, of, None, note="undecided") if of.high is not None else _longer(damping, of, inside)
+        return (
+            DampingState(damping, of, None, note="undecided") if of.high is not None else _longer(damping, of, inside)
+        )
     if split is None:
-        split = Split(0, 0.5, 1.0)
-        return Column(damping, of, value, split, min(max(0.5 * (of.bottom + far), aim.lowest), max(most, aim.lowest)))
+        split = NextTrial(0, 0.5, 1.0)
+        return DampingState(
+            damping, of, value, split, min(max(0.5 * (of.bottom + far), goal.lowest), max(most, goal.lowest))
+        )
     wall = float(edges[split.place])
     if answer == "middle":
         wall = 0.5 * (of.bottom + min(far, most))
-    elif aim.gentle and not np.isnan(limit):
+    elif goal.gentle and not np.isnan(limit):
         safe = max(limit - SAFE * error, BOLD * limit)
         if safe > of.bottom + 0.2 * half:
             wall = safe if holds else min(wall, safe)
-    wall = min(wall, max(most, aim.lowest))
+    wall = min(wall, max(most, goal.lowest))
     unstable = np.interp(wall, edges, np.concatenate([[0.0], np.cumsum(chance)])) / chance.sum()
     split = replace(split, unstable=float(unstable))
-    return Column(damping, of, value, split, wall, most=most)
+    return DampingState(damping, of, value, split, wall, most=most)
 
 
-def _most(of: Bracket, task: Task, inside: Tried, *, repeated: bool = False) -> float:
+def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = False) -> float:
     """Return the stiffest wall that may be tried now; no more than the bracket's lower end where none may be.
 
     It is never above the lowest limit that the logs allow as long as no wall near that was stable, or undecided inside
     the bracket, or ``repeated`` shows that the rig sets none there. Else only a wall above it closes the bracket.
     """
-    aim = task.aim
-    most = aim.bold * task.stable
+    goal = task.goal
+    most = goal.bold * task.stable
     low = min(task.low, task.limit - min(SAFE * task.error, task.half))
-    near = max(of.bottom, 0.0 if aim.gentle else inside.stiffness.max(initial=0.0))
-    if low > near + task.half and (aim.gentle or not repeated):
+    near = max(of.bottom, 0.0 if goal.gentle else inside.stiffness.max(initial=0.0))
+    if low > near + task.half and (goal.gentle or not repeated):
         return min(most, low)
-    if aim.gentle and aim.few:
+    if goal.gentle and goal.few:
         return of.bottom if of.bottom > 0 else 0.5 * min(most, task.stable)
-    return min(most, GENTLER * task.stable) if aim.gentle and aim.bold < inf else most
+    return min(most, GENTLER * task.stable) if goal.gentle and goal.bold < inf else most
 
 
-def _longer(damping: float, of: Bracket, inside: Tried) -> Column:
+def _longer(damping: float, of: Bracket, inside: TriedWalls) -> DampingState:
     """Return that the softest of some undecided walls is to be tried again with a longer log."""
-    return Column(damping, of, None, None, float(inside.stiffness.min()), "longer")
+    return DampingState(damping, of, None, None, float(inside.stiffness.min()), "longer")
 
 
-def _softer(damping: float, of: Bracket, own: Tried, value: float) -> Column:
+def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> DampingState:
     """Return a wall in the largest gap between those tried, up to the stiffest stable one: to learn the device."""
     ends = np.unique(np.append(0.0, own.stiffness[own.stiffness <= of.bottom]))
     widest = int(np.argmax(np.diff(ends)))
     wall = 0.5 * float(ends[widest] + ends[widest + 1])
-    return Column(damping, of, value, Split(0, 0.0, 1.0), wall, "softer", of.bottom)
+    return DampingState(damping, of, value, NextTrial(0, 0.0, 1.0), wall, "softer", of.bottom)
 
 
-def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
+def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
     """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
 
     A second trial of the wall must say the same. Where a rig is to be spared no unstable wall is tried twice, since to
@@ -583,13 +595,13 @@ def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool) -> t
 
 
 def answers(
-    own: Tried, of: Bracket, everywhere: Floats, *, gentle: bool = False
+    own: TriedWalls, of: Bracket, everywhere: Floats, *, gentle: bool = False
 ) -> Literal["", "middle", "softer", "step of the rig"]:
     """Return how a rig seems to answer that was asked for walls inside a bracket.
 
     Parameters
     ----------
-    own : Tried
+    own : TriedWalls
         Trials at the damping.
     of : Bracket
         Its bracket, whose ends are walls of these trials.
@@ -652,7 +664,7 @@ def chances(edges: Floats, limit: float, error: float) -> Floats:
     return np.asarray((1 - DOUBT) * by / max(by.sum(), 1e-12) + DOUBT * anywhere)
 
 
-def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, most: float = inf) -> Split | None:
+def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, most: float = inf) -> NextTrial | None:
     """Return where a trial shortens the search most.
 
     Parameters
@@ -670,7 +682,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
 
     Returns
     -------
-    Split or None
+    NextTrial or None
         None where nothing is left to search.
 
     Notes
@@ -682,7 +694,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
     Examples
     --------
     >>> best_split(np.arange(5.0), np.ones(4), 1.0)
-    Split(place=2, unstable=0.5, trials=2.0)
+    NextTrial(place=2, unstable=0.5, trials=2.0)
     >>> best_split(np.arange(5.0), np.array([0.01, 0.01, 0.01, 1.0]), 1.0).place
     3
     """
@@ -706,10 +718,10 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
         return None
     first = min(int(place[0, n]), int(allowed[-1]))
     needed = trials[0, first] + trials[first, n] + total[n]
-    return Split(first, float(total[first] / total[n]), float(needed / total[n]))
+    return NextTrial(first, float(total[first] / total[n]), float(needed / total[n]))
 
 
-def order(columns: tuple[Column, ...]) -> list[int]:
+def order(columns: tuple[DampingState, ...]) -> list[int]:
     """Return places of dampings that are left, in the order in which to try them.
 
     Contradictions first; then dampings that were begun, the nearest to its end first; then those farthest from all

@@ -13,9 +13,17 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import commonest, counted, listed
 from pipeline.device.parameters import unit_of
 from pipeline.measured.experiment.identified_loop import nominal_loop
-from pipeline.plan.cost_search import Search, Target, look_for
-from pipeline.plan.course import RANGE_NEEDED, Course, Wish, foretold, open_course, snapped, wanted_dampings
-from pipeline.plan.next_wall import BOLDER, GENTLER, Aim, Column, Forecast, State, order, state
+from pipeline.plan.campaign import (
+    RANGE_NEEDED,
+    PlanOptions,
+    Campaign,
+    forecast_of,
+    open_campaign,
+    snapped,
+    wanted_dampings,
+)
+from pipeline.plan.cost_search import CostTarget, Search, search_walls
+from pipeline.plan.next_wall import BOLDER, GENTLER, DampingState, Forecast, PlanGoal, PlanState, order, plan_state
 from pipeline.plan.requests import RigRange, range_of, store_requests
 from pipeline.records.findings import Record
 
@@ -61,7 +69,7 @@ MOST_MISFIT = 0.2
 """Error of the predicted limits, relative to the largest, above which no wall is expected to be stable by them."""
 
 
-class Next(Record):
+class PlannedWall(Record):
     """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
 
     stiffness: float
@@ -85,8 +93,8 @@ class PlannedLimit(Record):
     note: str = ""
 
 
-class Best(Record):
-    """Best trial so far by a criterion, the least cost that the loop of all logs foretells, and the region around it.
+class BestWall(Record):
+    """Best trial so far by a criterion, the least cost predicted by the loop of all logs, and the region around it.
 
     ``region`` is the smallest and largest stiffness, and the smallest and largest damping, of walls whose predicted
     cost is within the wanted accuracy of the least; None where no loop predicts it.
@@ -107,18 +115,23 @@ class Plan(Record):
     not include, as long as the plan uses these limits.
     """
 
-    next: tuple[Next, ...]
+    next: tuple[PlannedWall, ...]
     done: bool
     boundary: tuple[PlannedLimit, ...]
     trials_used: int
     trials_expected: int
     remarks: tuple[str, ...] = ()
-    optimum: Best | None = None
+    optimum: BestWall | None = None
     left_out: tuple[str, ...] = ()
 
 
 def plan(
-    name: str, processed: Path, experiment: str | None = None, wish: Wish | None = None, *, remembered: bool = False
+    name: str,
+    processed: Path,
+    experiment: str | None = None,
+    options: PlanOptions | None = None,
+    *,
+    remembered: bool = False,
 ) -> Plan:
     """Return which walls to try next.
 
@@ -130,7 +143,7 @@ def plan(
         Folder of the stored tables; need not be there yet.
     experiment : str, optional
         By default the only one that is stored, else the first of the device file.
-    wish : Wish, optional
+    options : PlanOptions, optional
     remembered : bool
         Whether the walls are stored, so that the next plan compares with them what the rig set.
 
@@ -141,19 +154,19 @@ def plan(
     UsageError
         If several experiments are stored and none is named, or a limit leaves nothing to try.
     """
-    wish = wish or Wish()
-    course = open_course(name, processed, experiment, wish)
-    answer = plan_of(course, wish)
+    options = options or PlanOptions()
+    campaign = open_campaign(name, processed, experiment, options)
+    answer = plan_of(campaign, options)
     if remembered:
-        remember(answer, course, processed)
+        remember(answer, campaign, processed)
     return answer
 
 
-def remember(answer: Plan, course: Course, processed: Path) -> None:
+def remember(answer: Plan, campaign: Campaign, processed: Path) -> None:
     """Store the walls that are asked for next to the results of an experiment that has trials."""
-    if len(course.tried) or course.free:
+    if len(campaign.tried) or campaign.free:
         asked = [(wall.stiffness, wall.damping) for wall in answer.next]
-        store_requests(processed, course.name, course.experiment, asked, course.walls, course.answers)
+        store_requests(processed, campaign.name, campaign.experiment, asked, campaign.walls, campaign.answers)
 
 
 OF_THE_STEP = (
@@ -162,45 +175,47 @@ OF_THE_STEP = (
 )
 
 
-def plan_of(course: Course, wish: Wish) -> Plan:
+def plan_of(campaign: Campaign, options: PlanOptions) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
-    dampings, used = wanted_dampings(course, wish), len(course.tried)
-    course = replace(course, tried=snapped(course.tried, dampings))
-    forecast = foretold(course, dampings)
+    dampings, used = wanted_dampings(campaign, options), len(campaign.tried)
+    campaign = replace(campaign, tried=snapped(campaign.tried, dampings))
+    forecast = forecast_of(campaign, dampings)
     if forecast is None and not used:
-        raise DeviceError(f"device {course.name!r}: {course.unknown.rstrip('.') or 'no log of it'}; {RANGE_NEEDED}.")
-    rig = range_of(course.answers)
-    aim = aim_of(course, wish, dampings, forecast, rig)
-    found = state(course.tried, aim, forecast, course.trial_s, rig)
+        raise DeviceError(
+            f"device {campaign.name!r}: {campaign.unknown.rstrip('.') or 'no log of it'}; {RANGE_NEEDED}."
+        )
+    rig = range_of(campaign.answers)
+    goal = aim_of(campaign, options, dampings, forecast, rig)
+    found = plan_state(campaign.tried, goal, forecast, campaign.trial_s, rig)
     done, best, more = found.done, None, ceil(sum(column.left for column in found.columns))
     left = order(found.columns)
     if not used:
         # where nothing is predicted to be stable a wall waits for the device that logs of other dampings show
         left = [i for i in left if found.forecast.limit[i] > 0] or left
-    following = [_next(found.columns[i], found, aim, course, rig) for i in left[: wish.count]]
-    if wish.goal == "optimum" and (search := _search(course, wish, found, aim)) is not None:
-        done, best, more = search.done, _best(search, course, wish), len(search.walls)
-        following = _walls_of(search, course, wish, found, aim, rig)
+    following = [_next(found.columns[i], found, goal, campaign, rig) for i in left[: options.count]]
+    if options.goal == "optimum" and (search := _search(campaign, options, found, goal)) is not None:
+        done, best, more = search.done, _best(search, campaign, options), len(search.walls)
+        following = _walls_of(search, campaign, options, found, goal, rig)
     return Plan(
         next=() if done else tuple(following),
         done=done,
         boundary=tuple(_limit(column, blind=found.forecast.misfit == inf) for column in found.columns),
         trials_used=used,
         trials_expected=used + (0 if done else more),
-        remarks=(*_remarks(course, found, aim), *_answered(course, rig)),
+        remarks=(*_remarks(campaign, found, goal), *_answered(campaign, rig)),
         optimum=best,
-        left_out=_left_out(course),
+        left_out=_left_out(campaign),
     )
 
 
-def _left_out(course: Course) -> tuple[str, ...]:
+def _left_out(campaign: Campaign) -> tuple[str, ...]:
     """Return parts that the file's limits leave out; none where logs identify a device."""
-    if course.found is not None or course.device is None or course.of_file is None:
+    if campaign.found is not None or campaign.device is None or campaign.of_file is None:
         return ()
-    return course.device.loop_for(course.of_file).left_out
+    return campaign.device.loop_for(campaign.of_file).left_out
 
 
-def _limit(column: Column, *, blind: bool) -> PlannedLimit:
+def _limit(column: DampingState, *, blind: bool) -> PlannedLimit:
     """Return what is known of a limit; ``blind`` without a device that predicts it, so that it needs two ends."""
     ends, estimate = column.bracket, column.estimate
     verdicts = (ends.low is not None) + (ends.high is not None)
@@ -214,69 +229,69 @@ def _limit(column: Column, *, blind: bool) -> PlannedLimit:
 
 
 def aim_of(
-    course: Course,
-    wish: Wish,
+    campaign: Campaign,
+    options: PlanOptions,
     dampings: tuple[float, ...],
     forecast: Forecast | None = None,
     rig: RigRange | None = None,
-) -> Aim:
+) -> PlanGoal:
     """Return what is to be known within what limits; errors as of `plan`.
 
     As long as the logs do not identify a device for sure, walls are at most a few times as stiff as stable ones.
     """
-    bold = inf if not len(course.tried) or (forecast is not None and course.is_sure) else BOLDER
-    if bold < inf and forecast is None and wish.gentle:
+    bold = inf if not len(campaign.tried) or (forecast is not None and campaign.is_sure) else BOLDER
+    if bold < inf and forecast is None and options.gentle:
         bold = GENTLER
-    aim = Aim(
+    goal = PlanGoal(
         dampings,
-        wish.accuracy,
-        wish.gentle,
-        lowest=max(0.0 if wish.travel == inf else course.step / wish.travel, rig.lowest if rig else 0.0),
-        highest=min(wish.largest_stiffness, rig.highest if rig else inf),
-        force=wish.largest_force,
+        options.accuracy,
+        options.gentle,
+        lowest=max(0.0 if options.travel == inf else campaign.step / options.travel, rig.lowest if rig else 0.0),
+        highest=min(options.largest_stiffness, rig.highest if rig else inf),
+        force=options.largest_force,
         bold=bold,
-        few=bold < inf and course.few,
-        foresees=not len(course.tried) or (not course.few and bool((course.tried.verdict != "undecided").any())),
+        few=bold < inf and campaign.few,
+        foresees=not len(campaign.tried) or (not campaign.few and bool((campaign.tried.verdict != "undecided").any())),
     )
-    if aim.lowest >= aim.highest:
+    if goal.lowest >= goal.highest:
         raise UsageError(
-            f"a travel of {wish.travel:g} needs K of at least F_0/travel = {aim.lowest:g}, and at most {aim.highest:g} "
-            "is allowed: no wall is left to try. Allow more travel or stiffness, or take a smaller step."
+            f"a travel of {options.travel:g} needs K of at least F_0/travel = {goal.lowest:g}, and at most "
+            f"{goal.highest:g} is allowed: no wall is left to try. Allow more travel or stiffness, or a smaller step."
         )
-    return aim
+    return goal
 
 
-def _remarks(course: Course, found: State, aim: Aim) -> tuple[str, ...]:
+def _remarks(campaign: Campaign, found: PlanState, goal: PlanGoal) -> tuple[str, ...]:
     """Return remarks on the basis of the plan: contradictions, and whether a loop explains the logs."""
     said = [
         f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit counts"
         for c in found.columns
         if c.bracket.lasting
     ]
-    said += _missing(course, aim)
-    misfit, loop = found.forecast.misfit, course.found.loop if course.found is not None else None
-    if len(course.tried) and not misfit <= aim.accuracy:
+    said += _missing(campaign, goal)
+    misfit, loop = found.forecast.misfit, campaign.found.loop if campaign.found is not None else None
+    if len(campaign.tried) and not misfit <= goal.accuracy:
         off = f"limits lie off those of the found device by {misfit:.0%} of the largest"
         said.append(f"{off if misfit < inf else 'no device is identified'}: each damping is finished by its verdicts")
     if loop is not None and loop.friction:
-        said.append(OF_THE_STEP.format(course.step, unit_of("force", course.motion)))
+        said.append(OF_THE_STEP.format(campaign.step, unit_of("force", campaign.motion)))
     return tuple(said)
 
 
-def _missing(course: Course, aim: Aim) -> list[str]:
+def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
     """Return what the logs lack, and what to record."""
     said = []
-    if course.undecided:
-        reason = commonest(course.undecided)
+    if campaign.undecided:
+        reason = commonest(campaign.undecided)
         remedy = next((text for begins, text in REMEDIES if reason.startswith(begins)), RECORD)
-        count = f"{len(course.undecided)} of {counted(len(course.tried), 'trial')}"
+        count = f"{len(campaign.undecided)} of {counted(len(campaign.tried), 'trial')}"
         said.append(f"no verdict in {count}: {reason}. {remedy}")
-    if course.free and not len(course.tried) and course.found is not None:
-        said.append(f"{counted(course.free, 'trial')} without a wall identify the device; no wall was tried yet")
-    if course.unknown:
-        said.append(course.unknown[:1].upper() + course.unknown[1:])
-    elif course.found is not None and aim.bold < inf and course.found.may_have_friction:
-        few, one = course.few, course.found.directions < 2
+    if campaign.free and not len(campaign.tried) and campaign.found is not None:
+        said.append(f"{counted(campaign.free, 'trial')} without a wall identify the device; no wall was tried yet")
+    if campaign.unknown:
+        said.append(campaign.unknown[:1].upper() + campaign.unknown[1:])
+    elif campaign.found is not None and goal.bold < inf and campaign.found.may_have_friction:
+        few, one = campaign.few, campaign.found.directions < 2
         by = listed([*(["so few logs"] if few else []), *(["motion in one direction"] if one else [])])
         record = listed([*(["steps in both directions"] if one else []), *(["more logs"] if few else [])])
         if by:
@@ -284,13 +299,13 @@ def _missing(course: Course, aim: Aim) -> list[str]:
     return said
 
 
-def _answered(course: Course, rig: RigRange | None) -> list[str]:
+def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
     """Return what the rig set last in place of a wall, and how the next walls follow from it."""
-    off = [answer for answer in course.answers if answer.stiffness_off or answer.damping_off]
+    off = [answer for answer in campaign.answers if answer.stiffness_off or answer.damping_off]
     if not off:
         return []
-    K, B = unit_of("stiffness", course.motion), unit_of("damping", course.motion)
-    last, count = off[-1], f"{len(off)} of {counted(len(course.answers), 'wall')} so far"
+    K, B = unit_of("stiffness", campaign.motion), unit_of("damping", campaign.motion)
+    last, count = off[-1], f"{len(off)} of {counted(len(campaign.answers), 'wall')} so far"
     sets = {
         "K": (last.stiffness_off, f"{last.asked[0]:g} {K}", f"{last.got[0]:g} {K}"),
         "B": (last.damping_off, f"{last.asked[1]:g} {B}", f"{last.got[1]:g} {B}"),
@@ -339,18 +354,20 @@ def rounded(wall: float, width: float) -> float:
     return float(f"{round(wall / unit) * unit:.12g}")
 
 
-def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange | None) -> Next:
+def _next(
+    column: DampingState, found: PlanState, goal: PlanGoal, campaign: Campaign, rig: RigRange | None
+) -> PlannedWall:
     assert column.wall is not None, "what is done is not asked for"
     bracket = column.bracket
     if rig is not None:
         wall = rig.repeated(column.wall) if column.split is None else column.wall
         if not any(grid.holds(wall) for grid in rig.grids):
             # what a rig sets otherwise lies between digits
-            wall = rounded_down(wall, 0.01 * aim.accuracy * found.largest)
+            wall = rounded_down(wall, 0.01 * goal.accuracy * found.largest)
     else:
-        wall = column.wall if column.split is None else rounded_down(column.wall, aim.accuracy * found.largest)
-        wall = min(max(wall, aim.lowest), aim.highest)
-    K, B = unit_of("stiffness", course.motion), unit_of("damping", course.motion)
+        wall = column.wall if column.split is None else rounded_down(column.wall, goal.accuracy * found.largest)
+        wall = min(max(wall, goal.lowest), goal.highest)
+    K, B = unit_of("stiffness", campaign.motion), unit_of("damping", campaign.motion)
     at = f"B = {column.damping:g} {B}"
     if bracket.again:
         said = ", ".join(f"{value:g}" for value in bracket.again)
@@ -363,12 +380,12 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
         else:
             why = f"logs contradict each other at {at}: stable above unstable between {min(bracket.again):g} and "
             why += f"{max(bracket.again):g} {K}; measured again first"
-        return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
+        return PlannedWall(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     if column.note == "longer":
-        still = course.unknown.startswith("the position does not change")
-        remedy = "with a larger step" if still else f"longer than {course.trial_s:.2g} s, or with a larger step"
+        still = campaign.unknown.startswith("the position does not change")
+        remedy = "with a larger step" if still else f"longer than {campaign.trial_s:.2g} s, or with a larger step"
         why = f"no verdict at this damping yet: record this wall again, {remedy}"
-        return Next(stiffness=wall, damping=column.damping, expected="undecided", why=why)
+        return PlannedWall(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     assert column.split is not None, "a wall comes from a split"
     chance = column.split.unstable
     known = "no verdict at this damping yet"
@@ -379,7 +396,7 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
     if found.forecast.misfit < inf and column.estimate is not None and column.estimate <= 0:
         basis, chance = "the found device has no stable wall there", 1.0
     elif found.forecast.misfit < inf and column.estimate is not None:
-        basis = f"limit expected at {rounded_down(column.estimate, aim.accuracy * found.largest):g} {K}"
+        basis = f"limit expected at {rounded_down(column.estimate, goal.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
     # above what was stable a verdict is predicted by all devices that the logs allow, or by none
@@ -387,60 +404,68 @@ def _next(column: Column, found: State, aim: Aim, course: Course, rig: RigRange 
     limit, lowest = float(found.forecast.limit[place]), float(found.forecast.low[place])
     sure = lowest - max(limit - lowest, 0.0)
     if expected == "stable" and wall > bracket.bottom:
-        is_predicted = aim.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= sure
+        is_predicted = goal.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= sure
         expected = "stable" if is_predicted else "undecided"
     if column.note == "softer":
         basis = "too few logs for a stiffer wall: record this one"
         expected = "stable"
-    elif aim.bold < inf and found.forecast.misfit == inf:
+    elif goal.bold < inf and found.forecast.misfit == inf:
         basis = "no device is identified: " + (
-            f"at most {aim.bold:g} times the stiffest stable wall" if bracket.low is not None else "near what was tried"
+            f"at most {goal.bold:g} times the stiffest stable wall"
+            if bracket.low is not None
+            else "near what was tried"
         )
-    is_low = wall < min(column.estimate or 0, sure) and found.forecast.misfit <= aim.accuracy
-    if aim.gentle and aim.foresees and is_low:
+    is_low = wall < min(column.estimate or 0, sure) and found.forecast.misfit <= goal.accuracy
+    if goal.gentle and goal.foresees and is_low:
         expected = "stable"
-    return Next(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
+    return PlannedWall(stiffness=wall, damping=column.damping, expected=expected, why=f"{known}; {basis}{lasting}")
 
 
-def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search | None:
+def _search(campaign: Campaign, options: PlanOptions, found: PlanState, goal: PlanGoal) -> Search | None:
     """Return the search for the best cost within the limits that are expected; None where no limit is known yet."""
     if found.forecast.misfit == inf and all(column.bracket.low is None for column in found.columns):
         return None
-    loop, holds = None, found.forecast.misfit <= aim.accuracy
-    if course.found is not None and found.forecast.misfit < inf:
-        loop, holds = course.found.loop, holds and not course.found.loop.friction
-    elif course.device is not None and course.of_file is not None:
-        loop = nominal_loop(course.device.loop_for(course.of_file)).loop
-    ends = [(column.bracket.bottom, min(column.bracket.top, aim.highest)) for column in found.columns]
+    loop, holds = None, found.forecast.misfit <= goal.accuracy
+    if campaign.found is not None and found.forecast.misfit < inf:
+        loop, holds = campaign.found.loop, holds and not campaign.found.loop.friction
+    elif campaign.device is not None and campaign.of_file is not None:
+        loop = nominal_loop(campaign.device.loop_for(campaign.of_file)).loop
+    ends = [(column.bracket.bottom, min(column.bracket.top, goal.highest)) for column in found.columns]
     limits = np.clip([column.estimate or 0.0 for column in found.columns], *np.array(ends).T)
     limits = np.minimum(limits, [max(column.most, column.bracket.bottom) for column in found.columns])
-    if not limits.max() > aim.lowest:
+    if not limits.max() > goal.lowest:
         if not found.done:
             return None
-        raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
-    target = Target(wish.criterion, np.array(aim.dampings), limits, loop, holds)
-    off = [answer.asked for answer in course.answers if answer.stiffness_off or answer.damping_off]
-    return look_for(course.tried, target, OPTIMUM_ACCURACY, wish.count, np.array(off).reshape(-1, 2))
+        raise UsageError(f"device {campaign.name!r}: no wall is expected to be stable, so that none has a cost.")
+    target = CostTarget(options.criterion, np.array(goal.dampings), limits, loop, holds)
+    off = [answer.asked for answer in campaign.answers if answer.stiffness_off or answer.damping_off]
+    return search_walls(campaign.tried, target, OPTIMUM_ACCURACY, options.count, np.array(off).reshape(-1, 2))
 
 
-def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim, rig: RigRange | None) -> list[Next]:
-    so_far = "no cost yet" if search.best is None else f"best {wish.criterion} {course.tried.cost[search.best]:.4g}"
-    walls: dict[tuple[float, float], Next] = {}
+def _walls_of(
+    search: Search, campaign: Campaign, options: PlanOptions, found: PlanState, goal: PlanGoal, rig: RigRange | None
+) -> list[PlannedWall]:
+    so_far = (
+        "no cost yet" if search.best is None else f"best {options.criterion} {campaign.tried.cost[search.best]:.4g}"
+    )
+    walls: dict[tuple[float, float], PlannedWall] = {}
     for K, B, cost in search.walls:
-        stiffness = min(max(rounded_down(K, aim.accuracy * found.largest), aim.lowest), aim.highest)
-        damping = rounded(B, 0.02 * aim.dampings[-1])
+        stiffness = min(max(rounded_down(K, goal.accuracy * found.largest), goal.lowest), goal.highest)
+        damping = rounded(B, 0.02 * goal.dampings[-1])
         if rig is not None:
-            stiffness = rig.wall(stiffness, 0.0, inf, aim.highest) or stiffness
+            stiffness = rig.wall(stiffness, 0.0, inf, goal.highest) or stiffness
         why = f"{so_far}, {cost:.4g} expected here, {search.least:.4g} at the least"
         if search.region is None:
             why = f"{so_far}; no device predicts costs"
         # neighbours may round to the same wall
-        walls.setdefault((stiffness, damping), Next(stiffness=stiffness, damping=damping, expected="stable", why=why))
+        walls.setdefault(
+            (stiffness, damping), PlannedWall(stiffness=stiffness, damping=damping, expected="stable", why=why)
+        )
     return [*walls.values()]
 
 
-def _best(search: Search, course: Course, wish: Wish) -> Best | None:
+def _best(search: Search, campaign: Campaign, options: PlanOptions) -> BestWall | None:
     if search.best is None:
         return None
-    found = {name: float(getattr(course.tried, name)[search.best]) for name in ("stiffness", "damping", "cost")}
-    return Best(criterion=wish.criterion, expected_cost=search.least, region=search.region, **found)
+    found = {name: float(getattr(campaign.tried, name)[search.best]) for name in ("stiffness", "damping", "cost")}
+    return BestWall(criterion=options.criterion, expected_cost=search.least, region=search.region, **found)

@@ -39,7 +39,7 @@ MOST_PARTS = 40
 SCALE = 0.005
 """Difference of ratios up to which a rig scales by one factor."""
 
-TWICE = 2
+MIN_ANSWERS = 2
 """Answered walls that show how a rig sets its gains; also, how often an end of a bracket may be answered instead of a
 wall inside, without a step that explains it, before no wall counts as left."""
 
@@ -52,7 +52,7 @@ COARSE = 1 / 3
 ROUNDINGS = ("nearest", "down", "up")
 
 
-class Answer(Record):
+class AnsweredWall(Record):
     """A wall that was asked for, and the one that the rig set."""
 
     asked: Wall
@@ -74,9 +74,9 @@ class Requests(Record):
 
     walls: tuple[Wall, ...] = ()
     trials: tuple[tuple[float, float, int], ...] = ()
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[AnsweredWall, ...] = ()
 
-    def answered(self, tried: Iterable[Wall]) -> tuple[Answer, ...]:
+    def answered(self, tried: Iterable[Wall]) -> tuple[AnsweredWall, ...]:
         """Return all answers, with those of trials that came since: each to the nearest wall that was asked for."""
         new = Counter(tried)
         new.subtract({(K, B): count for K, B, count in self.trials})
@@ -89,7 +89,7 @@ class Requests(Record):
             if np.isfinite(distance) and i not in used[0] and j not in used[1]:
                 used[0].add(i)
                 used[1].add(j)
-                found.append(Answer(asked=left[i], got=came[j]))
+                found.append(AnsweredWall(asked=left[i], got=came[j]))
         return tuple(found)
 
 
@@ -116,7 +116,7 @@ def store_requests(
     experiment: str,
     walls: Iterable[Wall],
     tried: Iterable[Wall],
-    answers: Sequence[Answer],
+    answers: Sequence[AnsweredWall],
 ) -> None:
     """Store what is asked for now; nothing where the store may only be read."""
     counted = tuple((K, B, count) for (K, B), count in sorted(Counter(tried).items()))
@@ -129,7 +129,7 @@ def store_requests(
 
 
 @dataclass(frozen=True)
-class Grid:
+class GainGrid:
     """Stiffnesses that a rig sets: multiples of a step [N/m, Nm/rad], and how it rounds to them."""
 
     step: float
@@ -165,7 +165,7 @@ class RigRange:
     ----------
     asked, got : float64, shape (n,)
         Stiffness of all answers [N/m, Nm/rad].
-    grids : tuple of Grid
+    grids : tuple of GainGrid
         Those that explain them, the finest first; none where it does not round, or in another way.
     factor : float
         What it scales by.
@@ -177,7 +177,7 @@ class RigRange:
 
     asked: Floats
     got: Floats
-    grids: tuple[Grid, ...] = ()
+    grids: tuple[GainGrid, ...] = ()
     factor: float = 1.0
     lowest: float = 0.0
     highest: float = inf
@@ -186,7 +186,7 @@ class RigRange:
     @property
     def several(self) -> bool:
         """Whether walls of several stiffnesses were answered, so that the rig's step can be estimated."""
-        return len(np.unique(self.asked)) >= TWICE
+        return len(np.unique(self.asked)) >= MIN_ANSWERS
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
         """Return the stiffness to ask for so that a wall between two others is set; None where the rig sets none.
@@ -214,7 +214,7 @@ class RigRange:
         if self._repeats(low, top) and top < inf:
             wanted = 0.5 * (low + min(top, most))
         allowed = [grid.nearest(wanted, low, min(top, most)) for grid in self.grids]
-        once = low if low > 0 and np.count_nonzero(self.got == low) < TWICE else None
+        once = low if low > 0 and np.count_nonzero(self.got == low) < MIN_ANSWERS else None
         return next((wall for wall in allowed if wall is not None), ends[0] if ends and self.highest <= most else once)
 
     def repeated(self, wall: float) -> float:
@@ -227,7 +227,7 @@ class RigRange:
         repeats = self._repeats(low, high)
         below = float(self.asked[self.got <= low * (1 + EXACT)].max(initial=0.0))
         above = float(self.asked[self.got >= high * (1 - EXACT)].min(initial=inf))
-        if repeats >= TWICE or below >= above:
+        if repeats >= MIN_ANSWERS or below >= above:
             return None
         if repeats and above < inf:
             return 0.5 * (max(below, low) + min(above, high))
@@ -244,15 +244,15 @@ class RigRange:
         return max((int((inside & at).sum()) for at in ends), default=0)
 
 
-def range_of(answers: Sequence[Answer]) -> RigRange | None:
+def range_of(answers: Sequence[AnsweredWall]) -> RigRange | None:
     """Return what a rig sets instead of the stiffness that it is asked for; None where it sets that.
 
     Examples
     --------
     >>> def rig(*pairs):
-    ...     return range_of([Answer(asked=(asked, 10.0), got=(got, 10.0)) for asked, got in pairs])
+    ...     return range_of([AnsweredWall(asked=(asked, 10.0), got=(got, 10.0)) for asked, got in pairs])
     >>> rig((2930.0, 3000.0), (4110.0, 4000.0)).grids[-1]
-    Grid(step=1000.0, rounding='nearest')
+    GainGrid(step=1000.0, rounding='nearest')
     >>> rig((2930.0, 2930.0), (6200.0, 5000.0), (7000.0, 5000.0)).highest
     5000.0
     >>> rig((2000.0, 2200.0), (3000.0, 3300.0), (4100.0, 4510.0)).factor
@@ -263,13 +263,13 @@ def range_of(answers: Sequence[Answer]) -> RigRange | None:
     asked, got = (np.array([getattr(answer, name)[0] for answer in answers]) for name in ("asked", "got"))
     limited = _limited(asked, got)
     grids = grids_of(asked, got)
-    repeated = limited is not None and len(np.unique(asked[got == limited.highest])) >= TWICE
+    repeated = limited is not None and len(np.unique(asked[got == limited.highest])) >= MIN_ANSWERS
     if repeated and not (grids and grids[0].step <= COARSE * float(got.max())):
         return limited
     if grids:
         return RigRange(asked, got, grids)
     ratio = got / asked
-    if len(np.unique(asked)) >= TWICE and ratio.min() > 0 and np.ptp(ratio) <= SCALE * ratio.min():
+    if len(np.unique(asked)) >= MIN_ANSWERS and ratio.min() > 0 and np.ptp(ratio) <= SCALE * ratio.min():
         return RigRange(asked, got, factor=float(f"{np.median(ratio):.4g}"))
     return limited or RigRange(asked, got)
 
@@ -280,7 +280,7 @@ def _limited(asked: Floats, got: Floats) -> RigRange | None:
     above, below = (got == top) & (asked > top * (1 + OFF)), (got == bottom) & (asked < bottom * (1 - OFF))
     for out in (above, below, above | below):
         inside = ~out
-        if not out.any() or not (inside.any() or len(np.unique(asked[above])) >= TWICE):
+        if not out.any() or not (inside.any() or len(np.unique(asked[above])) >= MIN_ANSWERS):
             continue
         highest, lowest = top if out[above].any() else inf, bottom if out[below].any() else 0.0
         if (np.abs(got - asked)[inside] <= OFF * asked[inside]).all():
@@ -290,7 +290,7 @@ def _limited(asked: Floats, got: Floats) -> RigRange | None:
     return None
 
 
-def grids_of(asked: Floats, got: Floats) -> tuple[Grid, ...]:
+def grids_of(asked: Floats, got: Floats) -> tuple[GainGrid, ...]:
     """Return the grids that explain answers, the finest first.
 
     Their steps are the largest common divisor of all stiffnesses that were set, or a part of it.
@@ -301,5 +301,5 @@ def grids_of(asked: Floats, got: Floats) -> tuple[Grid, ...]:
             step, value = value, abs(step - round(step / value) * value)
     if step <= 1e3 * rest:
         return ()
-    parts = [Grid(step / part, rounding) for part in range(MOST_PARTS, 0, -1) for rounding in ROUNDINGS]  # type: ignore[arg-type]
+    parts = [GainGrid(step / part, rounding) for part in range(MOST_PARTS, 0, -1) for rounding in ROUNDINGS]  # type: ignore[arg-type]
     return tuple(grid for grid in parts if grid.explains(asked, got))

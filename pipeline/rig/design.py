@@ -13,7 +13,7 @@ import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.rig.quantities import Quantity, present
-from pipeline.rig.wish import Best, Wish, best_wall, decay, quickest
+from pipeline.rig.wish import DesignTarget, RigWall, best_wall, decay, quickest
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
@@ -67,7 +67,7 @@ class Design:
 
     Parameters
     ----------
-    wish : Wish
+    wish : DesignTarget
     reached : bool
         Whether the rig as it is renders the wall.
     wall : dict
@@ -89,7 +89,7 @@ class Design:
         Parts of the rig that theory does not include.
     """
 
-    wish: Wish
+    wish: DesignTarget
     reached: bool
     wall: dict[str, float | None]
     stiffness_reached: float | None
@@ -121,7 +121,7 @@ def design(
     loop : Loop
         The rig; a hand on it is its ``operator``.
     stiffness, settling_s, overshoot, margin, tolerance
-        As of `Wish`.
+        As of `DesignTarget`.
     keep : sequence of str
         Quantities that cannot be changed (`quantities.QUANTITIES`).
 
@@ -137,7 +137,7 @@ def design(
     >>> answer.reached, [list(change.after) for change in answer.changes][0]
     (False, ['sampling_period_s', 'delay_samples'])
     """
-    wish = Wish(stiffness, settling_s, overshoot, margin, tolerance)
+    wish = DesignTarget(stiffness, settling_s, overshoot, margin, tolerance)
     quantities = present(loop, tuple(keep))
     best = best_wall(loop, wish)
     changes: list[Change] = []
@@ -161,7 +161,7 @@ def design(
     )
 
 
-def _wall(loop: Loop, best: Best) -> dict[str, float | None]:
+def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
     """Return what is to be known of the nearest wall."""
     K, B = best.stiffness, best.damping
     limit = float(loop.limits(B)["stiffness"].iloc[0])
@@ -172,7 +172,7 @@ def _wall(loop: Loop, best: Best) -> dict[str, float | None]:
     return told | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
 
 
-def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
+def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float | None:
     """Return the K next to the wished one up to which, or down from which, the rest of the wish is met."""
     wanted = wish.stiffness
     if wanted is None:
@@ -247,7 +247,7 @@ def _narrowed(
 
 
 def _room_of(
-    loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
+    loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
 ) -> float:
     """Return the room, of any wall that fulfils the wish, of the rig with quantities changed by x in ln.
 
@@ -261,7 +261,9 @@ def _room_of(
         return -math.inf
 
 
-def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best) -> tuple[list[Change], dict[str, str]]:
+def _changes(
+    loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], best: RigWall
+) -> tuple[list[Change], dict[str, str]]:
     """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not.
 
     Where nothing does, pairs are looked for far from the rig.
@@ -302,7 +304,7 @@ def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best)
     return found, out_of_reach
 
 
-def _best_of_grid(loop: Loop, wish: Wish, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
+def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
     """Return the room of the best of a coarse grid of changes of a pair, which is the one of the fastest decay."""
     share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
     axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
@@ -310,7 +312,7 @@ def _best_of_grid(loop: Loop, wish: Wish, pair: Sequence[Quantity]) -> tuple[flo
     return _room_of(loop, wish, pair, best), list(best)
 
 
-def _uphill(loop: Loop, wish: Wish, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
+def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
     """Return changes in ln of a pair that reach the wish; None if none is met uphill from a place."""
     from scipy.optimize import minimize
 
@@ -328,7 +330,7 @@ def _uphill(loop: Loop, wish: Wish, pair: Sequence[Quantity], start: list[float]
 
 
 def _smallest(
-    loop: Loop, wish: Wish, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
+    loop: Loop, wish: DesignTarget, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
     """Return the smallest change along a way in ln that reaches the wish, None where none does."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
@@ -340,7 +342,7 @@ def _smallest(
     return None if turn is None else turn[1]
 
 
-def _change(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> Change:
+def _change(loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: Sequence[float]) -> Change:
     rig = loop
     for quantity, part in zip(quantities, x, strict=True):
         rig = quantity.changed(rig, part)
@@ -353,7 +355,7 @@ def _change(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[
     )
 
 
-def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: Best) -> pd.DataFrame:
+def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) -> pd.DataFrame:
     """Return how the largest stable stiffness, and the settling time of the nearest wall, follow each quantity."""
     rows = []
     largest = float(loop.boundary(16).attrs["stiffness_max"])

@@ -46,7 +46,7 @@ _NOTHING = -10.0
 
 
 @dataclass(frozen=True)
-class Wish:
+class DesignTarget:
     """The wall that is wanted.
 
     Parameters
@@ -90,7 +90,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Best:
+class RigWall:
     """The wall of a rig that comes nearest to a wish: K, B, and the remaining margin, >= 0 where the wish is met."""
 
     stiffness: float
@@ -98,7 +98,7 @@ class Best:
     room: float
 
 
-def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
+def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWall:
     """Return the wall that has most room to a wish; or, if that is ``enough``, any that fulfils it.
 
     The room of a wall is the smallest of -ln of the spectral radius (behind ``margin``), ln of the settling time that
@@ -107,20 +107,20 @@ def best_wall(loop: Loop, wish: Wish, *, enough: bool = False) -> Best:
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
-    found = Best(math.nan, math.nan, -math.inf)
+    found = RigWall(math.nan, math.nan, -math.inf)
     for _ in range(1 + _NARROWER):
         walls = np.array(list(product(K, B)))
         room = _room(rigs, wish, walls, found.room)
         at = int(np.argmax(room))
         if room[at] > found.room:
-            found = Best(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
+            found = RigWall(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
         if enough and found.room >= 0:
             break
         K, B = (_between(axis, value) for axis, value in ((K, found.stiffness), (B, found.damping)))
     return found
 
 
-def quickest(loop: Loop, wish: Wish, best: Best) -> Best:
+def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
     """Return the wall of the same stiffness that settles first, of those about the best one that fulfil the wish."""
     B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
     walls = np.column_stack([np.full(len(B), best.stiffness), B])
@@ -128,10 +128,10 @@ def quickest(loop: Loop, wish: Wish, best: Best) -> Best:
     settling = loop.points(walls[:, 0], B, ("settle_2pct",))["settle_2pct"].to_numpy(float)
     settling = np.where((room >= 0) & np.isfinite(settling), settling, np.inf)
     at = int(np.argmin(settling))
-    return Best(best.stiffness, float(B[at]), float(room[at])) if settling[at] < np.inf else best
+    return RigWall(best.stiffness, float(B[at]), float(room[at])) if settling[at] < np.inf else best
 
 
-def decay(loop: Loop, wish: Wish) -> float:
+def decay(loop: Loop, wish: DesignTarget) -> float:
     """Return how fast the slowest mode decays [1/s] behind the wall of a first look at which it is fastest.
 
     It is quicker to compute than the margin, and where it is large walls settle early and overshoot little.
@@ -143,7 +143,7 @@ def decay(loop: Loop, wish: Wish) -> float:
     return float(rates.max()) / loop.sampling_period_s
 
 
-def _first_look(loop: Loop, wish: Wish) -> tuple[Floats, Floats]:
+def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
     """Return stiffness and damping of the walls that are looked at first."""
     largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + loop.delay_samples)
     largest = max(largest, _largest_damping(loop))
@@ -194,7 +194,7 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
     return rigs
 
 
-def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats, above: float) -> Floats:
+def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float) -> Floats:
     """Return the room of each wall, shape (n,), in the worst of rigs; not exact where it is below ``above``."""
     room = np.full(len(walls), np.inf)
     for rig in rigs:
@@ -226,7 +226,7 @@ def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> 
     return np.where(island, -_NARROW, result)
 
 
-def _spare(rig: Loop, wish: Wish, alpha: Floats, beta: Floats, above: float) -> Floats:
+def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: float) -> Floats:
     """Return what stable walls leave of the settling time and the overshoot that are allowed."""
     bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
     longest = (wish.settling_s or math.inf) / rig.sampling_period_s * math.exp(-max(above, _NOTHING))

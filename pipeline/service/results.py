@@ -26,7 +26,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.kept import StoredSources
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.course import Wish
+from pipeline.plan.campaign import PlanOptions
 from pipeline.plan.planner import plan
 from pipeline.records.findings import Note
 from pipeline.records.results import ComparisonResult
@@ -175,7 +175,7 @@ def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) ->
 
 def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -> dict[str, Any]:
     """Ask the planner which walls to try next."""
-    found = plan(asked["device"], settings.processed, asked["experiments"][0], Wish(goal=asked["goal"]))
+    found = plan(asked["device"], settings.processed, asked["experiments"][0], PlanOptions(goal=asked["goal"]))
     return found.model_dump(mode="json")
 
 

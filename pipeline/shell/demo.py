@@ -13,7 +13,7 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.shell.report_index import INDEX_FILE, write_index
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 
 SEED = 1
 """Seed of the demo's logs; any would do."""
@@ -64,7 +64,7 @@ def run_demo(
         device = load_device(part.device)
         for experiment in part.experiments or [e.name for e in device.experiments]:
             say(f"simulate: {device.name}, experiment {experiment}")
-            logs += write_course(run_course(device, experiment, seed=SEED, coarsen=part.coarsen), raw, overwrite=True)
+            logs += write_sweep(run_sweep(device, experiment, seed=SEED, coarsen=part.coarsen), raw, overwrite=True)
     say(f"ingest: {logs} logs")
     if refused := ingest([raw], processed).quarantined:
         raise PipelineError(

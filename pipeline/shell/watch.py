@@ -21,7 +21,7 @@ from pipeline.shell import console
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from pipeline.plan.course import Wish
+    from pipeline.plan.campaign import PlanOptions
     from pipeline.plan.planner import Plan
 
 FileState = tuple[int, int, int]
@@ -285,7 +285,12 @@ def _report(watched: Watched, name: str) -> Event:
 
 
 def plan_beside(
-    folders: Sequence[Path], name: str, processed: Path, experiment: str | None, wish: Wish, profile: str | None
+    folders: Sequence[Path],
+    name: str,
+    processed: Path,
+    experiment: str | None,
+    options: PlanOptions,
+    profile: str | None,
 ) -> Iterator[Plan]:
     """Yield the plan at first and after each new log, until it is done; arguments as of `planner.plan`.
 
@@ -295,7 +300,7 @@ def plan_beside(
     from pipeline.intake.ingest import ingest
     from pipeline.measured.identification.parts import ChosenParts, choose_parts
     from pipeline.measured.identification.recordings import Recording
-    from pipeline.plan.course import open_course
+    from pipeline.plan.campaign import open_campaign
     from pipeline.plan.planner import plan_of, remember
 
     told, running = set[tuple[str, str]](), list["Future[ChosenParts]"]()
@@ -324,9 +329,9 @@ def plan_beside(
             for path, reason in {(refusal.path, refusal.reason) for refusal in report.quarantined} - told:
                 console.note(f"refused: {path}: {reason}")
                 told.add((path, reason))
-            course = open_course(name, processed, experiment, wish, known, parts)
-            known, first, answer = course.learnt, False, plan_of(course, wish)
-            remember(answer, course, processed)
+            campaign = open_campaign(name, processed, experiment, options, known, parts)
+            known, first, answer = campaign.learnt, False, plan_of(campaign, options)
+            remember(answer, campaign, processed)
             yield answer
             if answer.done:
                 return

@@ -146,7 +146,7 @@ def idealise(setup: Setup) -> Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class Chance:
+class TrialDraws:
     """Draws of each row of a trial, shape (rows,); None where there is nothing to draw.
 
     ``noise`` [m, rad] comes before the sensor's rounding, ``delays`` [samples] are those of the commands. In ``held``
@@ -161,7 +161,7 @@ class Chance:
 
 
 @dataclass(frozen=True)
-class Stream:
+class RandomStream:
     """Random streams of a trial, each named by seed, stream, K, B, repetition and what is drawn."""
 
     seed: int
@@ -189,7 +189,7 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
     return np.array(words, dtype=np.uint32)
 
 
-def draw(setup: Setup, stream: Stream) -> Chance:
+def draw(setup: Setup, stream: RandomStream) -> TrialDraws:
     """Return all that chance decides in a trial."""
     rows, hidden = setup.rows, setup.hidden
 
@@ -206,4 +206,6 @@ def draw(setup: Setup, stream: Stream) -> Chance:
     if setup.loop.jitter_samples:
         choices = np.array(setup.loop.jitter_samples, dtype=np.int64)
         delays = choices[stream.generator(1).integers(0, len(choices), rows)]
-    return Chance(noise, delays, some(2, hidden.held_samples), some(3, hidden.repeated_rows), some(4, hidden.lost_rows))
+    return TrialDraws(
+        noise, delays, some(2, hidden.held_samples), some(3, hidden.repeated_rows), some(4, hidden.lost_rows)
+    )

@@ -23,7 +23,7 @@ from pipeline.loop.many_digits import as_floats, many_digits
 from pipeline.loop.motion import FrictionalMotion
 from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.trials import Floats, Integers, Trial, Trials
-from pipeline.simulation.setup import Chance, Setup, Stream, draw
+from pipeline.simulation.setup import RandomStream, Setup, TrialDraws, draw
 
 DIGITS = 40
 """In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
@@ -81,9 +81,9 @@ def simulate(
     _check(setup, K, B, seed, disturbance)
     shared, trials = _Shared.of(setup), []
     for place, wall in enumerate(zip(K.tolist(), B.tolist(), strict=True)):
-        chance = draw(setup, Stream(seed, stream, *wall, repetition))
+        draws = draw(setup, RandomStream(seed, stream, *wall, repetition))
         push = np.zeros(setup.rows) if disturbance is None else disturbance[:, place]
-        log = _logged(setup, chance, *_run(setup, shared, wall, chance, setup.constant_force + push))
+        log = _logged(setup, draws, *_run(setup, shared, wall, draws, setup.constant_force + push))
         trials.append(Trial(str(place), *wall, setup.step, setup.loop.sampling_period_s, *log))
     return Trials.of(trials)
 
@@ -110,19 +110,19 @@ class _Shared:
 
 
 def _run(
-    setup: Setup, shared: _Shared, wall: tuple[float, float], chance: Chance, push: Floats
+    setup: Setup, shared: _Shared, wall: tuple[float, float], draws: TrialDraws, push: Floats
 ) -> tuple[Floats, Floats]:
     """Return command and position of a trial."""
     (K, _), loop, hidden = wall, setup.loop, setup.hidden
     start = setup.centre - (setup.step * (1.0 / K) if K > 0 else 0.0)  # eq. 6.1
     farthest = START_MARGIN * abs(start - setup.centre)
-    noise = np.zeros(setup.rows) if chance.noise is None else chance.noise
-    held = np.zeros(setup.rows, np.bool_) if chance.held is None else chance.held
+    noise = np.zeros(setup.rows) if draws.noise is None else draws.noise
+    held = np.zeros(setup.rows, np.bool_) if draws.held is None else draws.held
     side = float(np.sign(setup.step)) if hidden.one_sided_wall else 0.0
     limit = inf if loop.force_limit is None else loop.force_limit
     command, position = run_trial(
-        (*wall, _sunk(setup, K), side),
-        (shared.external, push, noise, held, _slots(setup, chance.delays)),
+        (*wall, _rest_depth(setup, K), side),
+        (shared.external, push, noise, held, _slots(setup, draws.delays)),
         (start, setup.centre, max(setup.travel, farthest), max(setup.stop, farthest)),
         (loop.sensor.quantum, limit, setup.true_gain),
         shared.estimator,
@@ -150,7 +150,7 @@ def external_force(setup: Setup) -> Floats:
     return result
 
 
-def _sunk(setup: Setup, K: float) -> float:
+def _rest_depth(setup: Setup, K: float) -> float:
     """Return the depth in the wall at which the constant force rests before the step [m, rad].
 
     A wall without stiffness cannot balance it, nor can a one-sided wall that the force pulls away from.
@@ -160,7 +160,7 @@ def _sunk(setup: Setup, K: float) -> float:
     return constant / setup.true_gain / K if holds else 0.0
 
 
-def in_force(delays: Integers) -> Integers:
+def applied_delays(delays: Integers) -> Integers:
     """Return which command the plant feels in each interval when every command has its own delay.
 
     Commands never overtake: the newest that has arrived is applied, an older one that arrives later is ignored.
@@ -177,7 +177,7 @@ def in_force(delays: Integers) -> Integers:
 
     Examples
     --------
-    >>> in_force(np.array([2, 1, 1, 0])).tolist()
+    >>> applied_delays(np.array([2, 1, 1, 0])).tolist()
     [-1, -1, 1, 3]
     """
     newest, sent = np.full(len(delays), -1, dtype=np.int64), np.arange(len(delays))
@@ -188,7 +188,7 @@ def in_force(delays: Integers) -> Integers:
     return result
 
 
-def age_in_force(delays: Sequence[int]) -> tuple[float, float]:
+def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
     """Return mean and standard deviation [samples] of the age of the command in force.
 
     Each command draws its delay from some whole ones that are as likely. As later commands overtake, the mean is below
@@ -220,14 +220,14 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
     """Return delays from 0 on, one of them up to `MOST_ALIKE` times as likely, with mean and deviation of their age."""
     every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
     every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(MOST_ALIKE)]
-    mean, deviation = np.array([age_in_force(drawn) for drawn in every]).T
+    mean, deviation = np.array([applied_delay_moments(drawn) for drawn in every]).T
     return every, mean, deviation
 
 
 def _slots(setup: Setup, delays: Integers | None) -> Integers:
     """Return the row of the command in force, from 1, in the parts of the interval behind each row, (parts, rows)."""
     if delays is not None:
-        slots = in_force(delays) + 1
+        slots = applied_delays(delays) + 1
         return slots[None]
     whole = floor(setup.loop.delay_samples)
     first = [[-whole], [1 - whole]] if setup.loop.delay_samples > whole else [[1 - whole]]
@@ -265,14 +265,14 @@ def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
     return FILTER, numbers, sampling_period_s
 
 
-def _logged(setup: Setup, chance: Chance, command: Floats, position: Floats) -> tuple[Floats, Floats, Floats]:
+def _logged(setup: Setup, draws: TrialDraws, command: Floats, position: Floats) -> tuple[Floats, Floats, Floats]:
     """Return time stamps, command and position as a lab logs them."""
     rows = len(position)
     time = setup.loop.sampling_period_s * np.arange(rows, dtype=np.float64)
-    if chance.repeated is not None:
-        position = np.where(chance.repeated[:rows], np.append(position[:1], position[:-1]), position)
-    if chance.lost is None:
+    if draws.repeated is not None:
+        position = np.where(draws.repeated[:rows], np.append(position[:1], position[:-1]), position)
+    if draws.lost is None:
         return time, command, position
-    kept = ~chance.lost[:rows]
+    kept = ~draws.lost[:rows]
     stamps = time[: kept.sum()] if setup.hidden.lost_rows_hidden else time[kept]
     return stamps, command[kept], position[kept]

@@ -38,7 +38,7 @@ from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
 from pipeline.records.trials import Trial
 from pipeline.rendering.frames import frame_of
-from pipeline.simulation.simulate import age_in_force, delays_of
+from pipeline.simulation.simulate import applied_delay_moments, delays_of
 from pipeline.surface.wall_filter import WallFilter, wall_filter
 from pipeline.theory.boundary import outline
 
@@ -418,7 +418,7 @@ def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
     drawn = delays_of(delay["value"], jitter["value"])
     if not drawn:
         return ()
-    ages = zip((delay, jitter), age_in_force(drawn), strict=True)
+    ages = zip((delay, jitter), applied_delay_moments(drawn), strict=True)
     return drawn if all(number["low"] <= age <= number["high"] for number, age in ages) else ()
 
 

@@ -19,7 +19,7 @@ from pipeline.readers import Log
 from pipeline.records.models import Motion
 from pipeline.records.trials import Trial
 from pipeline.rendering.frames import units_of
-from pipeline.simulation.course import Course, run_course, write_course
+from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 
 Place = str | os.PathLike[str]
 
@@ -168,11 +168,11 @@ def simulate(
     >>> logs[0].attrs["units"]["position"], logs[0].attrs["stiffness"] > 0
     ('rad', True)
     """
-    course = run_course(load_device(device), experiment, seed=seed, ideal=ideal, coarsen=coarsen, duration_s=duration_s)
+    sweep = run_sweep(load_device(device), experiment, seed=seed, ideal=ideal, coarsen=coarsen, duration_s=duration_s)
     if out is not None:
-        write_course(course, Path(out), overwrite=overwrite)
-    trials = zip(course.trials, course.verdict.tolist(), strict=True)
-    return [_frame(course, trial, verdict) for trial, verdict in trials]
+        write_sweep(sweep, Path(out), overwrite=overwrite)
+    trials = zip(sweep.trials, sweep.verdict.tolist(), strict=True)
+    return [_frame(sweep, trial, verdict) for trial, verdict in trials]
 
 
 def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[str, Any]) -> pd.DataFrame:
@@ -185,12 +185,12 @@ def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[st
     return frame
 
 
-def _frame(course: Course, trial: Trial, verdict: str) -> pd.DataFrame:
-    experiment = course.experiment
+def _frame(sweep: SimulatedSweep, trial: Trial, verdict: str) -> pd.DataFrame:
+    experiment = sweep.experiment
     samples = {"time_s": trial.time, "command": trial.command, "position": trial.position}
     about = {
         "trial": trial.trial_id,
-        "device": course.device.name,
+        "device": sweep.device.name,
         "experiment": experiment.name,
         **{name: getattr(trial, name) for name in ("stiffness", "damping", "step", "sampling_period_s")},
         "added_delay_samples": experiment.added_delay_samples,
@@ -198,7 +198,7 @@ def _frame(course: Course, trial: Trial, verdict: str) -> pd.DataFrame:
         "simulated": True,
         "verdict": verdict,
     }
-    return response_frame(samples, course.device.motion, about)
+    return response_frame(samples, sweep.device.motion, about)
 
 
 def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:

@@ -14,14 +14,14 @@ from pipeline.comparison.compare import compare
 from pipeline.device.parts import Friction, LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.theory import predictions
 from pipeline.theory.optimum import optimal_point
 
 
 def ingested(folder, device, **options):
     """Ingest a simulated course of the first experiment of a device, and return the folder of its trials."""
-    write_course(run_course(device, device.experiments[0].name, **options), folder / "raw")
+    write_sweep(run_sweep(device, device.experiments[0].name, **options), folder / "raw")
     ingest([folder / "raw"], folder / "processed", jobs=1)
     return folder / "processed"
 
@@ -50,7 +50,7 @@ OTHER_HEADERS = {
 def course(tmp_path_factory):
     """Logs of an ideal course of the robot, by name."""
     folder = tmp_path_factory.mktemp("course")
-    write_course(run_course(load_device("lwr"), "delay-3", ideal=True, coarsen=8), folder)
+    write_sweep(run_sweep(load_device("lwr"), "delay-3", ideal=True, coarsen=8), folder)
     return {path.name: path.read_text(encoding="utf-8") for path in sorted(folder.rglob("*.csv"))}
 
 

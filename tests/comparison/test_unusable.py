@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from pipeline.device_data.devices import load_device
 from pipeline.shell.cli import app
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 
 CELLS = {
     "a stray bit": (2, 200, 3.4e38),
@@ -30,7 +30,7 @@ def compared(raw, processed):
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("unusable")
-    write_course(run_course(load_device("falcon"), "1", coarsen=14, duration_s=0.3, seed=61), folder / "all")
+    write_sweep(run_sweep(load_device("falcon"), "1", coarsen=14, duration_s=0.3, seed=61), folder / "all")
     (folder / "raw").mkdir()
     kept = sorted((folder / "all").rglob("*.csv"))[:26]
     for log in kept:

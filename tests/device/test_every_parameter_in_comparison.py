@@ -18,7 +18,7 @@ from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.results import ExperimentResult
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 
 MOTION_OF = {name: ("rotation", 2.0) if number % 2 else ("translation", 0.4) for number, name in enumerate(ROWS)}
 """Motion and gain of each row: both are with every second one."""
@@ -40,7 +40,7 @@ def compared(cell: Cell, known: bool) -> Any:
     period = cell.loop.sampling_period_s
     file = written(cell.folder, cell.loop, duration_s=400 * period, baseline_s=20 * period, step=10.0)
     device = read_device(file)
-    write_course(run_course(device, "1", coarsen=4), cell.folder / "raw")
+    write_sweep(run_sweep(device, "1", coarsen=4), cell.folder / "raw")
     ingest([cell.folder / "raw"], cell.folder / "processed", jobs=1)
     return compare(device if known else device.name, cell.folder / "processed", criteria=("energy_step_w0",)).result
 

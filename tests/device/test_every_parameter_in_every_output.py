@@ -31,9 +31,9 @@ from pipeline.plan.planner import plan
 from pipeline.service.theory import document as rest
 from pipeline.shell.cli import application
 from pipeline.shell.commands.cli_device import plan_lines
-from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.surface.identify import device_text, identified_device
 from pipeline.theory.cases import Case, case_of, limits_of_walls
 
@@ -413,7 +413,7 @@ def planned(cell: Cell) -> None:
 def identified(cell: Cell) -> None:
     """The device file that `pipeline identify` writes of simulated logs has the limit of the device that made them."""
     longer = written(cell.folder, cell.loop, duration_s=0.4, baseline_s=0.02, step=10.0)
-    write_course(run_course(read_device(longer), "1", coarsen=8), cell.folder / "raw")
+    write_sweep(run_sweep(read_device(longer), "1", coarsen=8), cell.folder / "raw")
     file = cell.folder / "identified.toml"
     file.write_text(device_text(identified_device([cell.folder / "raw"]), "identified"), encoding="utf-8")
     device = read_device(file)

@@ -16,8 +16,8 @@ from pipeline.device_data.devices import load_device, read_device
 from pipeline.records.models import Device
 from pipeline.rig.design import design
 from pipeline.service.theory import document as rest
-from pipeline.simulation.course import run_course, write_course
 from pipeline.simulation.setup import setup_of
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.cases import best_wall, case_of, costs_of_walls, limits_of_walls
 
@@ -216,7 +216,7 @@ def test_shipped_delays_are_the_mean_of_their_jitter() -> None:
 
 def test_the_truth_of_a_simulation_has_the_same_delay(jittering: Path) -> None:
     device = read_device(jittering)
-    write_course(run_course(device, "1", coarsen=8, duration_s=0.1), jittering.parent / "logs")
+    write_sweep(run_sweep(device, "1", coarsen=8, duration_s=0.1), jittering.parent / "logs")
     truth = json.loads((jittering.parent / "logs" / "arm" / "1" / "truth.json").read_text())
     drawn = device.experiments[0].jitter_samples
     told = [truth[f"delay_samples{end}"] for end in ("", "_low", "_high")]

@@ -11,7 +11,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device.parts import LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.plan.course import Wish, foretold, open_course, wanted_dampings
+from pipeline.plan.campaign import PlanOptions, forecast_of, open_campaign, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.theory.boundary import limits
@@ -23,7 +23,7 @@ def begun(tmp_path):
     """A course without a log, of a Falcon whose file declares some parts."""
 
     def course(**parts):
-        found = open_course("falcon", tmp_path / "none", "1", Wish())
+        found = open_campaign("falcon", tmp_path / "none", "1", PlanOptions())
         if not parts:
             return found
         return replace(found, device=found.device.model_copy(update={"loop": LoopTable(**parts)}))
@@ -34,8 +34,8 @@ def begun(tmp_path):
 @pytest.mark.parametrize("parts", [{}, {"actuator_lag_s": 0.003}, {"velocity": {"kind": "difference", "samples": 8}}])
 def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
     course = begun(**parts)
-    dampings = wanted_dampings(course, Wish())
-    start = foretold(course, dampings)
+    dampings = wanted_dampings(course, PlanOptions())
+    start = forecast_of(course, dampings)
     loop = course.device.loop_for(course.of_file)
     units = LoopUnits.of(loop)
     found = limits(NormalisedLoop.of(loop), np.array(dampings) / units.damping)
@@ -45,7 +45,7 @@ def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
 
 
 def test_a_declared_lag_lowers_the_first_wall(begun):
-    wish = Wish(dampings=(80.0,))
+    wish = PlanOptions(dampings=(80.0,))
     ideal, lagging = (plan_of(begun(**parts), wish).next[0].stiffness for parts in ({}, {"actuator_lag_s": 0.004}))
     assert lagging < 0.9 * ideal
 
@@ -67,11 +67,11 @@ def test_no_device_and_no_log_says_what_is_needed_by_example(tmp_path):
 
 def test_a_travel_that_no_allowed_wall_keeps_is_refused(begun):
     with pytest.raises(UsageError, match="no wall is left to try"):
-        plan_of(begun(), Wish(travel=1e-4, largest_stiffness=1000.0))
+        plan_of(begun(), PlanOptions(travel=1e-4, largest_stiffness=1000.0))
 
 
 def test_the_first_wall_of_an_optimum_is_the_best_by_the_file(begun):
-    answer = plan_of(begun(), Wish(goal="optimum"))
+    answer = plan_of(begun(), PlanOptions(goal="optimum"))
     assert not answer.done
     assert answer.optimum is None
     falcon = load_device("falcon")

@@ -9,9 +9,9 @@ import pytest
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.plan.cost_search import Target, costs_of, look_for
+from pipeline.plan.cost_search import CostTarget, costs_of, search_walls
 from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import Tried
+from pipeline.plan.next_wall import TriedWalls
 from pipeline.theory.optimum import optimal_point
 
 BY = Loop(mass=0.5, damping=3.5, sampling_period_s=1e-3, delay_samples=4.0)
@@ -26,8 +26,12 @@ def search(measured, by, holds=True, most=40):
     while True:
         K, B = np.array(walls).reshape(-1, 2).T
         said = np.where(np.isfinite(costs), "stable", "unstable")
-        tried = Tried(K, B, said, np.full(len(K), np.nan), cost=np.array(costs)) if walls else Tried(*[np.empty(0)] * 4)
-        found = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, by, holds), 0.05, 1)
+        tried = (
+            TriedWalls(K, B, said, np.full(len(K), np.nan), cost=np.array(costs))
+            if walls
+            else TriedWalls(*[np.empty(0)] * 4)
+        )
+        found = search_walls(tried, CostTarget("settle_2pct", DAMPINGS, LIMITS, by, holds), 0.05, 1)
         if found.done or len(walls) == most:
             return found, walls, costs
         walls.append(found.walls[0][:2])
@@ -61,23 +65,23 @@ def test_a_wrong_loop_is_corrected_by_costs():
 
 def test_a_search_is_done_from_six_costs_on_where_the_device_holds_and_else_from_fifteen_on():
     K, B = np.linspace(1000.0, 4000.0, 15), np.full(15, 50.0)
-    tried = Tried(K, B, np.full(15, "stable"), np.full(15, np.nan), cost=costs_of(BY, K, B, "settle_2pct"))
+    tried = TriedWalls(K, B, np.full(15, "stable"), np.full(15, np.nan), cost=costs_of(BY, K, B, "settle_2pct"))
     for holds, enough in ((True, 6), (False, 15)):
         for rows in (enough - 1, enough):
             # to an accuracy that any wall reaches
-            target = Target("settle_2pct", DAMPINGS, LIMITS, BY, holds)
-            assert look_for(tried.select(slice(0, rows)), target, 1000.0, 1).done is (rows == enough)
+            target = CostTarget("settle_2pct", DAMPINGS, LIMITS, BY, holds)
+            assert search_walls(tried.select(slice(0, rows)), target, 1000.0, 1).done is (rows == enough)
 
 
 def test_no_search_is_done_before_some_costs_are_known():
     K, B = np.array([1500.0]), np.array([40.0])
-    tried = Tried(K, B, np.array(["stable"]), np.array([np.nan]), cost=np.array([1.0]))
-    assert not look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, BY), 0.05, 1).done
+    tried = TriedWalls(K, B, np.array(["stable"]), np.array([np.nan]), cost=np.array([1.0]))
+    assert not search_walls(tried, CostTarget("settle_2pct", DAMPINGS, LIMITS, BY), 0.05, 1).done
 
 
 def test_a_batch_names_different_walls():
-    tried = Tried(*[np.empty(0)] * 4)
-    walls = look_for(tried, Target("settle_2pct", DAMPINGS, LIMITS, None), 0.05, 4).walls
+    tried = TriedWalls(*[np.empty(0)] * 4)
+    walls = search_walls(tried, CostTarget("settle_2pct", DAMPINGS, LIMITS, None), 0.05, 4).walls
     assert len({wall[:2] for wall in walls}) == 4
 
 

@@ -18,9 +18,9 @@ from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.plan.course import Course, Wish, open_course
+from pipeline.plan.campaign import PlanOptions, Campaign, open_campaign
 from pipeline.plan.loop_limits import linear_limits, lowest_limits
-from pipeline.plan.next_wall import Aim, Bracket, Forecast, Tried, bracket, state, stiffest_stable
+from pipeline.plan.next_wall import Bracket, Forecast, PlanGoal, TriedWalls, bracket, plan_state, stiffest_stable
 from pipeline.plan.planner import plan, plan_of, rounded_down
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.commands.cli_device import plan_lines
@@ -140,8 +140,8 @@ RUBBING = [
 def test_one_log_friction_plan(tmp_path, body, wall, step):
     processed = store(tmp_path, body, [wall], step)
     assert not body.is_unstable(*wall, step)
-    course = open_course("dev", processed, None, Wish())
-    for wish in (Wish(), Wish(gentle=True), Wish(dampings=(0.0, wall[1], 1.5 * wall[1]), count=3)):
+    course = open_campaign("dev", processed, None, PlanOptions())
+    for wish in (PlanOptions(), PlanOptions(gentle=True), PlanOptions(dampings=(0.0, wall[1], 1.5 * wall[1]), count=3)):
         answer = plan_of(course, wish)
         assert not answer.done
         for asked in answer.next:
@@ -178,12 +178,12 @@ SAME_WALL = [
     SAME_WALL[:2] + [pytest.param(*each, marks=pytest.mark.slow) for each in SAME_WALL[2:]],
 )
 def test_same_wall_plan_done_identifies_the_device(tmp_path, body, wall, step, count):
-    course = open_course("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, Wish())
+    course = open_campaign("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, PlanOptions())
     assert course.found is not None, course.unknown
     assert course.found.loop.mass == pytest.approx(body.mass, rel=0.03)
     dampings = np.array([wall[1], 2 * wall[1]])
     assert linear_limits(course.found.loop, dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
-    (asked,) = plan_of(course, Wish()).next
+    (asked,) = plan_of(course, PlanOptions()).next
     assert (asked.damping, asked.stiffness > wall[0]) == (wall[1], True)
     assert not body.is_unstable(asked.stiffness, asked.damping, step)
 
@@ -210,23 +210,23 @@ def test_a_plan_names_what_a_rig_set_in_place_of_the_wall_that_was_stored_as_ask
 @pytest.mark.parametrize("verdict", ["stable", "unstable"])
 @pytest.mark.parametrize("count", [2, 4, 7, 30])
 def test_same_wall_plan_done_without_a_device(verdict, count):
-    tried = Tried(np.full(count, 800.0), np.full(count, 5.0), np.full(count, verdict), np.full(count, 9.0))
-    assert not state(tried, Aim((5.0,), bold=2.0)).done
+    tried = TriedWalls(np.full(count, 800.0), np.full(count, 5.0), np.full(count, verdict), np.full(count, 9.0))
+    assert not plan_state(tried, PlanGoal((5.0,), bold=2.0)).done
 
 
 def test_two_walls_repeated_as_often_are_no_step_of_a_rig():
     for count in (4, 8):
         stiffness, damping = np.repeat([1000.0, 20_000.0], count), np.full(2 * count, 5.0)
-        tried = Tried(stiffness, damping, np.repeat(["stable", "unstable"], count), np.full(2 * count, 9.0))
-        (column,) = state(tried, Aim((5.0,))).columns
+        tried = TriedWalls(stiffness, damping, np.repeat(["stable", "unstable"], count), np.full(2 * count, 9.0))
+        (column,) = plan_state(tried, PlanGoal((5.0,))).columns
         assert 1000.0 < column.wall < 20_000.0
     # walls inside the bracket were set at another damping
     stiffness, verdict = np.array([1000.0, *[5000.0] * 4]), np.array(["stable", *["unstable"] * 4])
-    alone = Tried(stiffness, np.full(5, 5.0), verdict, np.full(5, 9.0))
-    other = Tried(np.append(stiffness, [2000.0, 3000.0]), np.append(alone.damping, [9.0, 9.0]),
+    alone = TriedWalls(stiffness, np.full(5, 5.0), verdict, np.full(5, 9.0))
+    other = TriedWalls(np.append(stiffness, [2000.0, 3000.0]), np.append(alone.damping, [9.0, 9.0]),
                   np.append(verdict, ["stable", "unstable"]), np.full(7, 9.0))  # fmt: skip
-    assert state(alone, Aim((5.0,))).columns[0].note == "step of the rig"
-    assert state(other, Aim((5.0,))).columns[0].wall == pytest.approx(3000.0)
+    assert plan_state(alone, PlanGoal((5.0,))).columns[0].note == "step of the rig"
+    assert plan_state(other, PlanGoal((5.0,))).columns[0].wall == pytest.approx(3000.0)
 
 
 @pytest.mark.parametrize("stiffness", [0.0, pytest.param(-50.0, marks=pytest.mark.slow)])
@@ -234,8 +234,8 @@ def test_plan_dampings_no_walls(tmp_path, stiffness):
     body = Body(0.5, 3.0, 2.4, 0.3)
     steps = [sign * size for size in (0.8, 1.2, 2.0) for sign in (1, -1)]
     processed = store(tmp_path, body, [(stiffness, 0.0, step) for step in steps])
-    course = open_course("dev", processed, None, Wish())
-    for wish in (Wish(dampings=(0.0, 20.0), count=2), Wish(count=12), Wish(count=12, gentle=True)):
+    course = open_campaign("dev", processed, None, PlanOptions())
+    for wish in (PlanOptions(dampings=(0.0, 20.0), count=2), PlanOptions(count=12), PlanOptions(count=12, gentle=True)):
         answer = plan_of(course, wish)
         assert not answer.done
         assert all(limit.estimate is None and not limit.note for limit in answer.boundary)
@@ -243,12 +243,12 @@ def test_plan_dampings_no_walls(tmp_path, stiffness):
         share = 0.3 if wish.gentle else 0.5
         for asked in answer.next:
             assert 0.2 < asked.stiffness / body.limit(asked.damping) <= 1.02 * share
-    assert plan_of(course, Wish(goal="optimum")).next
+    assert plan_of(course, PlanOptions(goal="optimum")).next
 
 
 def test_plan_dampings_no_walls_and_no_motion(tmp_path):
     processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(0.0, 0.0), (0.0, 5.0)], still=True)
-    for wish in (Wish(), Wish(dampings=(0.0, 20.0))):
+    for wish in (PlanOptions(), PlanOptions(dampings=(0.0, 20.0))):
         with pytest.raises(PipelineError, match=r"position does not change.*larger steps.*range to start from"):
             plan("dev", processed, None, wish)
 
@@ -257,8 +257,8 @@ def test_plan_dampings_no_walls_and_no_motion(tmp_path):
 def test_undecided_done(tmp_path, rows):
     walls = [(K, B) for B in (5.0, 10.0, 20.0) for K in (300.0, 1000.0, 4000.0)]
     processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.2), walls, rows=rows)
-    course = open_course("dev", processed, None, Wish())
-    for wish in (Wish(), Wish(goal="optimum"), Wish(gentle=True)):
+    course = open_campaign("dev", processed, None, PlanOptions())
+    for wish in (PlanOptions(), PlanOptions(goal="optimum"), PlanOptions(gentle=True)):
         answer = plan_of(course, wish)
         assert not answer.done
         assert (answer.next[0].stiffness, answer.next[0].damping) in walls
@@ -305,14 +305,14 @@ def test_one_short_estimate(tmp_path, stiffness):
 def test_few_logs_expect_no_stiffer_wall_to_be_stable(tmp_path, count):
     processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(1500.0, 15.0), (2000.0, 15.0)][:count], noisy=True)
     for gentle in (False, True):
-        for wall in plan("dev", processed, wish=Wish(gentle=gentle, dampings=(15.0, 30.0))).next:
+        for wall in plan("dev", processed, wish=PlanOptions(gentle=gentle, dampings=(15.0, 30.0))).next:
             assert wall.expected != "stable"
 
 
 def test_the_device_of_a_plan_is_that_of_identify(tmp_path):
     walls = [(1000.0, 10.0), (1500.0, 15.0, -4.0), (2000.0, 15.0), (800.0, 5.0, -4.0)]
     processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.1), walls, noisy=True)
-    planned = open_course("dev", processed, None, Wish()).found
+    planned = open_campaign("dev", processed, None, PlanOptions()).found
     estimates = identify(tmp_path / "logs").estimates.set_index("name")
     for name in ("mass", "damping", "delay_samples", "friction.coulomb"):
         each, stated = planned.interval(name), estimates.loc[ESTIMATED[name].key]
@@ -323,7 +323,7 @@ def test_the_device_of_a_plan_is_that_of_identify(tmp_path):
 
 def walls_at(*trials):
     stiffness, verdict = (np.array([trial[i] for trial in trials]) for i in range(2))
-    return Tried(stiffness, np.full(len(trials), 15.0), verdict, np.full(len(trials), 9.0))
+    return TriedWalls(stiffness, np.full(len(trials), 15.0), verdict, np.full(len(trials), 9.0))
 
 
 @pytest.mark.parametrize("scale", [1.0, 40.0])
@@ -331,7 +331,7 @@ def walls_at(*trials):
 def test_contradictory_walls(scale, times):
     both = [(k * scale, verdict) for k in (1000.0, 4000.0) for verdict in ("stable", "unstable")] * times
     tried = walls_at(*both)
-    (column,) = state(tried, Aim((15.0,))).columns
+    (column,) = plan_state(tried, PlanGoal((15.0,))).columns
     assert column.wall == 1000.0 * scale
     assert column.bracket.even == column.bracket.again == (1000.0 * scale, 4000.0 * scale)
     # it is enclosed by walls whose verdicts agree, and those of more trials decide
@@ -350,14 +350,14 @@ def test_a_wall_stays_contradictory_up_to_six_trials():
 
 
 def course_of(tried):
-    return Course(
+    return Campaign(
         "dev", "1", tried, None, None, T, 0.3, 4.0, "translation", unknown="the logs do not identify a device."
     )
 
 
 def test_contradictory_walls_are_named():
     tried = walls_at((1000.0, "stable"), (1000.0, "unstable"), (4000.0, "unstable"), (4000.0, "stable"))
-    answer = plan_of(course_of(tried), Wish())
+    answer = plan_of(course_of(tried), PlanOptions())
     assert (answer.next[0].stiffness, answer.done) == (1000.0, False)
     assert "logs contradict each other at B = 15 Ns/m" in answer.next[0].why
     assert "as many stable as unstable trials at 1000, 4000 N/m; measured again first" in answer.next[0].why
@@ -366,37 +366,39 @@ def test_contradictory_walls_are_named():
 def test_an_estimate_needs_a_stable_or_an_unstable_trial_and_without_a_device_both():
     trials = [(1000.0, "stable"), (4000.0, "unstable"), (9000.0, "undecided")]
     for places, known in (([2], False), ([0], False), ([1], False), ([0, 1], True)):
-        (limit,) = plan_of(course_of(walls_at(*(trials[i] for i in places))), Wish()).boundary
+        (limit,) = plan_of(course_of(walls_at(*(trials[i] for i in places))), PlanOptions()).boundary
         assert (limit.estimate is not None) is known
 
 
 def test_a_rig_that_answers_by_its_stiffest_wall_is_reported():
     trials = [(2500.0, "stable"), *[(5000.0, "stable")] * 7]
     for count, done in ((7, False), (8, True)):
-        answer = plan_of(course_of(walls_at(*trials[:count])), Wish())
+        answer = plan_of(course_of(walls_at(*trials[:count])), PlanOptions())
         assert answer.done is done
         assert ("no wall above low" in answer.boundary[0].note) is done
 
 
 def test_undecided_walls_near_the_limit_are_enclosed_from_farther_away():
     by, undecided = Forecast(np.array([5000.0]), np.array([10.0])), [(K, "undecided") for K in (4900.0, 4950.0, 5000.0)]
-    assert state(walls_at(*undecided), Aim((15.0,)), by).columns[0].wall == pytest.approx(0.7 * 4900.0)
+    assert plan_state(walls_at(*undecided), PlanGoal((15.0,)), by).columns[0].wall == pytest.approx(0.7 * 4900.0)
     ends = [(3400.0, "stable"), (5400.0, "unstable")]
-    (column,) = state(walls_at(*undecided, *ends), Aim((15.0,)), by).columns
+    (column,) = plan_state(walls_at(*undecided, *ends), PlanGoal((15.0,)), by).columns
     assert (column.wall, column.estimate, column.note) == (None, None, "undecided")
     twice = walls_at(*undecided, *undecided[:2])
-    stiffer, softer = (state(twice, Aim((15.0,), gentle=gentle), by).columns[0].wall for gentle in (False, True))
+    stiffer, softer = (
+        plan_state(twice, PlanGoal((15.0,), gentle=gentle), by).columns[0].wall for gentle in (False, True)
+    )
     assert softer < 4900.0 < 5000.0 < stiffer
     often = walls_at(*undecided, *undecided)
-    assert state(often, Aim((15.0,)), by).columns[0].wall == 4900.0, "with a longer log"
+    assert plan_state(often, PlanGoal((15.0,)), by).columns[0].wall == 4900.0, "with a longer log"
     # that ends where others have verdicts, and never without one
     lasting = [walls_at(*undecided * count) for count in (2, 3)]
-    other = Tried(*(np.array([each]) for each in (1000.0, 9.0, "stable", -9.0)))
+    other = TriedWalls(*(np.array([each]) for each in (1000.0, 9.0, "stable", -9.0)))
     for trials, done in zip(lasting, (False, True), strict=True):
-        with_other = Tried(*(np.append(getattr(trials, name), getattr(other, name))
+        with_other = TriedWalls(*(np.append(getattr(trials, name), getattr(other, name))
                              for name in ("stiffness", "damping", "verdict", "growth")))  # fmt: skip
-        assert state(with_other, Aim((15.0,)), by).done is done
-        assert not state(trials, Aim((15.0,)), by).done
+        assert plan_state(with_other, PlanGoal((15.0,)), by).done is done
+        assert not plan_state(trials, PlanGoal((15.0,)), by).done
 
 
 HANDS = [(20.0, 1.0, 3.0), (1000.0, 1.0, 3.0), (20.0, 0.0, 0.0), (3.0, 0.2, 0.5)]
@@ -412,11 +414,11 @@ def test_parts_and_outputs_first_wall_with_a_heavy_hand(tmp_path, mass, damping,
         encoding="utf-8",
     )
     body = Body(0.5 + mass, own + damping, 2.0)
-    answer = plan(str(file), tmp_path / "none", None, Wish(count=12, gentle=gentle))
+    answer = plan(str(file), tmp_path / "none", None, PlanOptions(count=12, gentle=gentle))
     assert len(answer.next) == (12 if body.damping else 11), "no wall where none is stable"
     for asked in answer.next[:: 1 if body.damping else 3]:
         assert asked.stiffness <= (0.3 if gentle else 0.5) * body.limit(asked.damping) * (1 + 1e-6)
-    alone = plan(str(file), tmp_path / "none", None, Wish(dampings=(0.0,), gentle=gentle)).next[0]
+    alone = plan(str(file), tmp_path / "none", None, PlanOptions(dampings=(0.0,), gentle=gentle)).next[0]
     if not body.damping:
         assert (alone.expected, alone.stiffness < 1e-3 * body.mass / T**2) == ("unstable", True)
 
@@ -431,7 +433,7 @@ def test_a_wall_with_jitter_in_the_file_is_that_of_the_mean_delay(tmp_path):
             read_device(file)
         except DeviceError:
             return  # a delay outside its jitter is refused
-        walls.append(plan(str(file), tmp_path / "none", None, Wish(dampings=(20.0,))).next[0].stiffness)
+        walls.append(plan(str(file), tmp_path / "none", None, PlanOptions(dampings=(20.0,))).next[0].stiffness)
     assert walls[0] == pytest.approx(walls[1], rel=0.01)
 
 
@@ -461,22 +463,22 @@ def test_a_wall_is_not_above_the_lowest_limit_before_one_near_it_was_stable():
     limit, low = np.array([10_000.0]), np.array([6000.0])
     by = Forecast(limit, np.array([1500.0]), low=low)
     for first, highest in ((1000.0, 6000.0), (5900.0, inf)):
-        tried = Tried(np.array([first]), np.array([60.0]), np.array(["stable"]), np.array([-9.0]))
-        wall = state(tried, Aim((60.0,)), by).columns[0].wall
+        tried = TriedWalls(np.array([first]), np.array([60.0]), np.array(["stable"]), np.array([-9.0]))
+        wall = plan_state(tried, PlanGoal((60.0,)), by).columns[0].wall
         assert wall <= highest
         assert wall > first
     assert wall > 6000.0, "only such a wall closes the bracket"
 
 
 def test_a_rig_is_spared_by_few_logs_of_an_unknown_device():
-    tried = Tried(np.array([1000.0]), np.array([60.0]), np.array(["stable"]), np.array([-9.0]))
-    walls = [state(tried, Aim((60.0,), gentle=True, bold=bold, few=few)).columns[0].wall
+    tried = TriedWalls(np.array([1000.0]), np.array([60.0]), np.array(["stable"]), np.array([-9.0]))
+    walls = [plan_state(tried, PlanGoal((60.0,), gentle=True, bold=bold, few=few)).columns[0].wall
              for bold, few in ((1.3, True), (1.3, False))]  # fmt: skip
     assert walls[0] < 1000.0 < walls[1] <= 1300.0
 
 
 def test_stable_walls_count_with_more_damping_and_in_proportion_with_less():
-    tried = Tried(np.array([1000.0, 3000.0, 6000.0, 9000.0]), np.array([5.0, 20.0, 20.0, 20.0]),
+    tried = TriedWalls(np.array([1000.0, 3000.0, 6000.0, 9000.0]), np.array([5.0, 20.0, 20.0, 20.0]),
                   np.array(["stable", "stable", "unstable", "stable"]), np.zeros(4))  # fmt: skip
     found = [stiffest_stable(tried, B) for B in (0.0, 5.0, 10.0, 20.0, 50.0)]
     assert found == pytest.approx([300.0, 1000.0, 1500.0, 3000.0, 3000.0])
@@ -494,9 +496,11 @@ def test_bounds_are_rounded_to_the_safe_side():
 
 def test_a_rig_is_spared_walls_where_the_device_has_no_stable_one():
     by = Forecast(np.array([9000.0, 0.0]), np.array([900.0, 900.0]))
-    trials = Tried(
+    trials = TriedWalls(
         np.array([8900.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.array([-9.0, 9.0])
     )
-    plain, gentle = (state(trials, Aim((60.0, 120.0), gentle=gentle), by).columns[1] for gentle in (False, True))
+    plain, gentle = (
+        plan_state(trials, PlanGoal((60.0, 120.0), gentle=gentle), by).columns[1] for gentle in (False, True)
+    )
     assert (gentle.wall, gentle.note) == (None, "no stable wall")
     assert plain.wall is not None

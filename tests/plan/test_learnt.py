@@ -11,7 +11,7 @@ from kinds import kinds
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.measured.identification.parts import choose_parts
-from pipeline.plan.course import Wish, foretold, learn, open_course
+from pipeline.plan.campaign import PlanOptions, forecast_of, learn, open_campaign
 from pipeline.plan.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
@@ -59,13 +59,13 @@ def test_logs_without_motion_teach_nothing():
 
 def test_friction_raises_the_limit_for_the_step_and_widens_what_is_foretold(tmp_path):
     case = kinds(load_device("falcon"))["friction strong"](2)
-    course = open_course("falcon", tmp_path / "none", "1", Wish())
+    course = open_campaign("falcon", tmp_path / "none", "1", PlanOptions())
     device = nominal_loop(case.device.loop_for(case.device.experiments[0]))
     sure = replace(course, found=device)
     errors = [0.2 * value * (name == "friction.coulomb") for name, value in device.values.items()]
     loose = replace(course, found=replace(device, covariance=np.diag(errors) ** 2))
     linear = linear_limits(device.loop, DAMPINGS)
-    plain, wide = foretold(sure, DAMPINGS.tolist()), foretold(loose, DAMPINGS.tolist())
+    plain, wide = forecast_of(sure, DAMPINGS.tolist()), forecast_of(loose, DAMPINGS.tolist())
     assert (plain.limit > 1.05 * linear).all()
     assert wide.limit == pytest.approx(plain.limit)
     added = np.sqrt(wide.error**2 - plain.error**2)

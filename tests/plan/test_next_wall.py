@@ -9,21 +9,21 @@ import pytest
 
 from pipeline.base.errors import ParameterError
 from pipeline.plan.next_wall import (
-    Aim,
     Bracket,
     Forecast,
-    Tried,
+    PlanGoal,
+    TriedWalls,
     best_split,
     bracket,
     chances,
     corrected,
     doubtful_ends,
     order,
-    state,
+    plan_state,
 )
 
 DAMPINGS = tuple(np.linspace(0, 180, 7))
-NOTHING = Tried(*[np.empty(0)] * 4)
+NOTHING = TriedWalls(*[np.empty(0)] * 4)
 
 
 def parabola(damping):
@@ -49,24 +49,26 @@ def course(limit, aim, by=None, first=(), most=120):
     rows = list(first)
     while True:
         columns = [np.array(column) for column in zip(*rows, strict=True)] or [np.empty(0)] * 4
-        found = state(Tried(*columns), aim, by)
+        found = plan_state(TriedWalls(*columns), aim, by)
         if found.done or len(rows) == most:
-            return found, Tried(*columns)
+            return found, TriedWalls(*columns)
         column = found.columns[order(found.columns)[0]]
         wall = column.wall if np.isfinite(column.wall) and column.wall > 0 else 5000.0
         rows.append((wall, column.damping, "unstable" if wall > limit(column.damping) else "stable", np.nan))
 
 
 def test_of_an_unknown_limit_the_middle_of_its_bracket_is_expected():
-    rows = Tried(np.array([4000.0, 8000.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, np.nan))
-    (column,) = state(rows, Aim((60.0,)), None).columns
+    rows = TriedWalls(
+        np.array([4000.0, 8000.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, np.nan)
+    )
+    (column,) = plan_state(rows, PlanGoal((60.0,)), None).columns
     assert (column.bracket.bottom, column.estimate, column.bracket.top) == (4000.0, 6000.0, 8000.0)
 
 
 @pytest.mark.parametrize("limit", [parabola, cut_off, upside_down])
 @pytest.mark.parametrize("off", [None, 0.0, 0.15])
 def test_limits_of_any_shape_are_found(limit, off):
-    aim = Aim(DAMPINGS)
+    aim = PlanGoal(DAMPINGS)
     said = "stable" if limit(60.0) > 4000.0 else "unstable"
     # by verdicts alone a wall is needed to begin with
     by, first = (None, [(4000.0, 60.0, said, np.nan)]) if off is None else (told(limit, off), [])
@@ -82,11 +84,11 @@ def test_limits_of_any_shape_are_found(limit, off):
 
 
 def test_a_rig_is_spared_unstable_walls_where_the_device_holds():
-    plain, gentle = (course(parabola, Aim(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
+    plain, gentle = (course(parabola, PlanGoal(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
     share = [np.mean(tried.verdict == "unstable") for _, tried in (plain, gentle)]
     assert share[1] <= 0.15 < 0.35 < share[0]
     # a device that says twice the limit is found out by verdicts
-    wrong = course(parabola, Aim(DAMPINGS, gentle=True), told(parabola, 1.0))
+    wrong = course(parabola, PlanGoal(DAMPINGS, gentle=True), told(parabola, 1.0))
     for found, _ in (gentle, wrong):
         estimate = np.array([column.estimate for column in found.columns])
         assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
@@ -94,7 +96,7 @@ def test_a_rig_is_spared_unstable_walls_where_the_device_holds():
 
 @pytest.mark.parametrize(("gentle", "most"), [(False, 0.5), (True, 0.3)])
 def test_first_walls_are_well_below_the_foretold_limit(gentle, most):
-    walls = [column.wall for column in state(NOTHING, Aim(DAMPINGS, gentle=gentle), told(parabola)).columns]
+    walls = [column.wall for column in plan_state(NOTHING, PlanGoal(DAMPINGS, gentle=gentle), told(parabola)).columns]
     share = np.array(walls) / told(parabola).limit
     assert share.max() == pytest.approx(most)
 
@@ -117,24 +119,24 @@ def test_what_a_forecast_missed_is_carried_on_to_neighbours_and_makes_it_unsure(
 
 
 def test_no_wall_leaves_what_may_be_tried():
-    aim = Aim(DAMPINGS, lowest=1500.0, highest=8000.0)
+    aim = PlanGoal(DAMPINGS, lowest=1500.0, highest=8000.0)
     found, tried = course(parabola, aim, told(parabola))
     assert found.done
     assert tried.stiffness.min() >= 0.3 * 1500.0
     assert tried.stiffness.max() <= 8000.0
     columns = [np.array([3000.0, 4000.0]), np.array([60.0, 60.0]), np.array(["stable"] * 2), np.array([-20.0, -15.0])]
-    found = state(Tried(*columns, force=np.array([9.0, 30.0])), Aim((60.0,), force=20.0))
+    found = plan_state(TriedWalls(*columns, force=np.array([9.0, 30.0])), PlanGoal((60.0,), force=20.0))
     assert found.columns[0].wall is None or found.columns[0].wall < 4000.0
 
 
 def walls_at(*trials):
     stiffness, verdict, growth = (np.array(column) for column in zip(*trials, strict=True))
-    return Tried(stiffness, np.full(len(trials), 60.0), verdict, growth)
+    return TriedWalls(stiffness, np.full(len(trials), 60.0), verdict, growth)
 
 
 def test_a_contradiction_comes_first():
     tried = walls_at((1e3, "stable", 0.0), (4e3, "unstable", 0.0), (8e3, "stable", 0.0), (8e3, "stable", 0.0))
-    found = state(tried, Aim(DAMPINGS))
+    found = plan_state(tried, PlanGoal(DAMPINGS))
     first = found.columns[order(found.columns)[0]]
     assert (first.damping, first.wall) == (60.0, 4e3)
     assert not found.done
@@ -143,11 +145,11 @@ def test_a_contradiction_comes_first():
 def test_verdicts_that_stay_undecided_end_the_search_without_an_estimate():
     trials = [(1e3, "stable", -9.0), (9e3, "unstable", 9.0), *[(k, "undecided", np.nan) for k in (4e3, 5e3, 6e3)]]
     for count, ends in ((4, False), (5, True)):
-        column = state(walls_at(*trials[:count]), Aim((60.0,))).columns[0]
+        column = plan_state(walls_at(*trials[:count]), PlanGoal((60.0,))).columns[0]
         assert (column.note == "undecided") is ends
         assert (column.estimate is None) is ends
         assert (column.wall is None) is ends
-    again = state(walls_at(*trials[:3]), Aim((60.0,))).columns[0].wall
+    again = plan_state(walls_at(*trials[:3]), PlanGoal((60.0,))).columns[0].wall
     assert abs(again - 4e3) > 50.0, "an undecided wall is not asked for again"
 
 
@@ -164,7 +166,7 @@ def test_weak_verdicts_are_repeated_and_a_rig_is_spared_the_unstable_one():
 def test_a_bracket_is_narrow_enough_from_18_tenths_of_the_accuracy_on():
     for width, done in ((350.0, True), (370.0, False)):
         trials = walls_at((10_000.0 - width, "stable", -9.0), (10_000.0, "unstable", 9.0))
-        column = state(trials, Aim((60.0,)), Forecast(np.array([10_000.0]), np.array([1.0]))).columns[0]
+        column = plan_state(trials, PlanGoal((60.0,)), Forecast(np.array([10_000.0]), np.array([1.0]))).columns[0]
         assert (column.wall is None) is done
 
 
@@ -184,31 +186,31 @@ def test_a_forecast_that_missed_nothing_is_still_unsure_of_what_verdicts_call_st
 def test_a_spared_rig_stays_one_and_a_half_standard_errors_below_and_searches_from_below():
     own = walls_at((3000.0, "stable", -9.0))
     by = Forecast(np.array([10_000.0]), np.zeros(1))
-    wall = state(own, Aim((60.0,), gentle=True), by).columns[0].wall
+    wall = plan_state(own, PlanGoal((60.0,), gentle=True), by).columns[0].wall
     assert (10_000.0 - wall) / 70.0 == pytest.approx(1.5, abs=0.3)
     # an unstable trial costs six stable ones: without a forecast the first of a bracket is tried at a quarter of it
     ends = walls_at((1000.0, "stable", -9.0), (9000.0, "unstable", 9.0))
-    plain, gentle = (state(ends, Aim((60.0,), gentle=gentle)).columns[0].wall for gentle in (False, True))
+    plain, gentle = (plan_state(ends, PlanGoal((60.0,), gentle=gentle)).columns[0].wall for gentle in (False, True))
     assert plain == pytest.approx(5000.0, abs=500.0)
     assert 1500.0 < gentle < 3600.0
 
 
 def test_a_limit_is_looked_for_three_tenths_above_the_largest_one():
     trials = walls_at((9000.0, "stable", -9.0))
-    (column,) = state(trials, Aim((60.0,))).columns
+    (column,) = plan_state(trials, PlanGoal((60.0,))).columns
     assert 9000.0 < column.wall < 2 * 9000.0
-    other = Tried(np.array([9000.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, 9.0))
+    other = TriedWalls(np.array([9000.0, 9100.0]), np.full(2, 60.0), np.array(["stable", "unstable"]), np.full(2, 9.0))
     by = Forecast(np.array([9050.0, 30_000.0]), np.ones(2))
-    assert state(other, Aim((60.0, 90.0)), by).largest == pytest.approx(1.3 * 9050.0, rel=0.01)
+    assert plan_state(other, PlanGoal((60.0, 90.0)), by).largest == pytest.approx(1.3 * 9050.0, rel=0.01)
 
 
 def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
     by = Forecast(np.array([9000.0, 0.0]), np.ones(2))
     trials = walls_at((8900.0, "stable", -9.0), (9100.0, "unstable", 9.0))
-    column = state(trials, Aim((60.0, 120.0)), by).columns[1]
+    column = plan_state(trials, PlanGoal((60.0, 120.0)), by).columns[1]
     assert (column.estimate, column.wall, column.note) == (0.0, None, "no stable wall")
     # before any log a file may be wrong
-    assert state(trials.select(np.zeros(2, dtype=bool)), Aim((60.0, 120.0)), by).columns[1].wall is not None
+    assert plan_state(trials.select(np.zeros(2, dtype=bool)), PlanGoal((60.0, 120.0)), by).columns[1].wall is not None
 
 
 @pytest.mark.parametrize(
@@ -241,7 +243,7 @@ def test_an_open_bracket_has_all_walls_in_it():
 
 def test_columns_must_fit():
     with pytest.raises(ParameterError, match="one value each"):
-        Tried(np.ones(2), np.ones(3), np.array(["stable"] * 2), np.ones(2))
+        TriedWalls(np.ones(2), np.ones(3), np.array(["stable"] * 2), np.ones(2))
 
 
 def exhaustive(edges, chance, width, price):

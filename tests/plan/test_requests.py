@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from pipeline.device_data.devices import load_device
-from pipeline.plan.course import Wish, open_course
+from pipeline.plan.campaign import PlanOptions, open_campaign
 from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import Tried
+from pipeline.plan.next_wall import TriedWalls
 from pipeline.plan.planner import plan_of
-from pipeline.plan.requests import Answer, Requests, range_of, store_requests, stored_requests
+from pipeline.plan.requests import AnsweredWall, Requests, range_of, store_requests, stored_requests
 
 FALCON = load_device("falcon")
 LIMIT = partial(linear_limits, FALCON.loop_for(FALCON.experiments[0]))
@@ -29,7 +29,7 @@ def campaign(sets, wish, folder):
 
     Returns the last plan, the walls that were asked for and set, and all remarks.
     """
-    course = open_course("falcon", folder / "none", "1", wish)
+    course = open_campaign("falcon", folder / "none", "1", wish)
     rows, asked, said = [], [], []
     while True:
         answer = plan_of(course, wish)
@@ -47,7 +47,7 @@ def campaign(sets, wish, folder):
             rows.append((K, B, "unstable" if growth > 0 else "stable", growth))
         tried = [np.array(column) for column in zip(*[row for row in rows if row[0] > 0], strict=True)]
         answers = requests.answered(row[:2] for row in rows)
-        course = replace(course, tried=Tried(*tried) if tried else course.tried, answers=answers)
+        course = replace(course, tried=TriedWalls(*tried) if tried else course.tried, answers=answers)
 
 
 def nearest(step):
@@ -89,7 +89,7 @@ OTHERS = {
 @pytest.mark.parametrize("name", [*RIGS, *OTHERS])
 def test_a_rig_that_rounds_is_not_asked_for_one_wall_three_times(tmp_path, name, dampings, gentle):
     sets = (RIGS | OTHERS)[name]
-    answer, asked, got, said = campaign(sets, Wish(dampings=dampings, gentle=gentle), tmp_path)
+    answer, asked, got, said = campaign(sets, PlanOptions(dampings=dampings, gentle=gentle), tmp_path)
     assert answer.done, f"{len(asked)} trials"
     assert Counter(asked).most_common(1)[0][1] <= 2
     assert Counter(got).most_common(1)[0][1] <= (2 if name in RIGS else 3)
@@ -100,17 +100,17 @@ def test_a_rig_that_rounds_is_not_asked_for_one_wall_three_times(tmp_path, name,
 
 
 def test_the_answer_of_a_rig_is_named_with_the_step_that_follows(tmp_path):
-    *_, said = campaign(RIGS["K to 250"], Wish(dampings=NAMED), tmp_path)
+    *_, said = campaign(RIGS["K to 250"], PlanOptions(dampings=NAMED), tmp_path)
     assert any(remark.startswith("asked for K = 5510 N/m, B = 60 Ns/m, the rig set K = 5500 N/m (") for remark in said)
     assert "the rig sets multiples of 250 N/m: next walls are such" in said
-    *_, said = campaign(RIGS["2 K"], Wish(dampings=NAMED), tmp_path)
+    *_, said = campaign(RIGS["2 K"], PlanOptions(dampings=NAMED), tmp_path)
     assert "the rig sets 2 times the K that it is asked for: next walls are divided by it" in said
-    *_, said = campaign(RIGS["K at most 5000"], Wish(dampings=NAMED), tmp_path)
+    *_, said = campaign(RIGS["K at most 5000"], PlanOptions(dampings=NAMED), tmp_path)
     assert "the rig sets no K above 5000 N/m" in said
 
 
 def test_a_rig_that_sets_what_it_is_asked_for_has_no_answer_to_name(tmp_path):
-    _, asked, got, said = campaign(lambda K, B: (K, B), Wish(dampings=NAMED), tmp_path)
+    _, asked, got, said = campaign(lambda K, B: (K, B), PlanOptions(dampings=NAMED), tmp_path)
     assert asked == got
     assert not any("asked for" in remark for remark in said)
 
@@ -120,9 +120,9 @@ def test_a_rig_that_sets_what_it_is_asked_for_has_no_answer_to_name(tmp_path):
 def test_steps_are_found_from_answers(step, rounding):
     to = {"nearest": round, "down": floor, "up": ceil}[rounding]
     asked = step * np.random.default_rng(3).uniform(3, 60, 12)
-    answers = [Answer(asked=(K, 9.0), got=(step * to(K / step), 9.0)) for K in asked.tolist()]
+    answers = [AnsweredWall(asked=(K, 9.0), got=(step * to(K / step), 9.0)) for K in asked.tolist()]
     assert range_of(answers).grids[-1].step == pytest.approx(step)
-    assert range_of([Answer(asked=each.asked, got=each.asked) for each in answers]) is None
+    assert range_of([AnsweredWall(asked=each.asked, got=each.asked) for each in answers]) is None
 
 
 def test_requests_are_stored_and_each_new_trial_answers_the_nearest(tmp_path):

@@ -13,9 +13,9 @@ import pytest
 from labs import make_lab
 
 from pipeline.device_data.devices import load_device
-from pipeline.plan.course import Wish, open_course
+from pipeline.plan.campaign import PlanOptions, open_campaign
 from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import Tried
+from pipeline.plan.next_wall import TriedWalls
 from pipeline.plan.planner import Plan, PlannedLimit, plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
 
@@ -31,7 +31,7 @@ def limit_of(experiment="1"):
 
 def measured(tmp_path, sets, wish):
     """Do what the planner asks for on a rig that sets other walls, whose limits the file states a tenth too large."""
-    course = open_course("falcon", tmp_path / "none", "1", wish)
+    course = open_campaign("falcon", tmp_path / "none", "1", wish)
     rows, asked, limit = [], [], limit_of()
     while True:
         answer = plan_of(course, wish)
@@ -41,7 +41,7 @@ def measured(tmp_path, sets, wish):
         K, B = sets(*asked[-1])
         growth = K / 0.9 - limit(np.array([B]))[0]
         rows.append((K, B, "unstable" if growth > 0 else "stable", growth))
-        course = replace(course, tried=Tried(*(np.array(column) for column in zip(*rows, strict=True))))
+        course = replace(course, tried=TriedWalls(*(np.array(column) for column in zip(*rows, strict=True))))
 
 
 RIGS = {
@@ -55,7 +55,7 @@ RIGS = {
 @pytest.mark.parametrize("name", RIGS)
 def test_the_search_ends_with_what_was_measured(tmp_path, name):
     sets, dampings = RIGS[name]
-    last, asked = measured(tmp_path, sets, Wish(dampings=dampings))
+    last, asked = measured(tmp_path, sets, PlanOptions(dampings=dampings))
     assert last.done, f"{len(asked)} trials"
     assert Counter(asked).most_common(1)[0][1] <= 4
     assert last.trials_used == len(asked)
@@ -71,7 +71,7 @@ def test_the_search_ends_with_what_was_measured(tmp_path, name):
 @pytest.mark.parametrize("experiment", [each.name for each in FALCON.experiments])
 @pytest.mark.sampled
 def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp_path, experiment):
-    for wish in (Wish(count=3), Wish(goal="optimum"), Wish(count=3, gentle=True)):
+    for wish in (PlanOptions(count=3), PlanOptions(goal="optimum"), PlanOptions(count=3, gentle=True)):
         for wall in plan("falcon", tmp_path / "none", experiment, wish).next:
             most = 0.31 if wish.gentle else 0.51
             assert 0 < wall.stiffness <= most * limit_of(experiment)(np.array([wall.damping]))[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rigs import Known, Rig, as_in_the_thesis, at_random, bisected, error_of, look_for_best, planned
 
-from pipeline.plan.course import Wish, wanted_dampings
+from pipeline.plan.campaign import PlanOptions, wanted_dampings
 
 LOW, HIGH = np.array([1000.0, 8000.0, 0.0]), np.array([1100.0, 8100.0, 100.0])
 
@@ -31,7 +31,7 @@ def test_the_thesis_takes_all_walls_up_to_the_limit() -> None:
 
 def test_bisection_and_random_walls_reach_the_limits_of_a_rig() -> None:
     rig = Rig("ideal", 0)
-    dampings = wanted_dampings(rig.course(), Wish())[:3]
+    dampings = wanted_dampings(rig.course(), PlanOptions())[:3]
     ends = rig.truth(dampings)
     largest = float(ends[0].max())
     *_, last = bisected(rig, dampings, largest, 0.02)
@@ -44,18 +44,18 @@ def test_bisection_and_random_walls_reach_the_limits_of_a_rig() -> None:
 @pytest.mark.slow
 def test_the_planner_is_done_before_all_others() -> None:
     rig = Rig("ideal", 0)
-    dampings = wanted_dampings(rig.course(), Wish())
+    dampings = wanted_dampings(rig.course(), PlanOptions())
     ends = rig.truth(dampings)
     largest = float(ends[0].max())
-    *_, own = planned(rig, Wish())
+    *_, own = planned(rig, PlanOptions())
     assert own.done
-    assert error_of(own, ends) <= Wish().accuracy
+    assert error_of(own, ends) <= PlanOptions().accuracy
     others = [
         *bisected(rig, dampings, largest, 0.01),
         *at_random(rig, dampings, largest, (12, 24, 48, 96, 192, 384)),
         *as_in_the_thesis(*ends, (8, 4, 2, 1)),
     ]
-    good = [other for other in others if error_of(other, ends) <= Wish().accuracy]
+    good = [other for other in others if error_of(other, ends) <= PlanOptions().accuracy]
     assert good
     assert all(other.trials > own.trials for other in good)
 

@@ -22,7 +22,7 @@ from locks import is_free
 from report_data import document_without_places
 
 from pipeline.device_data.devices import load_device
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.storage import read_trials
 
 pytestmark = pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="processes are found in /proc")
@@ -123,7 +123,7 @@ def ingested(tmp_path_factory) -> Path:
     """A folder with logs, their trials and a scene."""
     folder = tmp_path_factory.mktemp("course")
     for name in ("delay-2", "delay-4"):
-        write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=12), folder / "raw")
+        write_sweep(run_sweep(load_device("lwr"), name, ideal=True, coarsen=12), folder / "raw")
     (folder / "scene.toml").write_text(SCENE)
     assert Run(COMMANDS["ingest"], folder).finished() == 0
     return folder

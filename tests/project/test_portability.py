@@ -13,7 +13,7 @@ from places import ROOT
 from report_data import document_without_places
 
 from pipeline.device_data.devices import load_device
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog")
 OF_SIGNAL = ("SIGHUP", "SIGALRM", "SIGPROF", "SIGXFSZ", "SIGIO", "SIGUSR1", "alarm", "setitimer", "ITIMER_PROF")
@@ -67,7 +67,7 @@ def test_readers_work_in_processes_of_their_own(poor):
 @pytest.mark.slow
 def test_a_course_is_ingested_compared_watched_and_verified(poor, tmp_path):
     for name in ("delay-2", "delay-4"):
-        write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=12), tmp_path / "raw")
+        write_sweep(run_sweep(load_device("lwr"), name, ideal=True, coarsen=12), tmp_path / "raw")
     (tmp_path / "scene.toml").write_text(
         'device = "lwr"\ncriteria = ["settle_2pct", "overshoot"]\nfigures = []\ntables = ["boundary", "D.1"]\n'
         'overlays = []\nreport = "reports/lwr.html"\n'

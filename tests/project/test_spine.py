@@ -27,7 +27,7 @@ from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
 from pipeline.records.table_files import read_table
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.storage import read_trials, stage_file
 
 QUICK = ("energy_step_w0", "overshoot")
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.usefixtures("one_process")
 
 
 def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
-    logs = write_course(run_course(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
+    logs = write_sweep(run_sweep(load_device("lwr"), "delay-8", ideal=True, coarsen=4), tmp_path / "raw")
     stored = document(call("ingest", "raw", "--json"))
     nothing: dict[str, list] = {
         key: [] for key in ("quarantined", "ignored", "warnings", "removed", "changed", "waiting", "damaged")
@@ -128,8 +128,8 @@ def test_logs_that_come_in_two_parts_give_the_same_as_at_once(sweep, tmp_path):
 def test_the_same_seed_gives_the_same_result_and_another_one_does_not(tmp_path):
     found = []
     for i, seed in enumerate((3, 3, 4)):
-        course = run_course(load_device("lwr"), "delay-8", seed=seed, coarsen=8)
-        write_course(course, tmp_path / str(i))
+        course = run_sweep(load_device("lwr"), "delay-8", seed=seed, coarsen=8)
+        write_sweep(course, tmp_path / str(i))
         ingest([tmp_path / str(i)], tmp_path / f"p{i}")
         found.append(without_origin(compare("lwr", tmp_path / f"p{i}", criteria=["energy_step_w0"]).result))
     assert found[0] == found[1]
@@ -265,7 +265,7 @@ def test_logs_of_noise_alone_are_compared_without_a_crash(tmp_path):
 @pytest.mark.slow
 def test_full_experiment_comes_close_to_theory(tmp_path):
     """With all trials of experiment 1 the measured optima approach the published theory."""
-    write_course(run_course(load_device("falcon"), "1", ideal=True), tmp_path / "raw")
+    write_sweep(run_sweep(load_device("falcon"), "1", ideal=True), tmp_path / "raw")
     ingest([tmp_path / "raw"], tmp_path / "processed")
     result = compare("falcon", tmp_path / "processed", report=tmp_path / "full.html").result
     assert 2200 < result.experiments[0].trials < 2450

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from pipeline import Loop, PipelineError, design
 from pipeline.rig.picture import picture
 from pipeline.rig.quantities import QUANTITIES
-from pipeline.rig.wish import Wish, best_wall
+from pipeline.rig.wish import DesignTarget, best_wall
 from pipeline.shell.cli import application
 
 FALCON = Loop(0.58, 4.0, 0.001, 4)
@@ -127,7 +127,7 @@ def test_a_tolerance_leaves_the_load_its_share_of_the_mass() -> None:
     rig = Loop(0.5, 3.0, 0.001, 2, mode=mode)
     lightest = replace(rig, mass=0.4, damping=2.4, delay_samples=2.4, mode=mode | {"mass": 0.36, "load_damping": 0.8})
     largest = lightest.boundary(16).attrs["stiffness_max"]
-    room = [best_wall(rig, Wish(share * largest, tolerance=0.2)).room for share in (0.95, 1.01)]
+    room = [best_wall(rig, DesignTarget(share * largest, tolerance=0.2)).room for share in (0.95, 1.01)]
     assert room[0] > 0 > room[1]
 
 
@@ -141,7 +141,7 @@ def test_a_tolerance_that_leads_to_no_rig_is_named_with_its_numbers() -> None:
 def test_a_tolerance_is_that_of_the_worst_rig():
     """The limit grows with the mass and falls with the delay: of a lighter and later rig it is 0.87 of this one's."""
     largest = FALCON.boundary(16).attrs["stiffness_max"]
-    room = [best_wall(FALCON, Wish(share * largest, tolerance=0.05)).room for share in (0.85, 0.92)]
+    room = [best_wall(FALCON, DesignTarget(share * largest, tolerance=0.05)).room for share in (0.85, 0.92)]
     assert room[0] > 0 > room[1]
 
 

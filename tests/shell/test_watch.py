@@ -36,7 +36,7 @@ from pipeline.shell import watch
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_report import WORDS, line_of
 from pipeline.shell.watch import Arrivals, Watched, follow, run_pass, status_of
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.store.storage import read_trials
 
 INTERVAL_S, SETTLE_S, PAUSE_S = 0.1, 0.8, 0.25
@@ -123,7 +123,7 @@ class Process:
 
 def course(folder: Path, experiments: tuple[str, ...], coarsen: int) -> list[Path]:
     for name in experiments:
-        write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=coarsen), folder)
+        write_sweep(run_sweep(load_device("lwr"), name, ideal=True, coarsen=coarsen), folder)
     return sorted(folder.rglob("*.csv"))
 
 

@@ -21,10 +21,10 @@ from pipeline.records.native import parse_header
 from pipeline.records.trials import Trial
 from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
-from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import idealise, setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.simulation.sweep import TRUTH_FILE, SimulatedSweep, run_sweep, write_sweep
 
 FALCON, LWR = load_device("falcon"), load_device("lwr")
 
@@ -57,12 +57,12 @@ def judge_by_theory(device: Device, experiment: str) -> Judge:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Course]:
-    """`run_course` with another judge of the logs."""
+def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., SimulatedSweep]:
+    """`run_sweep` with another judge of the logs."""
 
-    def course(judge: Judge, *given: Any, **options: Any) -> Course:
+    def course(judge: Judge, *given: Any, **options: Any) -> SimulatedSweep:
         monkeypatch.setattr(course_module, "judge", judge)
-        return run_course(*given, **options)
+        return run_sweep(*given, **options)
 
     return course
 
@@ -99,7 +99,7 @@ def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed
 
 @pytest.mark.parametrize(("device", "experiment", "coarsen"), [(FALCON, "6", 9), (LWR, "delay-5", 10)])
 def test_course_equals_testing_one_after_the_other(
-    run: Callable[..., Course], device: Device, experiment: str, coarsen: int, monkeypatch: pytest.MonkeyPatch
+    run: Callable[..., SimulatedSweep], device: Device, experiment: str, coarsen: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = sequential(device, experiment, judge_by_noise, coarsen, 5)
     for wave in (1, 3, 12):
@@ -114,14 +114,16 @@ def test_course_equals_testing_one_after_the_other(
 @pytest.mark.parametrize(
     ("device", "experiment", "size"), [(FALCON, "1", 2320), (FALCON, "6", 1080), (LWR, "delay-2", 1420)]
 )
-def test_size_of_an_ideal_course(run: Callable[..., Course], device: Device, experiment: str, size: int) -> None:
+def test_size_of_an_ideal_course(
+    run: Callable[..., SimulatedSweep], device: Device, experiment: str, size: int
+) -> None:
     course = run(judge_by_theory(device, experiment), device, experiment, ideal=True)
     # sizes from DEFINITIONS ("about"); one more fine or K = 0 trial for each of 40 dampings would be 3 %
     assert len(course.trials) == pytest.approx(size, rel=0.015)
     assert len(set(course.trials.trial_id)) == len(course.trials)
 
 
-def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., Course]) -> None:
+def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., SimulatedSweep]) -> None:
     course = run(judge_by_theory(FALCON, "2"), FALCON, "2", ideal=True, coarsen=6)
     K, B, unstable = course.trials.stiffness, course.trials.damping, course.verdict == "unstable"
     for damping in np.unique(B[K > 0]):
@@ -133,7 +135,7 @@ def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., Course])
 
 
 def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed(
-    run: Callable[..., Course],
+    run: Callable[..., SimulatedSweep],
 ) -> None:
     def judge(trial: Trial) -> Verdict:
         return verdict_of("unstable" if trial.stiffness > 0 or trial.damping < 0.5 else "stable")
@@ -144,13 +146,13 @@ def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed(
     assert course.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
 
 
-def test_a_course_without_end_is_given_up(run: Callable[..., Course], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_course_without_end_is_given_up(run: Callable[..., SimulatedSweep], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(procedure, "LONGEST_CLIMB", 24)
     with pytest.raises(ParameterError, match=r"no unstable trial after 24 steps \(K = 4800, B = 0\)"):
         run(lambda _: verdict_of("stable"), FALCON, "1")
 
 
-def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
+def test_options_replace_the_devices_values(run: Callable[..., SimulatedSweep]) -> None:
     seen: list[int] = []
     options = {"sensor": Sensor(quantum=1e-5), "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
     course = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
@@ -164,22 +166,22 @@ def test_options_replace_the_devices_values(run: Callable[..., Course]) -> None:
 
 def test_wrong_requests_are_refused() -> None:
     with pytest.raises(DeviceError, match="no experiment '9'"):
-        run_course(FALCON, "9")
+        run_sweep(FALCON, "9")
     with pytest.raises(ParameterError, match="coarsen = 0"):
-        run_course(FALCON, "1", coarsen=0)
+        run_sweep(FALCON, "1", coarsen=0)
     with pytest.raises(ParameterError, match=r"duration = 1000000000.0 s: expected at most 20 s \(20000 samples\)"):
-        run_course(FALCON, "1", duration_s=1e9)
+        run_sweep(FALCON, "1", duration_s=1e9)
 
 
 @pytest.fixture(scope="module")
-def small() -> Course:
+def small() -> SimulatedSweep:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(course_module, "judge", judge_by_noise)
-        return run_course(FALCON, "6", seed=2, coarsen=9)
+        return run_sweep(FALCON, "6", seed=2, coarsen=9)
 
 
-def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> None:
-    assert write_course(small, tmp_path) == len(small.trials)
+def test_logs_hold_the_trials_to_the_last_bit(small: SimulatedSweep, tmp_path: Path) -> None:
+    assert write_sweep(small, tmp_path) == len(small.trials)
     folder = tmp_path / "falcon" / "6"
     assert {p.name for p in folder.iterdir()} == {f"{i}.csv" for i in small.trials.trial_id} | {TRUTH_FILE}
     for trial in small.trials:
@@ -196,8 +198,8 @@ def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> 
         assert np.array_equal(values[:, 2], trial.position)
 
 
-def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
-    write_course(small, tmp_path)
+def test_truth_says_what_was_simulated(small: SimulatedSweep, tmp_path: Path) -> None:
+    write_sweep(small, tmp_path)
     truth = json.loads((tmp_path / "falcon" / "6" / TRUTH_FILE).read_text())
     assert truth["plant"] == {"mass": 1.0, "damping": 34.0, "stiffness": 0.0}
     assert (truth["delay_samples"], truth["jitter_samples"], truth["seed"]) == (4.0, [3, 4, 5], 2)
@@ -220,11 +222,11 @@ def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
     ids=["linear", "foaw", "levant", "jitter", "others"],
 )
 def test_truth_names_what_its_spectral_radius_leaves_out(
-    small: Course, tmp_path: Path, loop: dict[str, Any], hidden: dict[str, Any], left_out: list[str] | None
+    small: SimulatedSweep, tmp_path: Path, loop: dict[str, Any], hidden: dict[str, Any], left_out: list[str] | None
 ) -> None:
     setup = small.setup.with_loop(**{"jitter_samples": (), "force_limit": None} | loop)
     course = replace(small, setup=replace(setup, hidden=SimulationParts(**hidden)))
-    write_course(course, tmp_path)
+    write_sweep(course, tmp_path)
     truth = json.loads((tmp_path / "falcon" / "6" / TRUTH_FILE).read_text())
     expected = ["friction", "force_limit", "one_sided_wall", "held_samples"] if left_out is None else left_out
     assert truth["spectral_radius_left_out"] == expected
@@ -238,51 +240,53 @@ def folder(tmp_path: Path) -> Path:
     return found
 
 
-def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path, folder: Path) -> None:
-    write_course(small, tmp_path)
+def test_an_earlier_simulation_is_replaced_only_on_request(small: SimulatedSweep, tmp_path: Path, folder: Path) -> None:
+    write_sweep(small, tmp_path)
     own = folder / "my_own.csv"
     own.write_text("recorded by hand")
     with pytest.raises(UsageError, match="overwrite=True"):
-        write_course(small, tmp_path)
+        write_sweep(small, tmp_path)
     few = small.trials.select(np.arange(5))
     half = replace(small, trials=few, passes=small.passes[:5], verdict=small.verdict[:5])
-    assert write_course(half, tmp_path, overwrite=True) == 5
+    assert write_sweep(half, tmp_path, overwrite=True) == 5
     listed = {f"{name}.csv" for name in few.trial_id}
     assert {p.name for p in folder.iterdir()} == listed | {TRUTH_FILE, own.name}
     assert own.read_text() == "recorded by hand"
 
 
-def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path, folder: Path) -> None:
+def test_a_log_that_is_not_listed_is_never_replaced(small: SimulatedSweep, tmp_path: Path, folder: Path) -> None:
     own = folder / f"{small.trials.trial_id[3]}.csv"
     own.write_text("recorded by hand")
     for overwrite in (False, True):
         with pytest.raises(UsageError, match=own.name):
-            write_course(small, tmp_path, overwrite=overwrite)
+            write_sweep(small, tmp_path, overwrite=overwrite)
     assert [p.name for p in folder.iterdir()] == [own.name]
     assert own.read_text() == "recorded by hand"
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"logs": 3}', "{}"])
-def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, folder: Path, text: str) -> None:
+def test_a_foreign_truth_file_stops_the_replacement(
+    small: SimulatedSweep, tmp_path: Path, folder: Path, text: str
+) -> None:
     (folder / TRUTH_FILE).write_text(text)
     with pytest.raises(UsageError, match="is not a list of simulated logs"):
-        write_course(small, tmp_path, overwrite=True)
+        write_sweep(small, tmp_path, overwrite=True)
     assert (folder / TRUTH_FILE).read_text() == text
 
 
-def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path, folder: Path) -> None:
+def test_a_listed_path_outside_the_folder_is_left_alone(small: SimulatedSweep, tmp_path: Path, folder: Path) -> None:
     outside = tmp_path / "keep.csv"
     outside.write_text("keep")
     notes = folder / "notes.txt"
     notes.write_text("keep")
     (folder / TRUTH_FILE).write_text(json.dumps({"logs": ["../../keep.csv", str(outside), "notes.txt"]}))
-    write_course(small, tmp_path, overwrite=True)
+    write_sweep(small, tmp_path, overwrite=True)
     assert outside.exists()
     assert notes.exists()
 
 
 def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
-    small: Course, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+    small: SimulatedSweep, tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real, written = Path.write_bytes, []
 
@@ -295,12 +299,12 @@ def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
 
     monkeypatch.setattr(Path, "write_bytes", full_disk)
     with pytest.raises(PipelineError, match="No space left"):
-        write_course(small, tmp_path)
+        write_sweep(small, tmp_path)
     monkeypatch.undo()
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is False
     found = sorted(p.name for p in folder.iterdir() if p.name != TRUTH_FILE)
     assert found == sorted(f"{name}.csv" for name in small.trials.trial_id[:7])  # whole logs, no temporary file
-    assert write_course(small, tmp_path, overwrite=True) == len(small.trials)
+    assert write_sweep(small, tmp_path, overwrite=True) == len(small.trials)
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is True
 
 
@@ -318,8 +322,8 @@ lost_rows = 0.02
 """
     file = tmp_path / "own.toml"
     file.write_text(text.replace("\n[[experiment]]", f"{parts}\n[[experiment]]", 1), encoding="utf-8")
-    course = run_course(read_device(file), "1", coarsen=30, duration_s=0.2)
-    write_course(course, tmp_path)
+    course = run_sweep(read_device(file), "1", coarsen=30, duration_s=0.2)
+    write_sweep(course, tmp_path)
     truth = json.loads((tmp_path / "falcon" / "1" / TRUTH_FILE).read_text())
     assert truth["loop"]["mode"]["frequency_hz"] == 40.0
     assert truth["loop"]["friction"]["coulomb"] == 0.2

@@ -16,7 +16,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.records.trials import Floats, Trial
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
-from pipeline.simulation.simulate import age_in_force, delays_of, in_force, simulate
+from pipeline.simulation.simulate import applied_delay_moments, applied_delays, delays_of, simulate
 
 T = 0.001
 FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
@@ -108,7 +108,7 @@ def test_a_start_outside_the_travel_does_not_end_the_trial_at_once() -> None:
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=40))
 @settings(max_examples=180, deadline=None)
 def test_newest_arrived_command_holds(delays: list[int]) -> None:
-    found = in_force(np.array(delays))
+    found = applied_delays(np.array(delays))
     for row in range(len(delays)):
         arrived = [sent for sent in range(row + 1) if sent + delays[sent] <= row]
         assert found[row] == max(arrived, default=-1)
@@ -118,15 +118,15 @@ def test_newest_arrived_command_holds(delays: list[int]) -> None:
 @pytest.mark.parametrize("delays", [(4,), (2, 3), (3, 5), (3, 4, 5), (0, 1, 2, 7)])
 def test_moments_of_the_age_in_force_are_those_of_long_draws(delays) -> None:
     drawn = np.random.default_rng(1).choice(delays, 100_000).astype(np.int64)
-    age = (np.arange(len(drawn)) - in_force(drawn))[100:]
-    assert age_in_force(delays) == pytest.approx((age.mean(), age.std()), abs=0.02)
+    age = (np.arange(len(drawn)) - applied_delays(drawn))[100:]
+    assert applied_delay_moments(delays) == pytest.approx((age.mean(), age.std()), abs=0.02)
 
 
 @pytest.mark.parametrize("age", [0.0, 0.3, 1.5, 3.92, 7.25, 80.4])
 @pytest.mark.parametrize("jitter", [0.05, 0.3, 0.74, 1.2])
 def test_whole_delays_stand_for_any_mean_and_deviation_of_the_age(age, jitter) -> None:
     delays = delays_of(age, jitter)
-    mean, deviation = age_in_force(delays) if delays else (age, 0.0)
+    mean, deviation = applied_delay_moments(delays) if delays else (age, 0.0)
     assert mean == pytest.approx(age, abs=0.06)
     assert deviation == pytest.approx(jitter, abs=0.12 if age > 1.2 * jitter and jitter > 0.5 else jitter)
 

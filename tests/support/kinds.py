@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.records.models import Device
-from pipeline.simulation.course import Course, run_course
+from pipeline.simulation.sweep import SimulatedSweep, run_sweep
 
 Draw = Callable[[np.random.Generator, Device], Any]
 Keep = Literal["all", "stable", "unstable", "few"]
@@ -49,7 +49,7 @@ class Case:
     stated : Device
         What a lab would write of it: mass, damping and delay, nothing of what the kind adds.
     options : dict
-        Keyword arguments of `pipeline.simulation.course.run_course`.
+        Keyword arguments of `pipeline.simulation.sweep.run_sweep`.
     keep : {"all", "stable", "unstable", "few"}
         Which of the course's trials the lab has.
     truth : dict
@@ -218,9 +218,9 @@ def _case(base: Device, name: str, seed: int) -> Case:
     return Case(Device.model_validate(true), plain, {"seed": seed}, kind.keep, truth)
 
 
-def record(case: Case, **options: Any) -> Course:
-    """Return the course of a case with the trials that the lab has; options go to `run_course` too."""
-    course = run_course(case.device, case.device.experiments[0].name, **{**case.options, **options})
+def record(case: Case, **options: Any) -> SimulatedSweep:
+    """Return the course of a case with the trials that the lab has; options go to `run_sweep` too."""
+    course = run_sweep(case.device, case.device.experiments[0].name, **{**case.options, **options})
     unstable = course.verdict == "unstable"
     every = np.arange(len(unstable))
     chosen = {

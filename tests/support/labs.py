@@ -10,7 +10,7 @@ from pipeline.comparison.compare import Outcome, compare
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import Device
-from pipeline.simulation.course import Course, run_course, write_course
+from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 from pipeline.store.storage import read_trials
 
 
@@ -19,7 +19,7 @@ class Lab:
     """Courses of one device, with the folders of their logs and of what was ingested from them."""
 
     device: Device
-    courses: dict[str, Course]
+    courses: dict[str, SimulatedSweep]
     raw: Path
     processed: Path
 
@@ -34,8 +34,8 @@ class Lab:
 
 
 def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **options) -> Lab:
-    courses = {name: run_course(device, name, **options) for name in experiments}
-    written = sum(write_course(course, folder / "raw") for course in courses.values())
+    courses = {name: run_sweep(device, name, **options) for name in experiments}
+    written = sum(write_sweep(course, folder / "raw") for course in courses.values())
     report = ingest([folder / "raw"], folder / "processed")
     assert report.ingested == written == report.found
     return Lab(device, courses, folder / "raw", folder / "processed")
@@ -43,7 +43,7 @@ def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **optio
 
 def copied_experiments(folder: Path, device: Device, course: str, names: Sequence[str], **options) -> Path:
     """Logs of one simulated course under the names of several experiments."""
-    write_course(run_course(device, course, **options), folder / "once")
+    write_sweep(run_sweep(device, course, **options), folder / "once")
     for log in sorted((folder / "once").rglob("*.csv")):
         text = log.read_text(encoding="utf-8")
         for name in names:

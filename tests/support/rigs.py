@@ -14,8 +14,8 @@ from pipeline.measured.cost.costs import settling
 from pipeline.measured.identification.parts import choose_parts
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.plan.course import Course, Learnt, Wish, learn, wanted_dampings
-from pipeline.plan.next_wall import Tried, bracket
+from pipeline.plan.campaign import LearntDevice, PlanOptions, Campaign, learn, wanted_dampings
+from pipeline.plan.next_wall import TriedWalls, bracket
 from pipeline.plan.planner import plan_of
 from pipeline.records.trials import Floats, Trial, Trials
 from pipeline.simulation.setup import setup_of
@@ -44,7 +44,7 @@ class Rig:
         self.setup = setup_of(self.case.device, self.case.device.experiments[0])
         self.trials: list[Trial] = []
         self.verdicts: list[tuple[str, float]] = []
-        self.learnt: Learnt | None = None
+        self.learnt: LearntDevice | None = None
 
     def try_walls(self, stiffness: Floats, damping: Floats, repetition: int = 0) -> np.ndarray:
         """Return the verdicts of walls, which are not kept."""
@@ -62,17 +62,17 @@ class Rig:
         self.learnt = learn(Trials.of(self.trials), len(self.trials), self.learnt, choose_parts)
 
     @property
-    def tried(self) -> Tried:
+    def tried(self) -> TriedWalls:
         """The trials so far."""
         if not self.trials:
             nothing = np.empty(0)
-            return Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
+            return TriedWalls(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         verdict, growth = (np.array(column) for column in zip(*self.verdicts, strict=True))
         walls = (np.array([getattr(trial, name) for trial in self.trials]) for name in ("stiffness", "damping"))
         stiffness, damping = walls
-        return Tried(stiffness, damping, verdict, growth)
+        return TriedWalls(stiffness, damping, verdict, growth)
 
-    def with_costs(self, tried: Tried) -> Tried:
+    def with_costs(self, tried: TriedWalls) -> TriedWalls:
         """Return the trials with their settling times, with the delay that the logs show."""
         if not self.trials:
             return tried
@@ -86,10 +86,10 @@ class Rig:
             costs.append(settling(trial, response, judge(trial, response), delay)["settle_2pct"].value)
         return np.array(costs)
 
-    def course(self, *, costs: bool = False) -> Course:
+    def course(self, *, costs: bool = False) -> Campaign:
         """Return the trials so far as the planner reads them."""
         stated, tried = self.case.stated, self.tried
-        return Course(
+        return Campaign(
             name="case",
             experiment=stated.experiments[0].name,
             tried=self.with_costs(tried) if costs else tried,
@@ -140,7 +140,7 @@ class Known:
     unstable: float = float("nan")
 
 
-def planned(rig: Rig, wish: Wish) -> Iterator[Known]:
+def planned(rig: Rig, wish: PlanOptions) -> Iterator[Known]:
     """Yield what is known after each trial that the planner asks for."""
     while True:
         answer = plan_of(rig.course(), wish)
@@ -222,7 +222,7 @@ class FoundBest:
 
 def look_for_best(rig: Rig) -> FoundBest:
     """Run a search for the best settling time."""
-    wish = Wish(goal="optimum", criterion=CRITERION)
+    wish = PlanOptions(goal="optimum", criterion=CRITERION)
     while True:
         answer = plan_of(rig.course(costs=True), wish)
         if answer.done or answer.trials_used >= MOST_TRIALS_OF_BEST:
@@ -255,7 +255,7 @@ def _least(rig: Rig) -> float:
     known = _loop(rig)
     if known is not None:
         return optimal_point(known[0], CRITERION).cost
-    dampings = wanted_dampings(rig.course(), Wish())
+    dampings = wanted_dampings(rig.course(), PlanOptions())
     largest = float(rig.truth(dampings)[0].max())
     K, B = np.meshgrid(np.linspace(0, largest, GRID + 1)[1:], np.linspace(dampings[0], dampings[-1], GRID))
     return float(np.nanmin(rig.settling(simulate(rig.setup, K.ravel(), B.ravel(), seed=rig.seed))))

@@ -16,7 +16,7 @@ from pipeline.readers import Log
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.cli import application
 from pipeline.simulation.setup import Setup
-from pipeline.simulation.simulate import age_in_force, simulate
+from pipeline.simulation.simulate import applied_delay_moments, simulate
 from pipeline.surface import wall_filter as walls
 from pipeline.surface.identify import device_text, measured_trial, wall_loop
 
@@ -131,7 +131,7 @@ def test_a_device_file_is_the_loop_of_its_document(identified, tmp_path, motion,
         velocity is COEFFICIENTS
     ) else {key: value for key, value in (velocity or {}).items() if key != "kind"}  # fmt: skip
     loop = identified.document["loop"] | {"velocity": {k: {"value": float(v)} for k, v in numbers.items()} or None}
-    age, deviation = age_in_force(drawn) if drawn else (2.4, 0.0)
+    age, deviation = applied_delay_moments(drawn) if drawn else (2.4, 0.0)
     loop["delay_samples"] = {"value": age, "low": age - 0.01, "high": age + 0.01}
     loop["jitter_samples"] = {"value": deviation, "low": deviation - 0.01, "high": deviation + 0.01} if drawn else None
     document = identified.document | {

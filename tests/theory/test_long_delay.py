@@ -9,7 +9,7 @@ from pipeline.comparison.summary.summary_warnings import too_late
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.findings import Estimate
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 
 DELAY = 280
 
@@ -38,8 +38,8 @@ def test_a_report_without_theory_says_why(known, tmp_path, monkeypatch):
     folder = tmp_path / "devices"
     folder.mkdir()
     (folder / "far.toml").write_text(far, encoding="utf-8")
-    course = run_course(read_device(folder / "far.toml"), "delay-2", coarsen=40, duration_s=0.7)
-    write_course(course, tmp_path / "logs")
+    course = run_sweep(read_device(folder / "far.toml"), "delay-2", coarsen=40, duration_s=0.7)
+    write_sweep(course, tmp_path / "logs")
     ingest([tmp_path / "logs"], tmp_path / "processed")
     if known:
         monkeypatch.setenv(USER_FOLDER_VARIABLE, str(folder))

@@ -24,7 +24,7 @@ from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.course import TRIALS, Wish, course_of
+from pipeline.plan.campaign import TRIALS, PlanOptions, campaign_of
 from pipeline.plan.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
@@ -40,7 +40,7 @@ from pipeline.records.results import (
     TestedWall,
 )
 from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
-from pipeline.simulation.simulate import age_in_force
+from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.reachable import reachable
 
 COARSE = 5.0
@@ -217,7 +217,7 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
     device = scores.parameters.loop.apparent()
     jitter, delay = of_file.jitter_samples if of_file else (), device.delay_samples
     if jitter and result.delay.value is not None and result.delay.value < delay:
-        delay = max(age_in_force(jitter)[0], min(delay, result.delay.value))
+        delay = max(applied_delay_moments(jitter)[0], min(delay, result.delay.value))
     stated = (
         ("m", device.mass, result.estimates["mass"], units.mass),
         ("b", device.damping, result.estimates["damping"], units.damping),
@@ -335,13 +335,13 @@ def _next(
     data: SceneData, result: ExperimentResult, of_file: Experiment | None, stages: ExperimentStages
 ) -> dict[str, Any]:
     """Return the wall that the planner asks for next by the verdicts so far, or why there is none."""
-    name, wish = result.experiment, Wish()
+    name, wish = result.experiment, PlanOptions()
     try:
         # limits alone need no device
         found = identified_device(stages) if result.loop is not None else None
         if found is not None and found.may_have_friction:
             found = replace(found, directions=_directions(stages))
-        plan = plan_of(replace(course_of(stages, data.device, of_file, wish), found=found), wish)
+        plan = plan_of(replace(campaign_of(stages, data.device, of_file, wish), found=found), wish)
     except (DeviceError, UsageError) as error:
         return {"next_reason": str(error).rstrip(".")}
     if not plan.next:

@@ -53,7 +53,7 @@ LIMITS = {
     "force": "largest_force",
     "travel": "travel",
 }
-"""Bounds of what is tried, with their names in `Wish`."""
+"""Bounds of what is tried, with their names in `PlanOptions`."""
 
 
 LIMIT_QUANTITIES = {
@@ -93,14 +93,14 @@ def simulate(
 
     Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
     """
-    from pipeline.simulation.course import run_course, write_course
+    from pipeline.simulation.sweep import run_sweep, write_sweep
 
     record = device_of(device)
 
     def simulated(name: str) -> int:
         with console.progress(f"{record.name} {name}", "trials") as advance:
-            course = run_course(record, name, seed=seed, coarsen=coarsen, progress=lambda kept: advance(kept, None))
-        return write_course(course, out, overwrite=True)
+            course = run_sweep(record, name, seed=seed, coarsen=coarsen, progress=lambda kept: advance(kept, None))
+        return write_sweep(course, out, overwrite=True)
 
     counts = {name: simulated(name) for name in experiment or [e.name for e in record.experiments]}
     lines = (f"{record.name}, experiment {name}: {count} logs in {out}" for name, count in counts.items())
@@ -382,7 +382,7 @@ def plan(
 
     Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
     """
-    from pipeline.plan.course import Wish
+    from pipeline.plan.campaign import PlanOptions
     from pipeline.plan.planner import plan as plan_stored
     from pipeline.records.criteria import MEASURED
 
@@ -397,7 +397,7 @@ def plan(
             raise UsageError(f"--limit {word}: expected one of {', '.join(LIMITS)}, = and a number.")
         bounds[LIMITS[key]] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
     goal = goal if goal == "boundary" else "optimum"
-    wish = Wish(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
+    wish = PlanOptions(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
     if not watch:
         with console.progress("plan"):
             answer = plan_stored(device, processed, experiment, wish, remembered=True)

@@ -12,7 +12,7 @@ from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.models import Device
-from pipeline.simulation.course import write_course
+from pipeline.simulation.sweep import write_sweep
 from pipeline.surface.stored import costs
 
 SMALL = {"coarsen": 8, "duration_s": 0.4}
@@ -20,7 +20,7 @@ SMALL = {"coarsen": 8, "duration_s": 0.4}
 
 def compared(folder, base: Device, kind: str, seed: int):
     course = record(kinds(base)[kind](seed), **SMALL)
-    write_course(course, folder / "raw")
+    write_sweep(course, folder / "raw")
     ingest([folder / "raw"], folder / "processed", jobs=1)
     result = compare(course.device.name, folder / "processed", criteria=("settle_2pct", "energy_step_w1")).result
     (found,) = result.experiments

@@ -17,10 +17,10 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.loop_limits import limits_of
 from pipeline.records.models import Device
 from pipeline.records.trials import Trials
-from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.simulation.sweep import SimulatedSweep, write_sweep
 
 SHARES = (0.15, 0.3, 0.45, 0.58)
 """Stiffness of the tested walls relative to the limit."""
@@ -48,7 +48,7 @@ def simulated(setup, K, B, scatter: float) -> Trials:
     return Trials.of(simulate(one, np.array([k]), np.array([b]), seed=91)[0] for one, k, b in each)
 
 
-def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
+def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[ExperimentStages, SimulatedSweep, np.ndarray]:
     """Trials of a Falcon with other parts against walls below 60 % of the limit at five dampings, ingested."""
     base = load_device("falcon").model_copy(update={"tables": (), "name": "soft"})
     known = base.model_dump(mode="json", by_alias=True, exclude_unset=True)
@@ -64,8 +64,8 @@ def soft_course(parts: dict, folder, scatter=0.0, **experiment) -> tuple[Experim
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
     trials = simulated(setup, K, B, scatter)
     trials = replace(trials, trial_id=tuple(f"soft{i}" for i in range(len(trials))))
-    course = Course(device, one, setup, 91, trials, np.ones(len(K), int), np.full(len(K), "stable"))
-    write_course(course, folder / "raw")
+    course = SimulatedSweep(device, one, setup, 91, trials, np.ones(len(K), int), np.full(len(K), "stable"))
+    write_sweep(course, folder / "raw")
     ingest([folder / "raw"], folder / "processed", jobs=1)
     return ExperimentStages.stored(folder / "processed", "soft", one.name), course, limit
 

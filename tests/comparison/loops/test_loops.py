@@ -11,8 +11,8 @@ from kinds import kinds, record
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.sweep import SimulatedSweep, write_sweep
 
 KINDS = kinds(load_device("falcon"))
 SEED = 71
@@ -28,7 +28,7 @@ def compared(tmp_path_factory):
         if (name, seed) not in known:
             folder = tmp_path_factory.mktemp("kind")
             course = record(KINDS[name](seed), **SMALL)
-            write_course(course, folder / "raw")
+            write_sweep(course, folder / "raw")
             ingest([folder / "raw"], folder / "processed", jobs=1)
             result = compare(
                 course.device.name, folder / "processed", criteria=("settle_2pct", "energy_step_w0")
@@ -39,7 +39,7 @@ def compared(tmp_path_factory):
     return of
 
 
-def radius(course: Course, stiffness: float, damping: float) -> float:
+def radius(course: SimulatedSweep, stiffness: float, damping: float) -> float:
     """Growth of the true loop from sample to sample, at the mean of a jittering delay."""
     return float(spectral_radius(course.setup, np.array([stiffness]), np.array([damping]))[0])
 

@@ -10,7 +10,7 @@ from pipeline.device.loop import Loop
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.simulation.course import run_course, write_course
+from pipeline.simulation.sweep import run_sweep, write_sweep
 from pipeline.theory.boundary import stiffness_limit
 
 FILE = """
@@ -81,8 +81,8 @@ def told(tmp_path, monkeypatch):
         monkeypatch.setenv("PIPELINE_DEVICES", str(file.parent))
         file.write_text(text(name, loop, numbers), encoding="utf-8")
         device = read_device(file)
-        course = run_course(device, "1", seed=11)
-        write_course(course, tmp_path / "raw")
+        course = run_sweep(device, "1", seed=11)
+        write_sweep(course, tmp_path / "raw")
         ingest([tmp_path / "raw"], tmp_path / "processed", jobs=1)
         if other is not None:
             file.write_text(text(name, other, numbers), encoding="utf-8")

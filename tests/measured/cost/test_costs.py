@@ -19,8 +19,8 @@ from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.experiment.best_trial import choose_optimum
 from pipeline.measured.signal.response import find_response
 from pipeline.records.criteria import SETTLING_BANDS
-from pipeline.simulation.course import run_course
 from pipeline.simulation.simulate import simulate as simulate_device
+from pipeline.simulation.sweep import run_sweep
 
 K = np.array([4469.0, 12000.0, 600.0, 1500.0, 3000.0, 8000.0, 4000.0])
 B = np.array([73.05, 90.0, 24.0, 40.0, 100.0, 140.0, 72.0])
@@ -127,7 +127,7 @@ def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():
 
 def test_optima_of_a_jittered_noisy_course_are_trustworthy():
     """Each optimum against the cost of the same trial with the same jitter, no sensor and a long log."""
-    course = run_course(load_device("falcon"), "1", seed=1, coarsen=2)
+    course = run_sweep(load_device("falcon"), "1", seed=1, coarsen=2)
     logs = Logs(course.trials, 4)
     K, B, names = logs.trials.stiffness, logs.trials.damping, logs.trials.trial_id
     bare = dataclasses.replace(course.setup, rows=2000).with_loop(sensor={})

@@ -13,10 +13,10 @@ from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary import boundary_area, boundary_band
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import BoundaryPoint
-from pipeline.simulation.course import run_course
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
+from pipeline.simulation.sweep import run_sweep
 
 FINE = {"quantum": 2e-6, "noise": 0.5e-6}
 COARSE = {"quantum": 1e-5, "noise": 1e-6}
@@ -25,7 +25,7 @@ COARSE = {"quantum": 1e-5, "noise": 1e-6}
 @cache
 def course(seed, coarsen, quantum, noise, experiment="1"):
     sensor = {"quantum": quantum, "noise": noise}
-    return run_course(load_device("falcon"), experiment, seed=seed, jitter_samples=(), coarsen=coarsen, sensor=sensor)
+    return run_sweep(load_device("falcon"), experiment, seed=seed, jitter_samples=(), coarsen=coarsen, sensor=sensor)
 
 
 def limit(setup, damping):
@@ -341,7 +341,7 @@ def test_the_scatter_of_rates_is_at_least_that_of_two_dampings_on_either_side():
 
 
 def test_jitter_moves_the_limit():
-    of = run_course(load_device("falcon"), "1", seed=0, coarsen=4)
+    of = run_sweep(load_device("falcon"), "1", seed=0, coarsen=4)
     points = band(of)
     B = np.array([p.damping for p in points])
     limits = np.array([p.estimate for p in points])
@@ -356,7 +356,7 @@ def test_undecided_logs_far_below_the_limit_move_no_limit():
 
     At B = 176 Ns/m four are, from 5,600 N/m on; runs of 4 s die away up to 6,400 N/m and grow from 6,800 N/m on.
     """
-    of = run_course(load_device("falcon"), "1", seed=8, coarsen=4)
+    of = run_sweep(load_device("falcon"), "1", seed=8, coarsen=4)
     points, said = {p.damping: p for p in band(of)}, verdicts(of.trials).verdict
     assert sum(p.undecided for p in points.values()) >= 6
     for p in points.values():

@@ -22,7 +22,7 @@ from pipeline.measured.identification.parts import _promise, _takes_away
 from pipeline.measured.identification.recordings import LogUnits, Recording, motion_of
 from pipeline.measured.identification.scatter import Moments, solve
 from pipeline.measured.identification.segments import segments_of
-from pipeline.simulation.simulate import age_in_force
+from pipeline.simulation.simulate import applied_delay_moments
 
 T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction.coulomb": 0.034, "delay_samples": 2.3}
@@ -156,7 +156,7 @@ def test_a_lag_of_nothing_is_as_likely_as_none():
 
 
 def test_ages_of_commands_follow_each_other_as_newly_drawn_delays_have_it():
-    found, seen = Ages.of(35 / 9, age_in_force((3, 4, 5))[1]), np.zeros((3, 3))
+    found, seen = Ages.of(35 / 9, applied_delay_moments((3, 4, 5))[1]), np.zeros((3, 3))
     for drawn in product((3, 4, 5), repeat=7):
         before, now = (min(age for age in (3, 4, 5) if drawn[row - age] <= age) for row in (5, 6))
         seen[before - 3, now - 3] += 1 / 3**7

@@ -22,13 +22,13 @@ from pipeline.measured.identification.noise_search import (
     with_jitter_error,
 )
 from pipeline.measured.identification.recordings import Recording
-from pipeline.simulation.course import run_course
+from pipeline.simulation.sweep import run_sweep
 
 
 @pytest.fixture(scope="module")
 def fit():
     """Segments of a device whose delay jitters, and the device."""
-    course = run_course(load_device("falcon"), "1", seed=4, coarsen=8)
+    course = run_sweep(load_device("falcon"), "1", seed=4, coarsen=8)
     logs = [
         Recording(each.trial_id, each.time, each.command, each.position, 1e-3) for each in list(course.trials)[5:25]
     ]

@@ -28,7 +28,7 @@ from pipeline.records.trials import Floats, Integers, Trials
 from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
-from pipeline.simulation.simulate import age_in_force, simulate
+from pipeline.simulation.simulate import applied_delay_moments, simulate
 from pipeline.store.names import place_of
 from pipeline.theory.cases import tested_grid
 
@@ -43,7 +43,7 @@ TRUTH_FILE = "truth.json"
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SimulatedSweep:
     """Trials of one sweep in the order in which a lab would have recorded them, and their ground truth.
 
     Parameters
@@ -69,7 +69,7 @@ class Course:
     verdict: Strings
 
 
-def run_course(
+def run_sweep(
     device: Device,
     experiment: str,
     *,
@@ -79,7 +79,7 @@ def run_course(
     coarsen: int = 1,
     progress: Callable[[int], None] | None = None,
     **changes: Any,
-) -> Course:
+) -> SimulatedSweep:
     """Simulate the sweep of one experiment.
 
     Parameters
@@ -138,7 +138,7 @@ def run_course(
         replace(trial, trial_id=_log_name(trial.stiffness, trial.damping, number))
         for trial, number in zip(kept, passes.tolist(), strict=True)
     )
-    return Course(device, conditions, setup, seed, Trials.of(named), passes, verdict)
+    return SimulatedSweep(device, conditions, setup, seed, Trials.of(named), passes, verdict)
 
 
 def _setup(device: Device, conditions: Experiment, duration_s: float | None, *, ideal: bool) -> Setup:
@@ -165,12 +165,12 @@ def _digits(value: float, width: int) -> str:
     return ("-" if value < 0 else "") + whole.zfill(width) + point + decimals
 
 
-def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> int:
+def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False) -> int:
     """Write a sweep as native logs with ``truth.json`` below ``folder/<device>/<experiment>``.
 
     Parameters
     ----------
-    course : Course
+    sweep : SimulatedSweep
     folder : Path
         Made where it is missing.
     overwrite : bool
@@ -190,8 +190,8 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
     PipelineError
         If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
     """
-    target = place_of(place_of(folder, course.device.name), course.experiment.name)
-    names = [f"{name}.csv" for name in course.trials.trial_id]
+    target = place_of(place_of(folder, sweep.device.name), sweep.experiment.name)
+    names = [f"{name}.csv" for name in sweep.trials.trial_id]
     try:
         earlier = _earlier_logs(target, overwrite)
         foreign = [name for name in names if name not in earlier and (target / name).exists()]
@@ -200,13 +200,13 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
                 f"{target / foreign[0]} ({len(foreign)} such file(s)) is no log of an earlier simulation "
                 f"by its {TRUTH_FILE}, and is not replaced. Choose another folder (--out)."
             )
-        truth = _truth(course)
+        truth = _truth(sweep)
         # what a broken run leaves behind is listed before it is written, so that the next run may replace it
         pending = {"complete": False, "logs": [*sorted(earlier), *names]}
         write_text(target / TRUTH_FILE, json.dumps({**truth, **pending}))
         for name in earlier.difference(names):
             (target / name).unlink(missing_ok=True)
-        _write_logs(course, target, names)
+        _write_logs(sweep, target, names)
         write_text(target / TRUTH_FILE, json.dumps(truth, indent=1))
     except OSError as error:
         raise PipelineError(
@@ -216,17 +216,17 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
     return len(names)
 
 
-def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
-    device, experiment, hidden = course.device, course.experiment, course.setup.hidden
+def _write_logs(sweep: SimulatedSweep, target: Path, names: Sequence[str]) -> None:
+    device, experiment, hidden = sweep.device, sweep.experiment, sweep.setup.hidden
     # time stamps are the same in every log without gaps, so they are text of the template
-    longest, period = int(course.trials.rows.max(initial=0)), course.setup.loop.sampling_period_s
+    longest, period = int(sweep.trials.rows.max(initial=0)), sweep.setup.loop.sampling_period_s
     stamped = bool(hidden.lost_rows) and not hidden.lost_rows_hidden
     stamps = ["%.17g" if stamped else "%.17g" % (k * period) for k in range(longest)]
     lines = [f"{stamp},%.17g,%.17g\n" for stamp in stamps]
-    templates = {rows: "".join(lines[:rows]) for rows in np.unique(course.trials.rows).tolist()}
+    templates = {rows: "".join(lines[:rows]) for rows in np.unique(sweep.trials.rows).tolist()}
     temporary = target / f".{os.getpid()}{TEMPORARY_ENDING}"
     try:
-        for trial, name in zip(course.trials, names, strict=True):
+        for trial, name in zip(sweep.trials, names, strict=True):
             header = NativeHeader(
                 device=device.name,
                 experiment=experiment.name,
@@ -268,26 +268,28 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
     return {name for name in names if Path(name).name == name and name.endswith(".csv")}
 
 
-def _truth(course: Course) -> dict[str, Any]:
-    setup, experiment, trials, loop = course.setup, course.experiment, course.trials, course.setup.loop
+def _truth(sweep: SimulatedSweep) -> dict[str, Any]:
+    setup, experiment, trials, loop = sweep.setup, sweep.experiment, sweep.trials, sweep.setup.loop
     shortest, longest = loop.delay_range
     radius = spectral_radius(setup, trials.stiffness, trials.damping)
-    rows = zip(trials.trial_id, trials.stiffness, trials.damping, course.verdict, radius, trials.rows, strict=True)
+    rows = zip(trials.trial_id, trials.stiffness, trials.damping, sweep.verdict, radius, trials.rows, strict=True)
     return {
-        "device": course.device.name,
+        "device": sweep.device.name,
         "experiment": experiment.name,
         "package_version": __version__,
-        "seed": course.seed,
+        "seed": sweep.seed,
         "plant": {"mass": experiment.mass, "damping": experiment.damping, "stiffness": experiment.stiffness},
         "delay_samples": setup.mean_delay_samples,
         "delay_samples_low": shortest,
         "delay_samples_high": longest,
-        "applied_delay_samples": age_in_force(loop.jitter_samples)[0] if loop.jitter_samples else loop.delay_samples,
+        "applied_delay_samples": applied_delay_moments(loop.jitter_samples)[0]
+        if loop.jitter_samples
+        else loop.delay_samples,
         "jitter_samples": list(loop.jitter_samples),
         "quantum": loop.sensor.quantum,
         "noise": loop.sensor.noise,
         "force_limit": loop.force_limit,
-        "loop": course.device.loop_table(experiment).model_dump(mode="json"),
+        "loop": sweep.device.loop_table(experiment).model_dump(mode="json"),
         "simulation": setup.hidden.model_dump(mode="json"),
         "step": setup.step,
         "edge_row": setup.edge_row,

@@ -28,8 +28,8 @@ from pipeline.measured.stages.stage_device import device_row, recording, recordi
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
-from pipeline.plan.next_wall import Forecast, Tried
-from pipeline.plan.requests import Answer, stored_requests
+from pipeline.plan.next_wall import Forecast, TriedWalls
+from pipeline.plan.requests import AnsweredWall, stored_requests
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
 from pipeline.records.trials import Floats, Trials
@@ -83,7 +83,7 @@ RANGE_NEEDED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Learnt:
+class LearntDevice:
     """The identified device of some logs, None without a mass, and the number of logs when its parts were selected."""
 
     chosen: ChosenParts
@@ -92,7 +92,7 @@ class Learnt:
 
 
 @dataclass(frozen=True)
-class Wish:
+class PlanOptions:
     """What the planner is asked for; see `limits.Aim` for accuracy and gentleness.
 
     Parameters
@@ -122,7 +122,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Campaign:
     """Trials of one experiment so far, and where it started: the file's experiment where there is one.
 
     ``found`` is the device that its logs show, with what was ``learnt`` for the next one; without one ``unknown`` is
@@ -132,7 +132,7 @@ class Course:
 
     name: str
     experiment: str
-    tried: Tried
+    tried: TriedWalls
     device: Device | None
     of_file: Experiment | None
     sampling_period_s: float
@@ -140,12 +140,12 @@ class Course:
     step: float
     motion: Motion
     found: IdentifiedLoop | None = None
-    learnt: Learnt | None = None
+    learnt: LearntDevice | None = None
     unknown: str = ""
     undecided: tuple[str, ...] = ()
     free: int = 0
     walls: tuple[tuple[float, float], ...] = ()
-    answers: tuple[Answer, ...] = ()
+    answers: tuple[AnsweredWall, ...] = ()
 
     @property
     def is_sure(self) -> bool:
@@ -161,21 +161,21 @@ class Course:
         return (len(logs) or len(self.tried) + self.free) < FEW
 
 
-def open_course(
+def open_campaign(
     name: str,
     processed: Path,
     experiment: str | None,
-    wish: Wish,
-    known: Learnt | None = None,
+    options: PlanOptions,
+    known: LearntDevice | None = None,
     look: Look = look_at_once,
-) -> Course:
+) -> Campaign:
     """Return the stored trials of an experiment; errors as of `plan`.
 
     Parameters
     ----------
-    name, processed, experiment, wish
+    name, processed, experiment, options
         As of `plan`.
-    known : Learnt, optional
+    known : LearntDevice, optional
         The device that fewer logs have shown.
     look : callable
         What looks for the parts of the device.
@@ -190,15 +190,15 @@ def open_course(
             raise DeviceError(f"device {name!r}: no device file and no log of it in {processed}; {RANGE_NEEDED}.")
         of_file = find_experiment(device, chosen)
         nothing = np.empty(0)
-        tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
+        tried = TriedWalls(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
-        return Course(name, chosen, tried, device, of_file, *about, device.motion)
+        return Campaign(name, chosen, tried, device, of_file, *about, device.motion)
     trials = in_order(read_trials(processed, name, chosen))  # as the stages have them
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
-    if wish.largest_force < inf:
+    if options.largest_force < inf:
         force = np.array([np.abs(trial.command).max() for trial in load_trials(processed, trials)])
-    course = course_of(stages, device, of_file, wish, force)
+    campaign = campaign_of(stages, device, of_file, options, force)
     K, B = (trials.column(key).to_numpy() for key in ("stiffness", "damping"))
     findings = recording_findings(stages)
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
@@ -217,16 +217,16 @@ def open_course(
         unknown = unusable(recordings) or NOT_IDENTIFIED.format(Recorded.of(recordings).remedy())
     walls = tuple(zip(K.tolist(), B.tolist(), strict=True))
     answers = stored_requests(processed, name, chosen).answered(walls)
-    return replace(course, found=found, learnt=known, unknown=unknown, walls=walls, answers=answers)
+    return replace(campaign, found=found, learnt=known, unknown=unknown, walls=walls, answers=answers)
 
 
-def course_of(
+def campaign_of(
     stages: ExperimentStages,
     device: Device | None,
     of_file: Experiment | None,
-    wish: Wish,
+    options: PlanOptions,
     force: Floats | None = None,
-) -> Course:
+) -> Campaign:
     """Return the trials of an experiment by their verdicts alone, without an identified device.
 
     ``force`` is the largest absolute command of each trial [N, Nm], where it matters.
@@ -234,13 +234,13 @@ def course_of(
     trials = stages.trials
     columns = [stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")]
     nothing = np.full(trials.num_rows, np.nan)
-    cost = stages.cost(wish.criterion)[0] if wish.goal == "optimum" else nothing
+    cost = stages.cost(options.criterion)[0] if options.goal == "optimum" else nothing
     K, B, growth = columns
-    tried = Tried(K, B, stages.verdicts.verdict, growth, nothing if force is None else force, cost)
+    tried = TriedWalls(K, B, stages.verdicts.verdict, growth, nothing if force is None else force, cost)
     period = float(np.median(trials.column("sampling_period_s").to_numpy()))
     walls = (K > 0) & (B >= 0)
     reasons = stages.verdicts.reason
-    return Course(
+    return Campaign(
         stages.device,
         stages.experiment,
         tried.select(walls),
@@ -265,35 +265,35 @@ def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Dev
     return device.experiments[0].name if device else ""
 
 
-def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
+def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
     """Return the dampings at which limits are looked for: those named, else even ones of the range, or those tried.
 
     Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near. For one that
     the rig answered by another damping that counts.
     """
-    tried = np.unique(course.tried.damping)
-    of_file = course.of_file
-    if wish.dampings:
-        wanted = np.unique(np.array(wish.dampings, dtype=np.float64))
+    tried = np.unique(campaign.tried.damping)
+    of_file = campaign.of_file
+    if options.dampings:
+        wanted = np.unique(np.array(options.dampings, dtype=np.float64))
     elif of_file is not None:
-        assert course.device is not None, "of which the experiment was found"
-        grid = tested_grid(course.device, of_file)
+        assert campaign.device is not None, "of which the experiment was found"
+        grid = tested_grid(campaign.device, of_file)
         even = np.linspace(grid.damping_first, grid.damping_last, DAMPINGS)
         steps = np.round((even - grid.damping_first) / grid.damping_step)
-        wanted = as_set(np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0)), tried)
+        wanted = settable_dampings(np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0)), tried)
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
-    elif not len(tried) and course.found is not None:
-        wanted = damping_range(course.found.loop)
+    elif not len(tried) and campaign.found is not None:
+        wanted = damping_range(campaign.found.loop)
     else:
         wanted = tried
     if not len(wanted):
-        reason = course.unknown or "its logs have no wall"
-        raise UsageError(f"device {course.name!r}: {reason.rstrip('.')}; {RANGE_NEEDED}.")
-    wanted = _as_answered(wanted, course.answers)
-    wanted = wanted[wanted <= wish.largest_damping]
+        reason = campaign.unknown or "its logs have no wall"
+        raise UsageError(f"device {campaign.name!r}: {reason.rstrip('.')}; {RANGE_NEEDED}.")
+    wanted = _as_answered(wanted, campaign.answers)
+    wanted = wanted[wanted <= options.largest_damping]
     if not len(wanted):
-        raise UsageError(f"device {course.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
+        raise UsageError(f"device {campaign.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
     return tuple(wanted.tolist())
 
 
@@ -306,7 +306,7 @@ def damping_range(loop: Loop) -> Floats:
     return np.arange(DAMPINGS, dtype=np.float64) * unit * max(round(last / (DAMPINGS - 1) / unit), 1)
 
 
-def as_set(wanted: Floats, tried: Floats) -> Floats:
+def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
     """Return dampings, in place of those that were not tried the nearest that was, where a rig may have set it."""
     if not len(tried) or len(wanted) < 2:
         return wanted
@@ -314,7 +314,7 @@ def as_set(wanted: Floats, tried: Floats) -> Floats:
     return np.unique(np.where(np.abs(nearest - wanted) <= AS_SET * np.diff(wanted).min(), nearest, wanted))
 
 
-def _as_answered(wanted: Floats, answers: Sequence[Answer]) -> Floats:
+def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
     """Return dampings, in place of those for which a rig set another that one, where it is near or was set twice."""
     near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
     result = wanted.copy()
@@ -325,7 +325,7 @@ def _as_answered(wanted: Floats, answers: Sequence[Answer]) -> Floats:
     return np.unique(result)
 
 
-def snapped(tried: Tried, dampings: Sequence[float]) -> Tried:
+def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
     """Return the trials with a damping that is next to a wanted one counted as that."""
     wanted = np.array(dampings)
     nearest = wanted[np.argmin(np.abs(tried.damping[:, None] - wanted), axis=1)] if len(tried) else tried.damping
@@ -333,24 +333,24 @@ def snapped(tried: Tried, dampings: Sequence[float]) -> Tried:
     return replace(tried, damping=np.where(near, nearest, tried.damping))
 
 
-def foretold(course: Course, dampings: Sequence[float]) -> Forecast | None:
+def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
     """Return the limits by the device that the logs show, for the step, else by its file.
 
     None without both, and where the devices that the logs allow have limits too different to count as one.
     """
     wall = np.array(dampings)
-    if course.found is not None:
-        return _by_logs(course, course.found, wall)
-    if course.device is None or course.of_file is None:
+    if campaign.found is not None:
+        return _by_logs(campaign, campaign.found, wall)
+    if campaign.device is None or campaign.of_file is None:
         return None
-    loop = nominal_loop(course.device.loop_for(course.of_file)).loop
+    loop = nominal_loop(campaign.device.loop_for(campaign.of_file)).loop
     limit = linear_limits(loop, wall)
     largest = float(limit.max()) or _stiffest(loop)
     if not largest > 0:
-        raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
+        raise DeviceError(f"device {campaign.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     error = np.full(len(limit), START_ERROR * largest)
     # the first wall is a share of the limit itself
-    low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(course.tried) else limit
+    low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(campaign.tried) else limit
     return Forecast(limit, error, low=low, scale=largest)
 
 
@@ -359,32 +359,32 @@ def _stiffest(loop: Loop) -> float:
     return float(linear_limits(loop, np.array([damping_of_stiffest(loop)]))[0])
 
 
-def _by_logs(course: Course, device: IdentifiedLoop, wall: Floats) -> Forecast | None:
-    trial = StepTrial(course.step, round(course.trial_s / course.sampling_period_s))
+def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Forecast | None:
+    trial = StepTrial(campaign.step, round(campaign.trial_s / campaign.sampling_period_s))
     limit, reach = limits_of(device, wall, trial)
     linear, linear_reach = limits_of(device, wall)
     # the step that walls will have is not known as long as no trial had one
-    known = np.isfinite(limit) & (len(course.tried) > 0 or not course.free)
+    known = np.isfinite(limit) & (len(campaign.tried) > 0 or not campaign.free)
     limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
     lowest, best = lowest_limits(device, wall), int(np.argmax(linear))
     unsure = bool(lowest[best] < UNSURE * linear[best])
-    if unsure and len(course.tried):
+    if unsure and len(campaign.tried):
         return None
-    if course.is_sure and not unsure:
+    if campaign.is_sure and not unsure:
         # friction raises the limit for the step, as far as it is known
         by_friction = np.sqrt(np.maximum(reach**2 - linear_reach**2, 0.0))
         raised = limit - np.hypot(linear - lowest, by_friction)
         # where the linear limit is hardly known, so is what friction adds to it
         lowest = np.where(linear - lowest <= NARROW * linear, np.maximum(raised, lowest), lowest)
     scale = float(limit.max())
-    if not scale > 0 and not len(course.tried):
+    if not scale > 0 and not len(campaign.tried):
         scale = _stiffest(device.loop)
         if not scale > 0:
-            raise DeviceError(f"device {course.name!r}: by the device of its logs no wall is stable; {RANGE_NEEDED}.")
+            raise DeviceError(f"device {campaign.name!r}: by the device of its logs no wall is stable; {RANGE_NEEDED}.")
     return Forecast(limit, reach / NORMAL_95, low=np.minimum(lowest, limit), scale=scale)
 
 
-def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learnt | None:
+def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) -> LearntDevice | None:
     """Return the device that trials of an experiment show, from that of fewer.
 
     Parameters
@@ -393,7 +393,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         Trials with K > 0, else without a wall: all, or `TRIALS` that are spread over the walls.
     count : int
         Number of all.
-    known : Learnt or None
+    known : LearntDevice or None
     look : callable
         Asked where the parts of the device are not known yet, or were looked for in a third of the logs.
     """
@@ -413,7 +413,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         # a device that cannot be fitted is none
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
-        return Learnt(chosen, None, looked)
+        return LearntDevice(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
     device = loop_from_row(asdict(row), float(np.median(trials.sampling_period_s)))
     # a filter shows most where there is most damping
@@ -423,7 +423,7 @@ def learn(trials: Trials, count: int, known: Learnt | None, look: Look) -> Learn
         shown = wall_law(most, find_response(most)).filter
         velocity = None if shown is None else shown.declared
     device = replace(device, velocity=velocity, directions=Recorded.of(recordings).directions)
-    return Learnt(chosen, device, looked)
+    return LearntDevice(chosen, device, looked)
 
 
 def unusable(recordings: list[Recording]) -> str:
