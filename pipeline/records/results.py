@@ -359,7 +359,7 @@ class LoopFindings(Record):
 class Truth(Record):
     """Ground truth of a simulated experiment: its loop, jitter [samples] and constant force [N, Nm].
 
-    The delay of ``loop`` is the mean age of the command in force, ``jitter_samples`` its standard deviation.
+    The delay of ``loop`` is the mean delay of the applied command, ``jitter_samples`` its standard deviation.
     ``limit_reason`` says why the limits of the loop are not known.
     """
 

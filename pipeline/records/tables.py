@@ -143,7 +143,7 @@ COLUMNS: dict[str, Column] = {
     "model_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
     "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b in the same way", True),
     "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "its standard error", True),
-    "model_delay": _same(_F, "samples", "mean delay of the command in force in the same way", True),
+    "model_delay": _same(_F, "samples", "mean delay of the applied command in the same way", True),
     "model_delay_error": _same(_F, "samples", "its standard error", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
     # cost stages

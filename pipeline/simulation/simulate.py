@@ -173,7 +173,7 @@ def applied_delays(delays: Integers) -> Integers:
     Returns
     -------
     int64, shape (rows,)
-        Row of the command in force in the interval that starts with each row; -1 before any arrival.
+        Row of the applied command in the interval that starts with each row; -1 before any arrival.
 
     Examples
     --------
@@ -189,10 +189,10 @@ def applied_delays(delays: Integers) -> Integers:
 
 
 def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
-    """Return mean and standard deviation [samples] of the age of the command in force.
+    """Return mean and standard deviation [samples] of the delay of the applied command.
 
-    Each command draws its delay from some whole ones that are as likely. As later commands overtake, the mean is below
-    that of ``delays``: a command in force is older than j samples if none of the last j + 1 has arrived.
+    Each command draws its delay from whole ones of equal probability. As later commands overtake earlier ones, the mean
+    is below that of ``delays``: the applied command is older than j samples if none of the last j + 1 has arrived.
     """
     drawn = np.array(delays)
     older = np.cumprod([(drawn > age).mean() for age in range(int(drawn.max()) + 1)])
@@ -203,10 +203,10 @@ def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
 
 
 def delays_of(age: float, jitter: float) -> tuple[int, ...]:
-    """Return whole delays, as likely, whose age in force comes nearest to a mean and a standard deviation [samples].
+    """Return whole delays of equal probability for a mean and a standard deviation of the applied delay [samples].
 
-    None where one delay for all comes nearer. An error of the mean counts four times that of the deviation: limits
-    follow the mean.
+    Empty where a constant delay comes nearer. An error of the mean has four times the weight of one of the deviation,
+    because limits follow the mean.
     """
     drawn, mean, deviation = _drawn()
     first = np.maximum(np.rint(age - mean), 0)
@@ -217,7 +217,7 @@ def delays_of(age: float, jitter: float) -> tuple[int, ...]:
 
 @cache
 def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Return delays from 0 on, one of them up to `MOST_ALIKE` times as likely, with mean and deviation of their age."""
+    """Return sets of delays from 0 on, one of them up to `MOST_ALIKE` times, with mean and deviation when applied."""
     every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
     every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(MOST_ALIKE)]
     mean, deviation = np.array([applied_delay_moments(drawn) for drawn in every]).T
@@ -225,7 +225,7 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
 
 
 def _slots(setup: Setup, delays: Integers | None) -> Integers:
-    """Return the row of the command in force, from 1, in the parts of the interval behind each row, (parts, rows)."""
+    """Return the row of the applied command, from 1, in the parts of the interval behind each row, (parts, rows)."""
     if delays is not None:
         slots = applied_delays(delays) + 1
         return slots[None]
