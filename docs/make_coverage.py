@@ -252,11 +252,11 @@ class Count:
 
 ABOUT = """# How often intervals contain the truth
 
-Made by `python docs/make_coverage.py`: {courses} simulated experiments of {trials} trials of {rows} rows behind walls, by a
-fine simulation that shares nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5 samples,
-quantum 2 to 20 um. *Identified*: with a value, of all experiments; *right*: within 5 % of the truth; *wrong*: off by
-more than 5 % **and** by more than three half widths; *covered*: 95 % intervals that contain the truth; *width*: median
-half width relative to the truth.
+Made by `python docs/make_coverage.py`: {courses} simulated experiments of {trials} trials of {rows} rows behind walls,
+by a fine simulation that shares nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5
+samples, quantum 2 to 20 um. *Identified*: with a value, of all experiments; *right*: within 5 % of the truth; *wrong*:
+off by more than 5 % **and** by more than three half widths; *covered*: 95 % intervals that contain the truth; *width*:
+median half width relative to the truth.
 
 | kind | quantity | identified | right | wrong | covered [%] | width [%] |
 |---|---|---|---|---|---|---|

@@ -19,7 +19,7 @@ from pipeline.base.disk import WAIT_S, writing
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
-from pipeline.base.wording import counted
+from pipeline.intake.decide import Decision, Evidence, Twin, decide, decide_unread
 from pipeline.intake.kept import (
     Accepted,
     Periods,
@@ -55,6 +55,7 @@ from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version, read_corrections
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
+"""Summary of a decision (`pipeline.intake.decide`) for the report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -362,18 +363,15 @@ class _Run:
         self._note(source, "skip", reason)
 
     def _settled_unread(self, source: Source) -> bool:
-        if self.rehash:
-            return False
-        sign = (source.size, source.mtime_ns, source.profile_sha256)
         stored, refused = self.stored.get(source.key), self.refused.get(source.key)
-        # what could not be read may be readable now: permissions leave size and time alone
-        readable = refused is not None and refused.sha256 is not None and not self.replace
-        if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
-            self._tell_refused(source, refused)
-        elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
-            self._skip(source, "unchanged: size and modification time")
-        else:
+        decision = None if self.rehash else decide_unread(source, stored, refused, replace=self.replace)
+        if decision is None:
             return False
+        if decision.rule == "refused before":
+            assert refused is not None, "it has a record"
+            self._report_refused(source, refused)
+        else:
+            self._skip(source, decision.reason)
         return True
 
     def _is_known(self, source: Source, sha256: str) -> bool:
@@ -381,16 +379,12 @@ class _Run:
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
             return former.profile_sha256 == source.profile_sha256
-        return self._read_alike(self._find(source, sha256), source)
+        twin = self.stored.get(self._find(source, sha256) or "")
+        return twin is not None and twin.profile_sha256 == source.profile_sha256
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path of a stored log with the same content and the same conditions in its name."""
         return self.places.get(trial_id(sha256, None, source.told))
-
-    def _read_alike(self, path: str | None, source: Source) -> bool:
-        """Return whether what is stored under a path was read by the profile that reads a source."""
-        stored = None if path is None else self.stored.get(path)
-        return stored is not None and stored.profile_sha256 == source.profile_sha256
 
     def _settle(self, read: Read) -> Refused | None:
         """Decide on a source that was read; return what is to be put into quarantine."""
@@ -402,7 +396,7 @@ class _Run:
             self._accept(source, read.sha256, read.result)
         except LogError as error:
             record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
-            self._tell_refused(source, record)
+            self._report_refused(source, record)
             if record != former and not record.knows_less(former):
                 return source, record
         return None
@@ -415,61 +409,61 @@ class _Run:
         LogError
             If it cannot be stored.
         """
-        former, twin = self.stored.get(source.key), self._find(source, sha256)
-        again = former is not None and former.sha256 == sha256
         accepted: list[Accepted] = []
         if logs is not None:
-            apart = [self._noted(source, self.periods.apart(log)) for log in logs]
-            accepted = accepted_logs(source, sha256, apart, self._motions, self.claims)
-            paths = {self.places.get(one.trial) for one in accepted}
-            twin = None if again else (paths.pop() if len(paths) == 1 else None) or twin
-        if logs is None or self._read_alike(twin, source):
-            self._known(source, former, again, twin)
-            return
-        rival = former if again else None if twin is None else self.stored.get(twin)
-        outcome = self._outcome(rival, accepted)
-        if twin is not None and outcome is None and not is_gone(path_of_text(twin)):
-            self._known(source, former, again, twin)  # another version of the profile read the other one
-            return
-        if twin is not None and rival is not None:
-            self._drop(source.shown, twin, rival, outcome)
-        self._take(source, accepted, outcome)
+            parted = [self._noted(source, self.periods.assign(log)) for log in logs]
+            accepted = accepted_logs(source, sha256, parted, self._motions, self.claims)
+        evidence = self._evidence(source, sha256, accepted if logs is not None else None)
+        decision = decide(evidence, replace=self.replace)
+        if decision.stores:
+            self._take(evidence, decision, accepted)
+        else:
+            self._skip(source, decision.reason)
+            if evidence.twin is None and evidence.former is not None:
+                self.places |= dict.fromkeys(evidence.former.trials, source.key)
+        if decision.warning is not None:
+            self.warnings.append(LogWarning(source.shown, decision.warning))
+        for drop in decision.drops:
+            if drop.outcome is not None:
+                self.changed.append(ChangedSource(path=drop.shown, outcome=drop.outcome))
+            keys = self.outdated if drop.late else self.dropped
+            keys |= drop.stored.keys(drop.path)
+        if decision.stores:
+            self._queue(accepted, evidence.former.trials if decision.rule == "completed" and evidence.former else ())
 
     def _noted(self, source: Source, log: Log) -> Log:
         """Return a log, noted where its samples are those of a source before."""
         other = self.seen.setdefault(log.samples_sha256, source.shown)
         return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
-    def _outcome(self, rival: StoredSource | None, accepted: Sequence[Accepted]) -> str | None:
-        """Return what becomes of trials of the same content that another profile or device has; None where none has.
+    def _evidence(self, source: Source, sha256: str, accepted: Sequence[Accepted] | None) -> Evidence:
+        """Return what a decision needs: stored sources with the path, or with the content, of a source."""
+        former, path = self.stored.get(source.key), self._find(source, sha256)
+        if accepted:
+            paths = {self.places.get(one.trial) for one in accepted}
+            again = former is not None and former.sha256 == sha256
+            path = None if again else (paths.pop() if len(paths) == 1 else None) or path
+        stored = None if path is None else self.stored.get(path)
+        twin = Twin(path, stored, not is_gone(path_of_text(path))) if path is not None and stored is not None else None
+        lost = None
+        if accepted and former is None and source.profile is not None and source.profile.reads_names:
+            lost = next(iter(self._gone.get((sha256, accepted[0].row["profile_sha256"]), [])), None)
+        devices = None if accepted is None else tuple(one.place.device for one in accepted)
+        return Evidence(source, sha256, devices, former, twin, lost)
 
-        Raises
-        ------
-        LogError
-            If it was not asked that they give way.
-        """
-        profile, now = accepted[0].row["profile"], sorted({one.place.device for one in accepted})
-        if rival is None or (rival.profile, sorted(set(rival.devices))) == (profile, now):
-            return None
-        before = f"device {', '.join(map(repr, sorted(set(rival.devices))))} by profile {rival.profile!r}"
-        if not self.replace:
-            raise LogError(
-                f"is stored as a log of {before}; profile {profile!r} claims it now for device "
-                f"{', '.join(map(repr, now))}. Its trials stay as they are. To read it as that now, delete them or "
-                "give --replace; or name the right profile.",
-                code="profile-wrong",
-            )
-        count = len(rival.trials)
-        return f"{counted(count, 'trial')} of {before} {'was' if count == 1 else 'were'} replaced"
-
-    def _take(self, source: Source, accepted: Sequence[Accepted], outcome: str | None) -> None:
-        """Store a log in place of what was stored of it before."""
-        former = self.stored.get(source.key)
-        row, ids = accepted[0].row, tuple(one.trial for one in accepted)
-        devices = tuple(one.place.device for one in accepted)
-        told = (row["source_sha256"], row["profile_sha256"], row["profile"])
-        self.stored.taken[source.key] = StoredSource(*told, source.size, source.mtime_ns, devices, ids)
+    def _take(self, evidence: Evidence, decision: Decision, accepted: Sequence[Accepted]) -> None:
+        """Note the trials of a log that is stored, with their warnings."""
+        source, row, ids = evidence.source, accepted[0].row, tuple(one.trial for one in accepted)
+        read_by = (row["source_sha256"], row["profile_sha256"], row["profile"])
+        self.stored.taken[source.key] = StoredSource(
+            *read_by, source.size, source.mtime_ns, evidence.devices or (), ids
+        )
         self.places |= dict.fromkeys(ids, source.key)
+        if decision.rule == "renamed" and evidence.lost is not None:
+            path, renamed = evidence.lost
+            self._gone[read_by[:2]].remove(evidence.lost)
+            self.missing.discard(path)
+            self.renamed |= dict(zip(renamed.trials, ids, strict=False))
         texts: dict[str, Finding | None] = dict.fromkeys(text for one in accepted for text in one.log.warnings)
         texts |= {finding.sentence: finding for one in accepted for finding in one.log.findings}
         if not self._deleted.isdisjoint(ids):
@@ -478,57 +472,17 @@ class _Run:
             LogWarning(source.shown, storable(text), *((found.code, found.severity) if found else (None, None)))
             for text, found in texts.items()
         ]
-        reason, present = "new", tuple[str, ...]()
-        if former is None:
-            if source.profile is not None and source.profile.reads_names and (gone := self._gone.get(told[:2])):
-                # a corrected name is no copy: its trials give way to those that are read by the present one
-                path, renamed = gone.pop(0)
-                self.missing.discard(path)
-                self.renamed |= dict(zip(renamed.trials, ids, strict=False))
-                self._drop(path, path, renamed, f"is now {source.shown}; its trials were read again")
-                reason = f"its name was {path}"
-        elif former.sha256 != row["source_sha256"]:
-            reason = "content changed"
-            keys = self.outdated if source.mtime_ns > former.mtime_ns else self.dropped
-            keys |= former.keys(source.key)
-            outcome = "its trials were replaced by those of the new content"
-            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
-        elif former.profile_sha256 != row["profile_sha256"]:
-            reason = "profile changed"
-            self._drop(source.shown, source.key, former, outcome)
-        else:
-            reason, present = "stored in part, by an interrupted run", former.trials
-        self._note(source, "ingest", reason)
-        if not self.dry_run:
-            new = [one for one in accepted if one.trial not in present]
-            self.pending += new
-            self.pending_bytes += sum(one.bytes for one in new)
-            if self.pending_bytes >= PENDING_BYTES:
-                self._flush()
+        self._note(source, "ingest", decision.reason)
 
-    def _known(self, source: Source, former: StoredSource | None, again: bool, twin: str | None) -> None:
-        """Skip a log that is stored, here or under another path; what stood here before goes."""
-        assert source.profile is not None, "it was read"
-        self._skip(source, f"same content as {twin}" if twin else "unchanged content")
-        if twin is None:
-            assert former is not None, "it is known by some path"
-            self.places |= dict.fromkeys(former.trials, source.key)
+    def _queue(self, accepted: Sequence[Accepted], present: Collection[str]) -> None:
+        """Let trials wait to be stored together, except those that are stored already."""
+        if self.dry_run:
             return
-        if source.profile.reads_names and path_of_text(twin).name != source.path.name:
-            text = f"has the content of {twin} under another name; left out. Remove the one that is wrong."
-            self.warnings.append(LogWarning(path=source.shown, warning=text))
-        if former is not None:
-            # what stands here now is stored at another place, by this run where it stood here before
-            outcome = f"its content is now that of {twin}; its former trials were removed"
-            if again:
-                outcome = f"{twin} now has the same content; its trials are stored as those of that log"
-            self._drop(source.shown, source.key, former, outcome)
-
-    def _drop(self, shown: str, path: str, former: StoredSource, outcome: str | None) -> None:
-        """Drop the trials of a source, and say so where that is more than another version of its profile."""
-        if outcome is not None:
-            self.changed.append(ChangedSource(path=shown, outcome=outcome))
-        self.dropped |= former.keys(path)
+        new = [one for one in accepted if one.trial not in present]
+        self.pending += new
+        self.pending_bytes += sum(one.bytes for one in new)
+        if self.pending_bytes >= PENDING_BYTES:
+            self._flush()
 
     def _flush(self) -> None:
         """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
@@ -546,7 +500,7 @@ class _Run:
             for key in keys & self.refused.keys():
                 release(self.processed, key)
 
-    def _tell_refused(self, source: Source, record: QuarantineRecord) -> None:
+    def _report_refused(self, source: Source, record: QuarantineRecord) -> None:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
         self.refusals.append(refusal)
         former = self.stored.get(source.key)

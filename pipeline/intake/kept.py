@@ -143,7 +143,7 @@ class Periods:
                     found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
         return found
 
-    def apart(self, log: Log) -> Log:
+    def assign(self, log: Log) -> Log:
         """Return a log with the name of the experiment of its period, and a warning if that differs from the header."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)

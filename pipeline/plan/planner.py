@@ -15,8 +15,8 @@ from pipeline.device.parameters import unit_of
 from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.plan.campaign import (
     RANGE_NEEDED,
-    PlanOptions,
     Campaign,
+    PlanOptions,
     forecast_of,
     open_campaign,
     snapped,

@@ -18,7 +18,7 @@ from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.plan.campaign import PlanOptions, Campaign, open_campaign
+from pipeline.plan.campaign import Campaign, PlanOptions, open_campaign
 from pipeline.plan.loop_limits import linear_limits, lowest_limits
 from pipeline.plan.next_wall import Bracket, Forecast, PlanGoal, TriedWalls, bracket, plan_state, stiffest_stable
 from pipeline.plan.planner import plan, plan_of, rounded_down
