@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.recording.growth import acceleration, growth_before_edges, growth_from_rest
+from pipeline.recording.growth import acceleration, growth_before_edges, growth_from_rest, last_at_rest
 from pipeline.recording.motion import free_response
 from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
 from pipeline.records.findings import Finding, FindingCode
@@ -111,7 +111,7 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
     if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
         return None
     answer = acceleration(samples, edge)
-    x = samples.position[: edge + 1]
+    x = samples.position[: last_at_rest(samples, edge) + 1]
     away = np.abs(x - middle(x[: edge // 2]))
     usual = float(away[: edge // 2].max())
     if answer <= 0 or not any(_grows(samples, edge, turning, answer, away[-1] > CONVEX * usual) for turning in SURE):

@@ -74,14 +74,23 @@ class Growth:
     edges: int
 
 
+def last_at_rest(samples: Samples, edge: int) -> int:
+    """Return the last row in which a device at rest may not move: that of the edge, or the one before if polled.
+
+    A controller reads the position before it commands, so that a command in row k moves nothing until row k + 1. Between
+    two polled rows the command may have changed, and moved the device, before the second one.
+    """
+    return edge if samples.is_even else edge - 1
+
+
 def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | None:
     """Return the likeliest growth of a position from its rest before an edge; None where nothing changes in it.
 
     A ``turning`` one is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as the filters of second order make it; the
-    other one is a exp(z).
+    other one is a exp(z). Of polled rows the last one before the edge is left out (`last_at_rest`).
     """
     first = max(edge - MOST_AT_REST, 0)
-    x = samples.position[first : edge + 1] - samples.position[first]
+    x = samples.position[first : last_at_rest(samples, edge) + 1] - samples.position[first]
     if not x.any():
         return None
     jump = float(np.sign(samples.jumps[edge - 1]))
@@ -105,9 +114,11 @@ def growth_before_edges(samples: Samples) -> Growth | None:
 def acceleration(samples: Samples, edge: int) -> float:
     """Return the acceleration by the jump of an edge, in its direction [position/row^2]; 0 where there is none.
 
-    It is that of the command at the delay that explains the rows behind the edge best.
+    It is that of the command at the delay that explains the rows behind the edge best. The position at rest is the
+    median over the first half of the rows before the edge, which a motion that begins too early does not reach.
     """
-    x = samples.position[edge : edge + BEHIND] - middle(samples.position[max(edge - BEHIND, 0) : max(edge // 2, 1)])
+    first = max(edge - BEHIND, 0)
+    x = samples.position[edge : edge + BEHIND] - middle(samples.position[first : max((first + edge) // 2, first + 1)])
     command = np.concatenate([np.zeros(LATEST), samples.command[edge : edge + BEHIND]])
     velocity = np.concatenate([[0.0], np.cumsum(command)])
     twice = np.concatenate([[0.0], np.cumsum(velocity[:-1] + 0.5 * command)])

@@ -67,6 +67,11 @@ def last_digit(position: Floats) -> float:
     return digit
 
 
+UNEVEN, MOST_UNEVEN = 0.05, 0.1
+"""Relative difference of a time step from the median, and share of such steps, above which the rows were polled: a
+command may then have changed at any time between two rows."""
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
     """One log in SI.
@@ -169,6 +174,12 @@ class Samples:
     def steps(self) -> Floats:
         """Time between two rows [s], shape (rows - 1,)."""
         return self.time[1:] - self.time[:-1]
+
+    @cached_property
+    def is_even(self) -> bool:
+        """Whether nearly all rows are equally far apart in time, as those of a controller are."""
+        usual = middle(self.steps)
+        return float(np.mean(np.abs(self.steps - usual) > UNEVEN * usual)) <= MOST_UNEVEN
 
     @cached_property
     def bend(self) -> Floats:

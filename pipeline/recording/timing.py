@@ -18,9 +18,6 @@ SURE = 4.0
 """Standard errors of the usual distance of rows by which it differs from the sampling period where one is wrong: by
 chance in 6e-5 of the logs."""
 
-UNEVEN, MOST_EVEN = 0.05, 0.1
-"""Part of the usual distance by which one is off, and share of such ones, from which on rows are uneven."""
-
 MISSING = 1.5
 """Distance of two rows in periods from which on rows are missing between them."""
 
@@ -53,7 +50,7 @@ def sampling_period(samples: Samples) -> Finding | None:
 
     Behind a wall the command shows which period the controller used; where that is the stated one, stamps are wrong.
     """
-    steps, period = samples.steps, samples.period
+    period = samples.period
     usual = other_period(samples.time, period)
     if usual is None:
         return None
@@ -61,8 +58,7 @@ def sampling_period(samples: Samples) -> Finding | None:
     factor = usual / period if off > 0 else period / usual
     times = f"{factor:.4g} times {'longer' if off > 0 else 'shorter'}"
     evidence = f"Rows are {usual:.4g} s apart by their time stamps, the stated sampling period is {period:.4g} s: "
-    uneven = float(np.mean(np.abs(steps - usual) > UNEVEN * usual)) > MOST_EVEN
-    if uneven:
+    if not samples.is_even:
         return samples.finding(
             "sampling_period",
             "note",

@@ -196,3 +196,28 @@ def test_a_free_motion_between_the_delays_that_are_tried_has_no_other_sign(delay
     samples = Samples(PERIOD * k, command, x, PERIOD, 0.0, 0.0, 15.0)
     assert "wrong_sign" not in codes(samples)
     assert codes(Samples(PERIOD * k, -command, x, PERIOD, 0.0, 0.0, -15.0)) == ["wrong_sign"]
+
+
+@pytest.mark.parametrize("rest", [24, 63, 64, 65, 127, 128, 129, 300, 2000])
+def test_a_rest_of_any_length_before_a_step_is_no_fault(rest):
+    """The rest before the edge was cut out at rows that a long rest does not have."""
+    k = np.arange(rest + 300)
+    command = np.where(k < rest, 0.0, 5.0)
+    position = 1e-3 * np.maximum(k - rest - 2, 0.0) ** 2
+    samples = Samples(PERIOD * k, command, position, PERIOD)
+    assert codes(samples) == []
+    early = 1e-3 * np.maximum(k - rest + 20, 0.0) ** 2
+    (finding,) = check_recording(Samples(PERIOD * k, command, early, PERIOD))
+    assert finding.code == "noncausal"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_command_that_changes_between_polled_rows_is_no_fault(seed):
+    """Rows that are polled 5 to 8 ms apart see a motion in the row in which they first see its command."""
+    time = np.cumsum(np.random.default_rng(seed).uniform(5e-3, 8e-3, 400))
+    begun = np.maximum(time - time[199] - 1e-3, 0.0)  # the command changes 1 ms behind row 199
+    command, position = np.sin(2 * begun), begun**2
+    assert codes(Samples(time, command, position, 6.5e-3)) == []
+    early = np.maximum(time - time[196], 0.0) ** 2
+    (finding,) = check_recording(Samples(time, command, early, 6.5e-3))
+    assert finding.code == "noncausal"
