@@ -77,8 +77,8 @@ class Growth:
 def last_at_rest(samples: Samples, edge: int) -> int:
     """Return the last row in which a device at rest may not move: that of the edge, or the one before if polled.
 
-    A controller reads the position before it commands, so that a command in row k moves nothing until row k + 1. Between
-    two polled rows the command may have changed, and moved the device, before the second one.
+    A controller reads the position before it commands, so that a command in row k moves nothing until row k + 1.
+    Between two polled rows the command may have changed, and moved the device, before the second one.
     """
     return edge if samples.is_even else edge - 1
 
