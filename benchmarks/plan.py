@@ -35,13 +35,13 @@ GOALS = ("boundary", "gentle", "optimum")
 
 
 def searched(rig: Rig, dampings: Sequence[float], ends: Any, name: str) -> dict[str, Any]:
-    """Run a course of the planner to its end."""
+    """Run a campaign of the planner to its end."""
     began, slowest, last = time.process_time(), 0.0, time.process_time()
-    course = []
+    campaign = []
     for known in planned(rig, PlanOptions(gentle=name == "gentle")):
         slowest, last = max(slowest, time.process_time() - last), time.process_time()
-        course.append(known)
-    known = course[-1]
+        campaign.append(known)
+    known = campaign[-1]
     return {
         "trials": known.trials,
         "done": known.done,
@@ -57,7 +57,7 @@ def run(kind: str, seed: int, goals: Sequence[str]) -> dict[str, Any]:
     """Run one device by all methods."""
     found: dict[str, Any] = {"kind": kind, "seed": seed}
     rig = Rig(kind, seed)
-    dampings = wanted_dampings(rig.course(), PlanOptions())
+    dampings = wanted_dampings(rig.campaign(), PlanOptions())
     if set(goals) & {"boundary", "gentle"}:
         ends = rig.truth(dampings)
         largest = float(ends[0].max())

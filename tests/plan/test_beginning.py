@@ -20,23 +20,23 @@ from pipeline.theory.optimum import optimal_point
 
 @pytest.fixture
 def begun(tmp_path):
-    """A course without a log, of a Falcon whose file declares some parts."""
+    """A campaign without a log, of a Falcon whose file declares some parts."""
 
-    def course(**parts):
+    def campaign(**parts):
         found = open_campaign("falcon", tmp_path / "none", "1", PlanOptions())
         if not parts:
             return found
         return replace(found, device=found.device.model_copy(update={"loop": LoopTable(**parts)}))
 
-    return course
+    return campaign
 
 
 @pytest.mark.parametrize("parts", [{}, {"actuator_lag_s": 0.003}, {"velocity": {"kind": "difference", "samples": 8}}])
 def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
-    course = begun(**parts)
-    dampings = wanted_dampings(course, PlanOptions())
-    start = forecast_of(course, dampings)
-    loop = course.device.loop_for(course.of_file)
+    campaign = begun(**parts)
+    dampings = wanted_dampings(campaign, PlanOptions())
+    start = forecast_of(campaign, dampings)
+    loop = campaign.device.loop_for(campaign.of_file)
     units = LoopUnits.of(loop)
     found = limits(NormalisedLoop.of(loop), np.array(dampings) / units.damping)
     expected = np.nan_to_num(found.alpha) * units.stiffness
@@ -45,8 +45,8 @@ def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
 
 
 def test_a_declared_lag_lowers_the_first_wall(begun):
-    wish = PlanOptions(dampings=(80.0,))
-    ideal, lagging = (plan_of(begun(**parts), wish).next[0].stiffness for parts in ({}, {"actuator_lag_s": 0.004}))
+    options = PlanOptions(dampings=(80.0,))
+    ideal, lagging = (plan_of(begun(**parts), options).next[0].stiffness for parts in ({}, {"actuator_lag_s": 0.004}))
     assert lagging < 0.9 * ideal
 
 

@@ -140,14 +140,18 @@ RUBBING = [
 def test_one_log_friction_plan(tmp_path, body, wall, step):
     processed = store(tmp_path, body, [wall], step)
     assert not body.is_unstable(*wall, step)
-    course = open_campaign("dev", processed, None, PlanOptions())
-    for wish in (PlanOptions(), PlanOptions(gentle=True), PlanOptions(dampings=(0.0, wall[1], 1.5 * wall[1]), count=3)):
-        answer = plan_of(course, wish)
+    campaign = open_campaign("dev", processed, None, PlanOptions())
+    for options in (
+        PlanOptions(),
+        PlanOptions(gentle=True),
+        PlanOptions(dampings=(0.0, wall[1], 1.5 * wall[1]), count=3),
+    ):
+        answer = plan_of(campaign, options)
         assert not answer.done
         for asked in answer.next:
             assert asked.stiffness <= 2 * wall[0]
             assert not body.is_unstable(asked.stiffness, asked.damping, step)
-            assert not wish.gentle or asked.stiffness < body.limit(asked.damping)
+            assert not options.gentle or asked.stiffness < body.limit(asked.damping)
     assert any("friction" in remark and "more logs" in remark for remark in answer.remarks)
 
 
@@ -178,12 +182,12 @@ SAME_WALL = [
     SAME_WALL[:2] + [pytest.param(*each, marks=pytest.mark.slow) for each in SAME_WALL[2:]],
 )
 def test_same_wall_plan_done_identifies_the_device(tmp_path, body, wall, step, count):
-    course = open_campaign("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, PlanOptions())
-    assert course.found is not None, course.unknown
-    assert course.found.loop.mass == pytest.approx(body.mass, rel=0.03)
+    campaign = open_campaign("dev", store(tmp_path, body, [wall] * count, step, noisy=True), None, PlanOptions())
+    assert campaign.found is not None, campaign.unknown
+    assert campaign.found.loop.mass == pytest.approx(body.mass, rel=0.03)
     dampings = np.array([wall[1], 2 * wall[1]])
-    assert linear_limits(course.found.loop, dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
-    (asked,) = plan_of(course, PlanOptions()).next
+    assert linear_limits(campaign.found.loop, dampings) == pytest.approx([body.limit(B) for B in dampings], rel=0.05)
+    (asked,) = plan_of(campaign, PlanOptions()).next
     assert (asked.damping, asked.stiffness > wall[0]) == (wall[1], True)
     assert not body.is_unstable(asked.stiffness, asked.damping, step)
 
@@ -234,32 +238,36 @@ def test_plan_dampings_no_walls(tmp_path, stiffness):
     body = Body(0.5, 3.0, 2.4, 0.3)
     steps = [sign * size for size in (0.8, 1.2, 2.0) for sign in (1, -1)]
     processed = store(tmp_path, body, [(stiffness, 0.0, step) for step in steps])
-    course = open_campaign("dev", processed, None, PlanOptions())
-    for wish in (PlanOptions(dampings=(0.0, 20.0), count=2), PlanOptions(count=12), PlanOptions(count=12, gentle=True)):
-        answer = plan_of(course, wish)
+    campaign = open_campaign("dev", processed, None, PlanOptions())
+    for options in (
+        PlanOptions(dampings=(0.0, 20.0), count=2),
+        PlanOptions(count=12),
+        PlanOptions(count=12, gentle=True),
+    ):
+        answer = plan_of(campaign, options)
         assert not answer.done
         assert all(limit.estimate is None and not limit.note for limit in answer.boundary)
-        assert len(answer.next) == wish.count
-        share = 0.3 if wish.gentle else 0.5
+        assert len(answer.next) == options.count
+        share = 0.3 if options.gentle else 0.5
         for asked in answer.next:
             assert 0.2 < asked.stiffness / body.limit(asked.damping) <= 1.02 * share
-    assert plan_of(course, PlanOptions(goal="optimum")).next
+    assert plan_of(campaign, PlanOptions(goal="optimum")).next
 
 
 def test_plan_dampings_no_walls_and_no_motion(tmp_path):
     processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(0.0, 0.0), (0.0, 5.0)], still=True)
-    for wish in (PlanOptions(), PlanOptions(dampings=(0.0, 20.0))):
+    for options in (PlanOptions(), PlanOptions(dampings=(0.0, 20.0))):
         with pytest.raises(PipelineError, match=r"position does not change.*larger steps.*range to start from"):
-            plan("dev", processed, None, wish)
+            plan("dev", processed, None, options)
 
 
 @pytest.mark.parametrize("rows", [28, 32])
 def test_undecided_done(tmp_path, rows):
     walls = [(K, B) for B in (5.0, 10.0, 20.0) for K in (300.0, 1000.0, 4000.0)]
     processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.2), walls, rows=rows)
-    course = open_campaign("dev", processed, None, PlanOptions())
-    for wish in (PlanOptions(), PlanOptions(goal="optimum"), PlanOptions(gentle=True)):
-        answer = plan_of(course, wish)
+    campaign = open_campaign("dev", processed, None, PlanOptions())
+    for options in (PlanOptions(), PlanOptions(goal="optimum"), PlanOptions(gentle=True)):
+        answer = plan_of(campaign, options)
         assert not answer.done
         assert (answer.next[0].stiffness, answer.next[0].damping) in walls
         assert "longer" in answer.next[0].why
@@ -305,7 +313,7 @@ def test_one_short_estimate(tmp_path, stiffness):
 def test_few_logs_expect_no_stiffer_wall_to_be_stable(tmp_path, count):
     processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(1500.0, 15.0), (2000.0, 15.0)][:count], noisy=True)
     for gentle in (False, True):
-        for wall in plan("dev", processed, wish=PlanOptions(gentle=gentle, dampings=(15.0, 30.0))).next:
+        for wall in plan("dev", processed, options=PlanOptions(gentle=gentle, dampings=(15.0, 30.0))).next:
             assert wall.expected != "stable"
 
 

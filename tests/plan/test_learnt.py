@@ -59,11 +59,11 @@ def test_logs_without_motion_teach_nothing():
 
 def test_friction_raises_the_limit_for_the_step_and_widens_what_is_foretold(tmp_path):
     case = kinds(load_device("falcon"))["friction strong"](2)
-    course = open_campaign("falcon", tmp_path / "none", "1", PlanOptions())
+    campaign = open_campaign("falcon", tmp_path / "none", "1", PlanOptions())
     device = nominal_loop(case.device.loop_for(case.device.experiments[0]))
-    sure = replace(course, found=device)
+    sure = replace(campaign, found=device)
     errors = [0.2 * value * (name == "friction.coulomb") for name, value in device.values.items()]
-    loose = replace(course, found=replace(device, covariance=np.diag(errors) ** 2))
+    loose = replace(campaign, found=replace(device, covariance=np.diag(errors) ** 2))
     linear = linear_limits(device.loop, DAMPINGS)
     plain, wide = forecast_of(sure, DAMPINGS.tolist()), forecast_of(loose, DAMPINGS.tolist())
     assert (plain.limit > 1.05 * linear).all()

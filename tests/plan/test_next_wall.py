@@ -45,7 +45,7 @@ def told(limit, off=0.0):
     return Forecast((1 + off) * value, 0.002 * value)
 
 
-def course(limit, aim, by=None, first=(), most=120):
+def campaign(limit, aim, by=None, first=(), most=120):
     rows = list(first)
     while True:
         columns = [np.array(column) for column in zip(*rows, strict=True)] or [np.empty(0)] * 4
@@ -72,7 +72,7 @@ def test_limits_of_any_shape_are_found(limit, off):
     said = "stable" if limit(60.0) > 4000.0 else "unstable"
     # by verdicts alone a wall is needed to begin with
     by, first = (None, [(4000.0, 60.0, said, np.nan)]) if off is None else (told(limit, off), [])
-    found, tried = course(limit, aim, by, first)
+    found, tried = campaign(limit, aim, by, first)
     assert found.done
     truth = np.array([limit(b) for b in DAMPINGS])
     estimate = np.array([column.estimate for column in found.columns])
@@ -84,11 +84,11 @@ def test_limits_of_any_shape_are_found(limit, off):
 
 
 def test_a_rig_is_spared_unstable_walls_where_the_device_holds():
-    plain, gentle = (course(parabola, PlanGoal(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
+    plain, gentle = (campaign(parabola, PlanGoal(DAMPINGS, gentle=gentle), told(parabola)) for gentle in (False, True))
     share = [np.mean(tried.verdict == "unstable") for _, tried in (plain, gentle)]
     assert share[1] <= 0.15 < 0.35 < share[0]
     # a device that says twice the limit is found out by verdicts
-    wrong = course(parabola, PlanGoal(DAMPINGS, gentle=True), told(parabola, 1.0))
+    wrong = campaign(parabola, PlanGoal(DAMPINGS, gentle=True), told(parabola, 1.0))
     for found, _ in (gentle, wrong):
         estimate = np.array([column.estimate for column in found.columns])
         assert np.abs(estimate - parabola(np.array(DAMPINGS))).max() < 0.02 * 12_500
@@ -120,7 +120,7 @@ def test_what_a_forecast_missed_is_carried_on_to_neighbours_and_makes_it_unsure(
 
 def test_no_wall_leaves_what_may_be_tried():
     aim = PlanGoal(DAMPINGS, lowest=1500.0, highest=8000.0)
-    found, tried = course(parabola, aim, told(parabola))
+    found, tried = campaign(parabola, aim, told(parabola))
     assert found.done
     assert tried.stiffness.min() >= 0.3 * 1500.0
     assert tried.stiffness.max() <= 8000.0

@@ -24,22 +24,22 @@ MOST, SHARE = 120, 0.9
 NAMED = (60.0, 143.0)
 
 
-def campaign(sets, wish, folder):
+def campaign(sets, options, folder):
     """Do what the planner asks for on a rig that sets other walls, whose limits the file states a tenth too large.
 
     Returns the last plan, the walls that were asked for and set, and all remarks.
     """
-    course = open_campaign("falcon", folder / "none", "1", wish)
+    campaign = open_campaign("falcon", folder / "none", "1", options)
     rows, asked, said = [], [], []
     while True:
-        answer = plan_of(course, wish)
+        answer = plan_of(campaign, options)
         said += answer.remarks
         got = [row[:2] for row in rows]
         if answer.done or len(asked) >= MOST:
             return answer, asked, got, said
         walls = tuple((each.stiffness, each.damping) for each in answer.next)
         trials = tuple((K, B, count) for (K, B), count in Counter(got).items())
-        requests = Requests(walls=walls, trials=trials, answers=course.answers)
+        requests = Requests(walls=walls, trials=trials, answers=campaign.answers)
         for wall in walls:
             asked.append(wall)
             K, B = map(float, sets(*wall))
@@ -47,7 +47,7 @@ def campaign(sets, wish, folder):
             rows.append((K, B, "unstable" if growth > 0 else "stable", growth))
         tried = [np.array(column) for column in zip(*[row for row in rows if row[0] > 0], strict=True)]
         answers = requests.answered(row[:2] for row in rows)
-        course = replace(course, tried=TriedWalls(*tried) if tried else course.tried, answers=answers)
+        campaign = replace(campaign, tried=TriedWalls(*tried) if tried else campaign.tried, answers=answers)
 
 
 def nearest(step):

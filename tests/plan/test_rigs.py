@@ -29,19 +29,19 @@ def limit_of(experiment="1"):
     return partial(linear_limits, FALCON.loop_for(of))
 
 
-def measured(tmp_path, sets, wish):
+def measured(tmp_path, sets, options):
     """Do what the planner asks for on a rig that sets other walls, whose limits the file states a tenth too large."""
-    course = open_campaign("falcon", tmp_path / "none", "1", wish)
+    campaign = open_campaign("falcon", tmp_path / "none", "1", options)
     rows, asked, limit = [], [], limit_of()
     while True:
-        answer = plan_of(course, wish)
+        answer = plan_of(campaign, options)
         if answer.done or len(asked) >= MOST:
             return answer, asked
         asked.append((answer.next[0].stiffness, answer.next[0].damping))
         K, B = sets(*asked[-1])
         growth = K / 0.9 - limit(np.array([B]))[0]
         rows.append((K, B, "unstable" if growth > 0 else "stable", growth))
-        course = replace(course, tried=TriedWalls(*(np.array(column) for column in zip(*rows, strict=True))))
+        campaign = replace(campaign, tried=TriedWalls(*(np.array(column) for column in zip(*rows, strict=True))))
 
 
 RIGS = {
@@ -71,9 +71,9 @@ def test_the_search_ends_with_what_was_measured(tmp_path, name):
 @pytest.mark.parametrize("experiment", [each.name for each in FALCON.experiments])
 @pytest.mark.sampled
 def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp_path, experiment):
-    for wish in (PlanOptions(count=3), PlanOptions(goal="optimum"), PlanOptions(count=3, gentle=True)):
-        for wall in plan("falcon", tmp_path / "none", experiment, wish).next:
-            most = 0.31 if wish.gentle else 0.51
+    for options in (PlanOptions(count=3), PlanOptions(goal="optimum"), PlanOptions(count=3, gentle=True)):
+        for wall in plan("falcon", tmp_path / "none", experiment, options).next:
+            most = 0.31 if options.gentle else 0.51
             assert 0 < wall.stiffness <= most * limit_of(experiment)(np.array([wall.damping]))[0]
 
 

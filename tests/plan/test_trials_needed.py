@@ -31,7 +31,7 @@ def test_the_thesis_takes_all_walls_up_to_the_limit() -> None:
 
 def test_bisection_and_random_walls_reach_the_limits_of_a_rig() -> None:
     rig = Rig("ideal", 0)
-    dampings = wanted_dampings(rig.course(), PlanOptions())[:3]
+    dampings = wanted_dampings(rig.campaign(), PlanOptions())[:3]
     ends = rig.truth(dampings)
     largest = float(ends[0].max())
     *_, last = bisected(rig, dampings, largest, 0.02)
@@ -44,7 +44,7 @@ def test_bisection_and_random_walls_reach_the_limits_of_a_rig() -> None:
 @pytest.mark.slow
 def test_the_planner_is_done_before_all_others() -> None:
     rig = Rig("ideal", 0)
-    dampings = wanted_dampings(rig.course(), PlanOptions())
+    dampings = wanted_dampings(rig.campaign(), PlanOptions())
     ends = rig.truth(dampings)
     largest = float(ends[0].max())
     *_, own = planned(rig, PlanOptions())

@@ -140,7 +140,7 @@ class Known:
     unstable: float = float("nan")
 
 
-def planned(rig: Rig, wish: PlanOptions) -> Iterator[Known]:
+def planned(rig: Rig, options: PlanOptions) -> Iterator[Known]:
     """Yield what is known after each trial that the planner asks for."""
     while True:
         answer = plan_of(rig.course(), wish)

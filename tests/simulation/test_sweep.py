@@ -1,4 +1,4 @@
-"""The course against testing one trial after the other, and what it leaves on disk."""
+"""The sweep against testing one trial after the other, and what it leaves on disk."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from pipeline.measured.signal.verdict import Verdict
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header
 from pipeline.records.trials import Trial
-from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
+from pipeline.simulation import sweep as sweep_module
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import idealise, setup_of
 from pipeline.simulation.simulate import simulate
@@ -60,11 +60,11 @@ def judge_by_theory(device: Device, experiment: str) -> Judge:
 def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., SimulatedSweep]:
     """`run_sweep` with another judge of the logs."""
 
-    def course(judge: Judge, *given: Any, **options: Any) -> SimulatedSweep:
-        monkeypatch.setattr(course_module, "judge", judge)
+    def sweep(judge: Judge, *given: Any, **options: Any) -> SimulatedSweep:
+        monkeypatch.setattr(sweep_module, "judge", judge)
         return run_sweep(*given, **options)
 
-    return course
+    return sweep
 
 
 def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed: int) -> list[tuple[float, float]]:
@@ -104,11 +104,11 @@ def test_course_equals_testing_one_after_the_other(
     expected = sequential(device, experiment, judge_by_noise, coarsen, 5)
     for wave in (1, 3, 12):
         monkeypatch.setattr(procedure, "WAVE", wave)
-        course = run(judge_by_noise, device, experiment, seed=5, coarsen=coarsen)
-        trials = course.trials
+        sweep = run(judge_by_noise, device, experiment, seed=5, coarsen=coarsen)
+        trials = sweep.trials
         assert np.allclose(np.stack((trials.stiffness, trials.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
-    assert set(course.verdict) == {"stable", "unstable", "undecided"}
-    assert set(course.passes) == {1, 2}
+    assert set(sweep.verdict) == {"stable", "unstable", "undecided"}
+    assert set(sweep.passes) == {1, 2}
 
 
 @pytest.mark.parametrize(
@@ -117,15 +117,15 @@ def test_course_equals_testing_one_after_the_other(
 def test_size_of_an_ideal_course(
     run: Callable[..., SimulatedSweep], device: Device, experiment: str, size: int
 ) -> None:
-    course = run(judge_by_theory(device, experiment), device, experiment, ideal=True)
+    sweep = run(judge_by_theory(device, experiment), device, experiment, ideal=True)
     # sizes from DEFINITIONS ("about"); one more fine or K = 0 trial for each of 40 dampings would be 3 %
-    assert len(course.trials) == pytest.approx(size, rel=0.015)
-    assert len(set(course.trials.trial_id)) == len(course.trials)
+    assert len(sweep.trials) == pytest.approx(size, rel=0.015)
+    assert len(set(sweep.trials.trial_id)) == len(sweep.trials)
 
 
 def test_limits_are_bracketed_to_a_fifth_of_the_step(run: Callable[..., SimulatedSweep]) -> None:
-    course = run(judge_by_theory(FALCON, "2"), FALCON, "2", ideal=True, coarsen=6)
-    K, B, unstable = course.trials.stiffness, course.trials.damping, course.verdict == "unstable"
+    sweep = run(judge_by_theory(FALCON, "2"), FALCON, "2", ideal=True, coarsen=6)
+    K, B, unstable = sweep.trials.stiffness, sweep.trials.damping, sweep.verdict == "unstable"
     for damping in np.unique(B[K > 0]):
         here = (damping == B) & (K > 0)
         assert K[here & unstable].min() - K[here & ~unstable].max() == pytest.approx(6 * 200 / 5)
@@ -140,10 +140,10 @@ def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed(
     def judge(trial: Trial) -> Verdict:
         return verdict_of("unstable" if trial.stiffness > 0 or trial.damping < 0.5 else "stable")
 
-    course = run(judge, LWR, "delay-2", coarsen=40, ideal=True)
-    free = course.trials.stiffness == 0
-    assert course.trials.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
-    assert course.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
+    sweep = run(judge, LWR, "delay-2", coarsen=40, ideal=True)
+    free = sweep.trials.stiffness == 0
+    assert sweep.trials.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
+    assert sweep.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
 
 
 def test_a_course_without_end_is_given_up(run: Callable[..., SimulatedSweep], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,11 +155,11 @@ def test_a_course_without_end_is_given_up(run: Callable[..., SimulatedSweep], mo
 def test_options_replace_the_devices_values(run: Callable[..., SimulatedSweep]) -> None:
     seen: list[int] = []
     options = {"sensor": Sensor(quantum=1e-5), "jitter_samples": (4,), "duration_s": 0.3, "coarsen": 9}
-    course = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
-    assert (course.setup.loop.sensor, course.setup.loop.jitter_samples) == (Sensor(quantum=1e-5), (4,))
-    assert course.trials.rows.max() == 300
+    sweep = run(judge_by_noise, FALCON, "6", progress=seen.append, **options)
+    assert (sweep.setup.loop.sensor, sweep.setup.loop.jitter_samples) == (Sensor(quantum=1e-5), (4,))
+    assert sweep.trials.rows.max() == 300
     assert seen == sorted(seen)
-    assert seen[-1] == len(course.trials)
+    assert seen[-1] == len(sweep.trials)
     ideal = run(judge_by_theory(FALCON, "6"), FALCON, "6", ideal=True, coarsen=9)
     assert ideal.setup == idealise(setup_of(FALCON, find_experiment(FALCON, "6")))
 
@@ -176,7 +176,7 @@ def test_wrong_requests_are_refused() -> None:
 @pytest.fixture(scope="module")
 def small() -> SimulatedSweep:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(course_module, "judge", judge_by_noise)
+        patch.setattr(sweep_module, "judge", judge_by_noise)
         return run_sweep(FALCON, "6", seed=2, coarsen=9)
 
 
@@ -225,8 +225,8 @@ def test_truth_names_what_its_spectral_radius_leaves_out(
     small: SimulatedSweep, tmp_path: Path, loop: dict[str, Any], hidden: dict[str, Any], left_out: list[str] | None
 ) -> None:
     setup = small.setup.with_loop(**{"jitter_samples": (), "force_limit": None} | loop)
-    course = replace(small, setup=replace(setup, hidden=SimulationParts(**hidden)))
-    write_sweep(course, tmp_path)
+    sweep = replace(small, setup=replace(setup, hidden=SimulationParts(**hidden)))
+    write_sweep(sweep, tmp_path)
     truth = json.loads((tmp_path / "falcon" / "6" / TRUTH_FILE).read_text())
     expected = ["friction", "force_limit", "one_sided_wall", "held_samples"] if left_out is None else left_out
     assert truth["spectral_radius_left_out"] == expected
@@ -322,13 +322,13 @@ lost_rows = 0.02
 """
     file = tmp_path / "own.toml"
     file.write_text(text.replace("\n[[experiment]]", f"{parts}\n[[experiment]]", 1), encoding="utf-8")
-    course = run_sweep(read_device(file), "1", coarsen=30, duration_s=0.2)
-    write_sweep(course, tmp_path)
+    sweep = run_sweep(read_device(file), "1", coarsen=30, duration_s=0.2)
+    write_sweep(sweep, tmp_path)
     truth = json.loads((tmp_path / "falcon" / "1" / TRUTH_FILE).read_text())
     assert truth["loop"]["mode"]["frequency_hz"] == 40.0
     assert truth["loop"]["friction"]["coulomb"] == 0.2
     assert truth["simulation"]["lost_rows"] == 0.02
-    first = course.trials[0]
+    first = sweep.trials[0]
     lines = (tmp_path / "falcon" / "1" / f"{first.trial_id}.csv").read_text().splitlines()
     stamps = [float(line.split(",")[0]) for line in lines[lines.index("time_s,command,position") + 1 :]]
     assert np.array_equal(stamps, first.time)
