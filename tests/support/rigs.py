@@ -143,7 +143,7 @@ class Known:
 def planned(rig: Rig, options: PlanOptions) -> Iterator[Known]:
     """Yield what is known after each trial that the planner asks for."""
     while True:
-        answer = plan_of(rig.course(), wish)
+        answer = plan_of(rig.course(), options)
         said = [verdict == "unstable" for verdict, _ in rig.verdicts]
         limit = np.array([point.estimate for point in answer.boundary], dtype=np.float64)
         yield Known(answer.trials_used, limit, answer.done, float(np.mean(said)) if said else 0.0)
