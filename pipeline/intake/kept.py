@@ -27,8 +27,8 @@ from pipeline.base.provenance import __version__, digest
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.sources import ENDINGS, Source, motion_of
 from pipeline.readers import Log
+from pipeline.readers.gain_check import gain_mismatch
 from pipeline.readers.log import step_flags
-from pipeline.readers.obeyed import other_gains
 from pipeline.records.findings import FINDINGS, Motion, Record
 from pipeline.records.table_files import open_table
 from pipeline.records.tables import COLUMNS, to_arrow
@@ -233,7 +233,7 @@ def accepted_logs(
         row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
         # what a wrong recording makes of the command is no other wall
         is_safe = not any(finding.is_unsafe for finding in log.findings)
-        if is_safe and (text := other_gains(source.profile, log)) is not None:
+        if is_safe and (text := gain_mismatch(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
             log = log.with_warning(header, text)
         row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}

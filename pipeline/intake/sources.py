@@ -29,7 +29,7 @@ from pipeline.device.parameters import drive_of
 from pipeline.profiles.profile_files import claim, load_profile, shipped_profiles
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile, conditions_in_name, number_in_name
 from pipeline.readers import Log, RawLog, find_together, reader_of
-from pipeline.readers.frame import LARGEST_LOG
+from pipeline.readers.file_columns import LARGEST_LOG
 from pipeline.readers.sheets import with_sheet
 from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name

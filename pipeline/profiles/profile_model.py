@@ -337,7 +337,7 @@ class Source(Record):
 
     @property
     def key(self) -> str:
-        """Name of the column in `Contents`."""
+        """Name of the column in `FileColumns`."""
         return str(self.column) if self.name is None else self.name
 
 
@@ -893,7 +893,7 @@ class Profile(TextLayout, StepTime):
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
-        """Return what a profile asks for of a file: key of the profile -> name of the column in `Contents`."""
+        """Return what a profile asks for of a file: key of the profile -> name of the column in `FileColumns`."""
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()

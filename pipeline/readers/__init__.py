@@ -1,6 +1,6 @@
 """Readers: one small module per file format, and one that maps what they find to SI.
 
-A format module turns bytes into a `Contents` (`pipeline.readers.frame`), `pipeline.readers.mapping` turns
+A format module turns bytes into `FileColumns` (`pipeline.readers.file_columns`), `pipeline.readers.mapping` turns
 frames into logs. The native log has a separate reader, which parses many files at once.
 """
 

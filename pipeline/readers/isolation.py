@@ -24,8 +24,8 @@ from typing import IO, Any, cast
 from pipeline.base.errors import LogError, refusal
 from pipeline.base.process import begin_alone, without_pandas
 from pipeline.profiles.profile_model import Profile
+from pipeline.readers.file_columns import MOST_VALUES, FileColumns, allowed_bytes, library
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import MOST_VALUES, Contents, allowed_bytes, library
 
 COPIES, SLACK = 3, 32 << 20
 """Copies of the unpacked file that reading may keep in memory (as read, as numbers, as columns), and additional memory
@@ -39,7 +39,9 @@ WALL_FACTOR = 30
 """Longest wait in multiples of the processor time, for machines that are busy with other things."""
 
 
-def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()) -> Contents:
+def read_file(
+    settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()
+) -> FileColumns:
     """Return the contents of a file, read in a worker process.
 
     Parameters
@@ -59,11 +61,11 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
     form, size = FORMATS[settings.format], sum(map(len, data))
     work = (names[0], dict(zip(names, data, strict=False)), settings, tuple(wanted))
     imports = f"{form.place} {form.library}"
-    contents: Contents = isolated(f"{__name__}:{read_here.__name__}", form.title, size, *work, imports=imports)
+    contents: FileColumns = isolated(f"{__name__}:{read_here.__name__}", form.title, size, *work, imports=imports)
     return contents
 
 
-def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tuple[str, ...]) -> Contents:
+def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tuple[str, ...]) -> FileColumns:
     """Do what `read_file` does, in the worker process."""
     form = FORMATS[settings.format]
     read = getattr(library(form.place, form.extra), form.function)
@@ -72,11 +74,11 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
         paths = [Path(folder) / f"{number}{Path(part).suffix[:10]}" for number, part in enumerate(files)]
         for path, data in zip(paths, files.values(), strict=True):
             path.write_bytes(data)
-        contents = Contents(name, wanted, most)
+        contents = FileColumns(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
             # the refusal lists what the file has
-            contents = Contents(name, most=most)
+            contents = FileColumns(name, most=most)
             read(paths[0], settings, contents)
             contents.wanted = wanted
     return contents

@@ -32,8 +32,15 @@ from pipeline.profiles.profile_model import (
     conditions_in_name,
     number_in_name,
 )
+from pipeline.readers.file_columns import (
+    KEPT_ATTRIBUTES,
+    LISTED_NAMES,
+    LONGEST_ATTRIBUTE,
+    FileColumns,
+    Scalar,
+    groups_of,
+)
 from pipeline.readers.formats import refuse_other_kind
-from pipeline.readers.frame import KEPT_ATTRIBUTES, LISTED_NAMES, LONGEST_ATTRIBUTE, Contents, Scalar, groups_of
 from pipeline.readers.isolation import read_file
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Table, rows_of
@@ -115,7 +122,7 @@ def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
     return logs
 
 
-def read_frames(profile: Profile, raw: RawLog) -> list[Contents]:
+def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
     """Read what a profile asks for of each file of a log.
 
     Raises
@@ -139,7 +146,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Contents]:
     return frames
 
 
-def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> None:
+def _check_units(profile: Profile, name: str, role: str, frame: FileColumns) -> None:
     """Refuse a unit of the profile that contradicts the type of its column, and warn of one that the file denies."""
     for key, source in profile.column_sources().items():
         if source.unit is None or source.file != role:
@@ -155,7 +162,7 @@ def _check_units(profile: Profile, name: str, role: str, frame: Contents) -> Non
         frame.warnings += (f"{found}: which is right?",)
 
 
-def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) -> list[Log]:
+def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns]) -> list[Log]:
     """Return the logs in the file, or pair of files, of one recording.
 
     Parameters
@@ -163,7 +170,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Contents]) 
     profile : Profile
     names : sequence of str
         File names.
-    frames : sequence of Contents
+    frames : sequence of FileColumns
         What was read of each file.
 
     Raises
@@ -243,7 +250,7 @@ def _parts_of(log: Log) -> list[Log]:
     return parts
 
 
-def _trials(profile: Profile, name: str, frame: Contents) -> Iterator[tuple[str | None, Integers]]:
+def _trials(profile: Profile, name: str, frame: FileColumns) -> Iterator[tuple[str | None, Integers]]:
     """Yield label and rows of each trial, in the order in which they begin."""
     if profile.trial_column is None:
         yield None, np.arange(len(frame))
@@ -261,7 +268,7 @@ def _trials(profile: Profile, name: str, frame: Contents) -> Iterator[tuple[str 
 
 
 def _log(
-    source: tuple[Profile, Contents, Table, dict[str, int]],
+    source: tuple[Profile, FileColumns, Table, dict[str, int]],
     where: str,
     given: dict[str, Any],
     step: StepTime,
@@ -349,7 +356,7 @@ def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | 
     return int(found[0])
 
 
-def _extra(profile: Profile, frame: Contents, step_row: int | None) -> dict[str, str]:
+def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[str, str]:
     """Return the additional texts of a trial: declared step, sources of columns, attributes of the file, warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():
@@ -413,7 +420,7 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
 def conditions_of(
     profile: Profile,
     names: tuple[str, str],
-    frame: Contents,
+    frame: FileColumns,
     rows: Integers,
     part: Part,
     required: Sequence[str] = REQUIRED_CONDITIONS,
@@ -425,7 +432,7 @@ def conditions_of(
     profile : Profile
     names : tuple of str
         File name; and file with trial, for messages.
-    frame : Contents
+    frame : FileColumns
     rows : int64
         Rows of the trial, for conditions that stand in a column.
     part : FileEntry or None, StepEntry or None
@@ -483,7 +490,7 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
     return replace(header, extra=extra)
 
 
-def _of_column(where: str, frame: Contents, rows: Integers, key: str, column: str) -> Scalar:
+def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column: str) -> Scalar:
     values = frame.columns[column][rows]
     if not len(values):
         raise refusal("condition-missing", where, f"column {column!r}, which gives the {key}, has no rows")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.base.errors import LogError, refusal
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_model import Profile, Source, TimeSource
-from pipeline.readers.frame import Contents
+from pipeline.readers.file_columns import FileColumns
 from pipeline.records.trials import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
@@ -48,7 +48,7 @@ Table = dict[str, NDArray[Any]]
 
 
 def rows_of(
-    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Contents], index: Integers, period: float
+    profile: Profile, where: str, names: Sequence[str], frames: Sequence[FileColumns], index: Integers, period: float
 ) -> tuple[Table, dict[str, int]]:
     """Return the rows of a trial in order of time, without missing values, and what was found and settled in them.
 
@@ -57,7 +57,7 @@ def rows_of(
     profile : Profile
     where : str
         File and trial, for messages.
-    names, frames : sequence of str and Contents
+    names, frames : sequence of str and FileColumns
         Files of the log and what was read of them.
     index : int64, shape (rows,)
         Rows of the trial in the frames.
@@ -121,7 +121,9 @@ def _taken(table: dict[str, Any], rows: Integers | Booleans) -> dict[str, Any]:
     return {key: values[rows] for key, values in table.items()}
 
 
-def _numbers(profile: Profile, place: str, frame: Contents, index: Integers, key: str) -> tuple[NDArray[Any], Booleans]:
+def _numbers(
+    profile: Profile, place: str, frame: FileColumns, index: Integers, key: str
+) -> tuple[NDArray[Any], Booleans]:
     """Return a column as numbers, and where it has no value."""
     source = profile.column_sources()[key]
     values = frame.columns[source.key][index]
@@ -139,7 +141,7 @@ def _numbers(profile: Profile, place: str, frame: Contents, index: Integers, key
 
 
 def _no_number(
-    profile: Profile, where: str, frame: Contents, values: NDArray[Any], index: Integers, key: str, source: Source
+    profile: Profile, where: str, frame: FileColumns, values: NDArray[Any], index: Integers, key: str, source: Source
 ) -> LogError:
     """Return the refusal that names the first cell of a text column that is no number."""
     cells = [str(value).strip() for value in values.tolist()]
@@ -165,7 +167,7 @@ def _reads_as_number(cell: str, profile: Profile) -> bool:
     return not ("." in cell and profile.decimal_sign == ",")
 
 
-def _no_value(key: str, source: Source, place: str, frame: Contents, table: Table, at: int) -> LogError:
+def _no_value(key: str, source: Source, place: str, frame: FileColumns, table: Table, at: int) -> LogError:
     """Return the refusal that names the first cell that is blank or a sentinel."""
     found, row = table[key][at], int(table["row"][at])
     what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
@@ -175,7 +177,7 @@ def _no_value(key: str, source: Source, place: str, frame: Contents, table: Tabl
     return refusal("no-value", place, found, row=row, line=line)
 
 
-def _called(frame: Contents, row: int) -> str:
+def _called(frame: FileColumns, row: int) -> str:
     """Return the place of a row in words, where it is not a line."""
     return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
 

@@ -28,7 +28,7 @@ from pipeline.profiles.profile_model import (
     number_in_name,
     quantity,
 )
-from pipeline.readers.frame import library
+from pipeline.readers.file_columns import library
 from pipeline.readers.isolation import isolated
 from pipeline.records.findings import Grip
 

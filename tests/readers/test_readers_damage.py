@@ -13,8 +13,8 @@ from foreign_files import (
 from places import ROOT
 
 from pipeline.base.errors import LogError
+from pipeline.readers.file_columns import allowed_bytes, library
 from pipeline.readers.formats import FORMATS
-from pipeline.readers.frame import allowed_bytes, library
 from pipeline.readers.isolation import isolated
 
 

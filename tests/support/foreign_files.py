@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_typestore
 
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Contents
+from pipeline.readers.file_columns import FileColumns
 from pipeline.readers.isolation import read_file
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -37,7 +37,7 @@ def profile(kind: str = "json", **settings: Any) -> Profile:
     return Profile.model_construct(name="lab", format=kind, files=("*",), **settings)
 
 
-def read_frame(kind: str, name: str, data: bytes, wanted: Sequence[str] = (), **settings: Any) -> Contents:
+def read_frame(kind: str, name: str, data: bytes, wanted: Sequence[str] = (), **settings: Any) -> FileColumns:
     """Columns of a file as they stand in it."""
     return read_file(profile(kind, **settings), (name,), (data,), wanted).frame()
 

@@ -1,7 +1,7 @@
 """One table of file formats: a row is the module that reads it, the first bytes by which it is known, its extra.
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
-`Contents`, by the keys of a profile (``settings``). It runs in a separate process with limited time and memory
+`FileColumns`, by the keys of a profile (``settings``). It runs in a separate process with limited time and memory
 (`isolation`); any exception that it raises means a damaged file. Native logs have a separate reader, which
 parses many files at once.
 """

@@ -14,10 +14,10 @@ import numpy as np
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents, library
+from pipeline.readers.file_columns import Array, FileColumns, library
 
 
-def read_npz(path: Path, settings: Profile, contents: Contents) -> None:
+def read_npz(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the arrays."""
     with np.load(path, allow_pickle=False) as archive:
         for name in archive.files:
@@ -25,7 +25,7 @@ def read_npz(path: Path, settings: Profile, contents: Contents) -> None:
                 contents.add(name, partial(archive.__getitem__, name))
 
 
-def read_sheet(path: Path, settings: Profile, contents: Contents) -> None:
+def read_sheet(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the columns of the first sheet that has a line of names and rows of numbers below it."""
     book: Any = library("python_calamine", "sheets").CalamineWorkbook.from_filelike(BytesIO(path.read_bytes()))
     for title in book.sheet_names:

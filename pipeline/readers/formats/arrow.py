@@ -16,10 +16,10 @@ from pyarrow import feather, parquet
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents, with_gaps
+from pipeline.readers.file_columns import Array, FileColumns, with_gaps
 
 
-def read(path: Path, settings: Profile, contents: Contents) -> None:
+def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the columns of a table."""
     contents.row_name = "record"
     footer = parquet.read_metadata(path) if path.read_bytes()[:4] == b"PAR1" else None
@@ -45,7 +45,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         _add(contents, name, table.column(name).combine_chunks(), str(next(filter(None, hints), "")))
 
 
-def _add(contents: Contents, path: str, column: Any, hint: str = "") -> None:
+def _add(contents: FileColumns, path: str, column: Any, hint: str = "") -> None:
     column = pa.concat_arrays(column.chunks) if isinstance(column, pa.ChunkedArray) else column
     kind = column.type
     if pa.types.is_struct(kind):

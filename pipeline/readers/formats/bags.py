@@ -17,8 +17,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
+from pipeline.readers.file_columns import LISTED_ELEMENTS, FileColumns, with_gaps
 from pipeline.readers.formats.json import column, columns_of
-from pipeline.readers.frame import LISTED_ELEMENTS, Contents, with_gaps
 from pipeline.records.trials import Integers
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
@@ -46,7 +46,7 @@ class _Topic(NamedTuple):
     messages: list[Any]
 
 
-def read(path: Path, settings: Profile, contents: Contents) -> None:
+def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the fields of messages.
 
     Columns of one topic keep the order of recording. Columns of several topics that are wanted stand on the union of
@@ -69,7 +69,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         _join(contents, topics)
 
 
-def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:
+def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
     """Return the topics of a bag, with the messages of those that are asked for."""
     topics: dict[str, _Topic] = {}
     try:
@@ -112,7 +112,7 @@ def _plain(value: Any, most: int | None) -> Any:
     return [_plain(part, most) for part in value[:most]] if isinstance(value, list) else value
 
 
-def _join(contents: Contents, topics: dict[str, _Topic]) -> None:
+def _join(contents: FileColumns, topics: dict[str, _Topic]) -> None:
     """Put columns of several topics on the union of their times, and give the rows a time."""
     axis = STAMP if STAMP in contents.wanted else RECEIVED
     names = {path: max((name for name in topics if path.startswith(f"{name}.")), key=len) for path in contents.columns}

@@ -18,8 +18,8 @@ import pyarrow.compute as pc
 
 from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_model import BLANKS, Profile, TextLayout, find_groups
+from pipeline.readers.file_columns import LONGEST_ATTRIBUTE, Array, FileColumns, allowed_bytes
 from pipeline.readers.formats import PACKED
-from pipeline.readers.frame import LONGEST_ATTRIBUTE, Array, Contents, allowed_bytes
 
 LONGEST_CHARACTER = 4
 """Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
@@ -60,7 +60,7 @@ _DELIMITERS = (";", "\t", "|", ",", BLANKS)
 """In the order in which they are taken where several fit."""
 
 
-def read(path: Path, settings: Profile, contents: Contents) -> None:
+def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the columns of the table.
 
     A last row that is cut (fewer cells than the others, or without line end and with a cell that is no number) is left
@@ -176,7 +176,7 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
     return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
 
-def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
+def _top(layout: Profile, contents: FileColumns, lines: list[str]) -> int:
     """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
     at = layout.header_at
     for number, line in enumerate(lines):
@@ -195,7 +195,7 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
     return layout.comment is not None and line.lstrip().startswith(layout.comment)
 
 
-def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> bool:
+def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> bool:
     """Keep a line "label: value" as an attribute; return whether it is one.
 
     Of a label that stands several times the last value is kept, but a condition must not change.
@@ -212,7 +212,7 @@ def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> boo
     return True
 
 
-def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[str]:
+def _split(layout: TextLayout, contents: FileColumns, line: str, row: int) -> list[str]:
     """Return the cells of a line."""
     if layout.row_end is not None:
         line = line.rstrip().removesuffix(layout.row_end)
@@ -230,7 +230,7 @@ def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[
 
 
 def _rows(
-    layout: Profile, contents: Contents, lines: list[str], first: int, names: list[str], places: list[int]
+    layout: Profile, contents: FileColumns, lines: list[str], first: int, names: list[str], places: list[int]
 ) -> tuple[list[int], list[list[str]]]:
     """Return the number of each row, and cells by column; a last row that is cut is left out, and kept verbatim."""
     row, cells, width = list[int](), list[list[str]](), len(names)
@@ -258,7 +258,7 @@ def _rows(
     return row, [[found[place] for found in cells] for place in places]
 
 
-def _places(profile: Profile, contents: Contents, names: list[str], row: int) -> dict[str, int]:
+def _places(profile: Profile, contents: FileColumns, names: list[str], row: int) -> dict[str, int]:
     """Return the position of each wanted column, counted from 0; where none is wanted, of all."""
     if not contents.wanted:
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
@@ -306,7 +306,7 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
 @dataclass
 class Layout:
     """Keys of a profile that lay out a file, questions about them by key, and what shows them; and the names that
-    remarks give to columns, with units in brackets, by the name in `Contents`."""
+    remarks give to columns, with units in brackets, by the name in `FileColumns`."""
 
     keys: dict[str, Any] = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)

@@ -18,7 +18,7 @@ import numpy as np
 from pipeline.base.errors import refusal
 from pipeline.base.wording import listed
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents, library
+from pipeline.readers.file_columns import Array, FileColumns, library
 
 TIME = "@time"
 _HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")
@@ -29,7 +29,7 @@ _EPOCH_S = 2_082_844_800
 """Seconds from the start of 1904, where TDMS counts from, to that of 1970."""
 
 
-def read_hdf5(path: Path, settings: Profile, contents: Contents) -> None:
+def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the datasets; wanted columns are paths, with or without the first slash."""
     h5py = library("h5py", "hdf5")
 
@@ -57,7 +57,7 @@ def read_hdf5(path: Path, settings: Profile, contents: Contents) -> None:
         file.visititems(add)
 
 
-def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
+def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the channels, and their properties as attributes ``/group/channel@property``."""
     with library("nptdms", "tdms").TdmsFile.open(path, raw_timestamps=True) as file:
         _note(contents, "", file.properties)
@@ -94,7 +94,7 @@ def read_tdms(path: Path, settings: Profile, contents: Contents) -> None:
         raise refusal("time-wrong", contents.name, found, cure=cure)
 
 
-def _add_group_times(contents: Contents) -> None:
+def _add_group_times(contents: FileColumns) -> None:
     """Add the time of each group whose channels have one and the same waveform."""
     groups: dict[str, list[str]] = {}
     for name in list(contents.columns):
@@ -110,7 +110,7 @@ def _add_group_times(contents: Contents) -> None:
             contents.add(f"{group}/{TIME}", float(offset) + np.arange(rows.pop()) * float(increment), "s", "s")
 
 
-def read_mdf(path: Path, settings: Profile, contents: Contents) -> None:
+def read_mdf(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the channels of all groups, with their units; times are in seconds from the start of the measurement."""
     with library("asammdf", "mdf").MDF(path) as file:
         for number, group in enumerate(file.groups):
@@ -138,7 +138,7 @@ def _hint(attributes: Any) -> str:
     return next((str(attributes[key]) for key in _HINTS if key in attributes), "")
 
 
-def _note(contents: Contents, prefix: str, attributes: Any) -> None:
+def _note(contents: FileColumns, prefix: str, attributes: Any) -> None:
     for key in attributes:
         try:
             value = attributes[key]

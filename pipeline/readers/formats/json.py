@@ -16,15 +16,15 @@ import numpy as np
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
+from pipeline.readers.file_columns import Array, FileColumns, with_gaps
 from pipeline.readers.formats.delimited import unpacked
-from pipeline.readers.frame import Array, Contents, with_gaps
 from pipeline.records.trials import Integers
 
 Cells = dict[int, Any]
 """Values of a column by the number of their record, from 0."""
 
 
-def read(path: Path, settings: Profile, contents: Contents) -> None:
+def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the keys of records as columns, and single values as attributes."""
     data = unpacked(contents.name, path.read_bytes())
     text = data.decode(json.detect_encoding(data)).removeprefix("\ufeff")
@@ -118,7 +118,7 @@ def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield path, value
 
 
-def _parsed(contents: Contents, text: str) -> Any:
+def _parsed(contents: FileColumns, text: str) -> Any:
     """Return the value of a file, a list where it has one record a line."""
     try:
         return json.loads(text)
@@ -141,7 +141,7 @@ def _parsed(contents: Contents, text: str) -> Any:
     return records
 
 
-def _records(contents: Contents, value: Any, path: str) -> list[Any] | None:
+def _records(contents: FileColumns, value: Any, path: str) -> list[Any] | None:
     """Return the list of records; None where each column is a separate list. Single values become attributes."""
     if isinstance(value, list):
         value = {"": value}

@@ -19,7 +19,7 @@ from scipy.io import loadmat
 
 from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.frame import Array, Contents, library
+from pipeline.readers.file_columns import Array, FileColumns, library
 
 if find_spec("matio"):  # here, where the time to import it does not count
     import_module("matio")
@@ -35,7 +35,7 @@ _EXPORTS = {
 """MATLAB commands that convert objects in MATLAB's private format to plain arrays, by class."""
 
 
-def read(path: Path, settings: Profile, contents: Contents) -> None:
+def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the variables; what cannot be read is named with what makes it plain in MATLAB."""
     head = path.read_bytes()[:128]
     newer, objects = head[124:126] in (b"\x00\x02", b"\x02\x00"), head[116:124].strip(b" \0") != b""
@@ -56,7 +56,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
             contents.hints[name] = str(label)
 
 
-def _by_matio(contents: Contents, path: Path, newer: bool) -> dict[str, Any]:
+def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, Any]:
     matio = library("matio", "mat")
     try:
         return dict(matio.load_from_mat(path))
@@ -90,7 +90,7 @@ def _advice(kind: str) -> str:
     return text + "save('log.mat', 's', '-v7')."
 
 
-def _add(contents: Contents, path: str, value: Any) -> None:
+def _add(contents: FileColumns, path: str, value: Any) -> None:
     """Add a variable, a field of a struct, an element of a cell or the properties of an object."""
     if hasattr(value, "properties"):
         _add_object(contents, path, value)
@@ -128,7 +128,7 @@ def _texts(value: Array) -> Array:
     return np.array(texts if 1 < len(texts) == value.size else [])
 
 
-def _add_object(contents: Contents, path: str, value: Any) -> None:
+def _add_object(contents: FileColumns, path: str, value: Any) -> None:
     """Add times and values of all timeseries in an object; the object is refused where there are none."""
     before = len(contents.columns)
     _add_series(contents, path, value)
@@ -136,7 +136,7 @@ def _add_object(contents: Contents, path: str, value: Any) -> None:
         contents.refused[path] = _advice(str(value.classname))
 
 
-def _add_series(contents: Contents, path: str, value: Any) -> None:
+def _add_series(contents: FileColumns, path: str, value: Any) -> None:
     """Add the timeseries in an object, a cell or a struct, by their names.
 
     A Simulink dataset is an object whose storage has a cell of elements. An element is a signal, an object or a struct,
@@ -159,7 +159,7 @@ _TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
 """Parts of a Simulink dataset that its user does not see."""
 
 
-def _add_parts(contents: Contents, path: str, parts: dict[str, Any]) -> None:
+def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
     """Add the samples that properties or fields are, or the timeseries in them."""
     info = getattr(parts.get("TimeInfo"), "properties", {})
     times = [parts.get("Time_"), parts.get("Time"), info.get("Time_")]

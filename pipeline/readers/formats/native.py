@@ -16,8 +16,8 @@ import pyarrow.csv as pacsv
 
 from pipeline.base.errors import LogError, refusal
 from pipeline.profiles.profile_model import Profile
+from pipeline.readers.file_columns import LONGEST_HEADER
 from pipeline.readers.formats import refuse_other_kind
-from pipeline.readers.frame import LONGEST_HEADER
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 from pipeline.records.trials import Floats

@@ -146,14 +146,14 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
     UsageError
         If so many contradict it that it is wrong itself.
     """
-    from pipeline.readers.obeyed import common_cure
+    from pipeline.readers.gain_check import common_remedy
     from pipeline.shell.profile.conditions import MOST_AT_FAULT
     from pipeline.shell.start import contradictions, corrected
 
     off, looked = contradictions(profile, folder.logs)
     if len(off) > MOST_AT_FAULT * looked:
         counts = f"{len(off)} of {counted(looked, 'log')} at fault"
-        raise UsageError(f"{off[0].path}: {common_cure(off[0].reason)} ({counts}). Correct the answer, or the sheet.")
+        raise UsageError(f"{off[0].path}: {common_remedy(off[0].reason)} ({counts}). Correct the answer, or the sheet.")
     if not off:
         return profile, ()
     console.step("")

@@ -25,9 +25,9 @@ from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
+from pipeline.readers.gain_check import followed_gains, gain_mismatch
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
-from pipeline.readers.obeyed import obeyed, other_gains
 from pipeline.records.models import Motion
 from pipeline.records.native import FREE
 from pipeline.records.trials import Floats, Trial
@@ -65,8 +65,8 @@ Checked = dict[str, Any]
 it, and what is ``usual`` of devices; displacement and duration are of the samples. ``columns`` have the SI name
 ``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` has the
 flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the row of the step,
-counted from 0, ``step`` how it is known, or why it is not. ``other_gains`` says which stiffness, damping or step the
-command obeys where the conditions state others, and the line that cures it; ``obeyed`` has their numbers in SI.
+counted from 0, ``step`` how it is known, or why it is not. ``gain_mismatch`` says which stiffness, damping or step the
+command obeys where the conditions state others, and the line that cures it; ``followed_gains`` has their numbers in SI.
 """
 
 
@@ -108,8 +108,8 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
         "time": flags | dict(log.counts),
         "step_row": step_row,
         "step": step,
-        "other_gains": other_gains(profile, log),
-        "obeyed": found.found if (found := obeyed(log)) is not None else {},
+        "other_gains": gain_mismatch(profile, log),
+        "obeyed": found.found if (found := followed_gains(log)) is not None else {},
         "findings": [finding.document for finding in log.findings],
         "warnings": [
             *log.warnings,

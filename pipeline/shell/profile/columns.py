@@ -24,7 +24,7 @@ from pipeline.intake.sources import find_sources
 from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, Profile
-from pipeline.readers.obeyed import Law, common_cure, free_law_of
+from pipeline.readers.gain_check import WallGains, common_remedy, wall_gains_of_motion
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
@@ -408,7 +408,7 @@ class _Maker:
         if kind == "step":
             values["step_at"] = "first row" if begun and all(begun) else "command edge"
 
-    def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, Law]]:
+    def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, WallGains]]:
         """Yield the wall law that the command of each sample obeys, in the numbers of the file and seconds."""
         clock, *pair = (values["columns"][name] for name in COLUMNS)
         for sample in self.samples:
@@ -419,7 +419,7 @@ class _Maker:
             stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
             if len({len(column) for column in (stamps, *found)}) != 1:
                 continue
-            law = free_law_of(stamps * _time_factor(clock), *found)
+            law = wall_gains_of_motion(stamps * _time_factor(clock), *found)
             if law is not None and law.stiffness and (law.step or values.get("kind")):
                 yield sample.name, law
 
@@ -490,7 +490,7 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
     if not off:
         return
     path, why = off[0]
-    why = common_cure(why) if len(off) > 1 else why
+    why = common_remedy(why) if len(off) > 1 else why
     others = f" ({len(off)} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
     raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
 

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import UNITS, split_quantity, unit_between
 from pipeline.profiles.profile_model import Kind, quantity, si_unit
-from pipeline.readers.frame import Contents, Scalar
+from pipeline.readers.file_columns import FileColumns, Scalar
 
 SAME = 0.1
 """Part by which a number may differ from what the command obeys: names are rounded."""
@@ -53,7 +53,7 @@ def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind)
     return "N/mm" if unit == "kN/m" else unit
 
 
-def numbers_inside(contents: Sequence[Contents]) -> dict[tuple[str, str], Numbers]:
+def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Numbers]:
     """Return the numbers that files, or trials of a file, state: values outside the table and constant columns.
 
     They are by the table of a profile (``attributes``, ``condition_columns``) and their name. Those that have a unit

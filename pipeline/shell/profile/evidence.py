@@ -30,8 +30,8 @@ from pipeline.profiles.profile_model import (
     quantity,
     si_unit,
 )
+from pipeline.readers.gain_check import WallGains, wall_gains_of_motion
 from pipeline.readers.mapping import changes_of, is_staircase
-from pipeline.readers.obeyed import Law, free_law_of
 from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
 from pipeline.records.trials import Floats, Trial
@@ -68,7 +68,7 @@ class WallLaw(NamedTuple):
     ``first_row`` says whether the command is at its step from the first row on; ``kind`` what moves the device.
     """
 
-    law: Law
+    law: WallGains
     columns: dict[str, str]
     units: dict[str, list[str]]
     period_s: float
@@ -237,7 +237,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
         if not all(units.values()) or counters:
             continue
         factor = UNITS[units["time"][0]].factor
-        law = free_law_of(stamps * factor, force, place)
+        law = wall_gains_of_motion(stamps * factor, force, place)
         # a column that is a multiple of another one obeys a law without damping and step
         sure = law is not None and (law.step or (law.stiffness * law.damping > 0 and (len(tried) == 2 or pair == own)))
         kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
@@ -247,7 +247,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
     return None
 
 
-def _kind_of(law: Law, time: Floats, command: Floats, position: Floats) -> Excitation | None:
+def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) -> Excitation | None:
     """Return what moves a device whose command obeys a law; None where nothing does that is seen.
 
     A release from a position looks like a step of the wall's force at that position. It is a release if that wall is at

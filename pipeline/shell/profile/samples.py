@@ -12,9 +12,9 @@ import numpy as np
 from pipeline.base.errors import ProfileError, UsageError, refusal
 from pipeline.base.units import DRIVES, unit_in_heading
 from pipeline.profiles.profile_model import GROUPED, QUANTITIES, Format, Profile
+from pipeline.readers.file_columns import FileColumns, trial_groups
 from pipeline.readers.formats import format_of
 from pipeline.readers.formats.delimited import Layout, text_layout, unpacked
-from pipeline.readers.frame import Contents, trial_groups
 from pipeline.readers.isolation import read_file
 from pipeline.records.trials import Floats
 
@@ -35,8 +35,8 @@ class Sample(NamedTuple):
     name: str
     kind: Format
     layout: Layout
-    contents: Contents
-    trials: tuple[Contents, ...] = ()
+    contents: FileColumns
+    trials: tuple[FileColumns, ...] = ()
 
     @property
     def numbers(self) -> dict[str, Floats]:
@@ -62,7 +62,7 @@ SHORTEST_TRIAL = 10
 """Rows of a trial in a long table."""
 
 
-def _trial_column(contents: Contents) -> tuple[str, list[slice]] | None:
+def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
     """Return the column of a long table that numbers the trials, and their rows: time restarts where it changes."""
     columns = contents.columns
     rows = len(next(iter(columns.values()), ()))
@@ -85,7 +85,7 @@ def _trial_column(contents: Contents) -> tuple[str, list[slice]] | None:
     return None
 
 
-def _rows_of(contents: Contents, rows: slice) -> Contents:
+def _rows_of(contents: FileColumns, rows: slice) -> FileColumns:
     """Return some rows of the contents of a file."""
     return replace(
         contents, columns={name: column[rows] for name, column in contents.columns.items()}, row=contents.row[rows]
@@ -111,7 +111,7 @@ def open_sample(path: Path) -> Sample:
         raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.keys)
-    contents, trials = read_file(settings, (path.name,), (data,)), tuple[Contents, ...]()
+    contents, trials = read_file(settings, (path.name,), (data,)), tuple[FileColumns, ...]()
     if kind in GROUPED:
         each = settings.model_copy(update={"trials": "each group"})
         whole = read_file(each, (path.name,), (data,)) if kind in ("json", "tdms") else contents

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import shipped_profiles
+from pipeline.readers.gain_check import followed_gains, gain_mismatch
 from pipeline.readers.log import Log
-from pipeline.readers.obeyed import obeyed, other_gains
 from pipeline.records.native import NativeHeader
 from pipeline.shell.cli import application
 from pipeline.store.storage import read_trials
@@ -48,7 +48,7 @@ def test_a_log_that_obeys_its_header_is_never_doubted(seed):
         k, b = rng.uniform(200, 3000), rng.uniform(2, 25)
         for kind in kinds:
             sent, seen = motion(k, b, seed=seed, **kind)
-            assert obeyed(log((k, b, STEP), sent, seen)) is None, (k, b, kind)
+            assert followed_gains(log((k, b, STEP), sent, seen)) is None, (k, b, kind)
 
 
 @pytest.mark.parametrize(
@@ -62,13 +62,13 @@ def test_a_log_that_obeys_its_header_is_never_doubted(seed):
     ],
 )
 def test_what_differs_is_named_with_its_factor(stated, names):
-    found = obeyed(log(stated, *motion(3200.0, 18.0, seed=5)))
+    found = followed_gains(log(stated, *motion(3200.0, 18.0, seed=5)))
     assert found is not None
     assert found.factors == pytest.approx(names, rel=0.02)
 
 
 def test_a_unit_that_was_forgotten_is_found_through_a_filter():
-    found = obeyed(log((1.2, 0.008, STEP), *motion(1200.0, 8.0, seed=5, mean=4, quantum=1e-5)))
+    found = followed_gains(log((1.2, 0.008, STEP), *motion(1200.0, 8.0, seed=5, mean=4, quantum=1e-5)))
     assert found is not None
     assert found.factors["stiffness"] == pytest.approx(1000, rel=0.2)
 
@@ -86,7 +86,7 @@ def test_a_column_that_is_not_in_si_is_named_before_the_header(columns, cure):
     sent, seen = motion(3200.0, 18.0, seed=5)
     found = log((3200.0, 18.0, STEP), command * sent, position * seen)
     native = next(each for each in shipped_profiles() if each.format == "native")
-    warning = other_gains(native, replace(found, time=time * found.time))
+    warning = gain_mismatch(native, replace(found, time=time * found.time))
     assert warning.endswith(f"To cure it: {cure}")
 
 
@@ -158,8 +158,8 @@ def test_the_wall_of_an_unstable_trial_is_known_by_its_step_before_it_grows(name
     assert np.abs(np.diff(command)).max() > 2 * 4.0, "it grows"
     stated = {"stiffness": 12000.0, "damping": 15.0, "step": 4.0}
     header = NativeHeader("bench", "1", **stated, sampling_period_s=1e-3)
-    assert obeyed(Log(header, time, command, position)) is None
+    assert followed_gains(Log(header, time, command, position)) is None
     wrong = NativeHeader("bench", "1", **(stated | {name: factor * stated[name]}), sampling_period_s=1e-3)
-    found = obeyed(Log(wrong, time, command, position))
+    found = followed_gains(Log(wrong, time, command, position))
     assert found is not None
     assert found.found == {name: pytest.approx(stated[name], rel=1e-6)}

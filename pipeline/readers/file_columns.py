@@ -1,7 +1,7 @@
-"""What a format reader hands on: named arrays as they stand in a file, without units, signs or guesses.
+"""Columns of a file by name, as a format reader finds them: without units, signs or guesses.
 
-A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`. `Contents.frame`
-takes the columns that a profile wants; `mapping` turns them into logs.
+A format is a function ``read(path, settings, contents)`` that adds the arrays of a file to a `FileColumns`. Its method
+`frame` takes the columns that a profile names; `mapping` turns them into logs.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ ARRAY = 800
 
 
 @dataclass
-class Contents:
-    """Contents of a file: columns and attributes.
+class FileColumns:
+    """FileColumns of a file: columns and attributes.
 
     Parameters
     ----------
@@ -282,13 +282,13 @@ _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|fil
 """Groups of what was wanted, or of the same motion once more, are no trials."""
 
 
-def trial_groups(contents: Contents) -> list[str]:
+def trial_groups(contents: FileColumns) -> list[str]:
     """Return groups that look like trials of one kind, with the same columns of several rows.
 
     They are numbered, or were recorded at other times, or each has another value in a column that is constant.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
-    >>> trial_groups(Contents("a", columns=dict.fromkeys(names, np.zeros(9))))
+    >>> trial_groups(FileColumns("a", columns=dict.fromkeys(names, np.zeros(9))))
     ['run1', 'run2']
     """
     families: dict[tuple[str, ...], list[str]] = {}
@@ -306,7 +306,7 @@ def trial_groups(contents: Contents) -> list[str]:
     return best if len(best) > 1 and _are_trials(contents, best, names) else []
 
 
-def _leaves(contents: Contents, whole: bool) -> dict[str, list[str]]:
+def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
     """Return the columns of several rows in each group by their names in it: fields, or the elements of a matrix."""
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
@@ -321,7 +321,7 @@ def _leaves(contents: Contents, whole: bool) -> dict[str, list[str]]:
     return {group: leaves[group] for group in timed}
 
 
-def _are_trials(contents: Contents, groups: Sequence[str], inside: Sequence[str]) -> bool:
+def _are_trials(contents: FileColumns, groups: Sequence[str], inside: Sequence[str]) -> bool:
     """Return whether groups of the same columns are trials, and no two devices at the same time."""
     clocks_differ = []
     for name in inside:

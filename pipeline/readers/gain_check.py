@@ -64,7 +64,7 @@ the largest jump below which one is arithmetic."""
 
 
 @dataclass(frozen=True)
-class Obeyed:
+class FollowedGains:
     """Gains that the command obeys [SI] where the header states others, by name; and what the header states."""
 
     found: dict[str, float]
@@ -87,7 +87,7 @@ class Obeyed:
         return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
 
 
-def obeyed(log: Log) -> Obeyed | None:
+def followed_gains(log: Log) -> FollowedGains | None:
     """Return which other gains the command of a log obeys; None where they are as stated, or not to be seen."""
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
@@ -95,7 +95,7 @@ def obeyed(log: Log) -> Obeyed | None:
     terms = _best_terms(log.time, command, log.position, header.extra.get("step_row"))
     off = command - gains @ terms
     if not header.step:
-        return _obeyed_freely(log, stated)
+        return _followed_in_motion(log, stated)
     if not size or _size(off) <= EXACT * size:
         return None
     free = _free(command)
@@ -110,7 +110,7 @@ def obeyed(log: Log) -> Obeyed | None:
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
         other = told & (np.abs(values - gains) > least)
         return (
-            Obeyed({name: float(values[i]) for i, name in enumerate(stated) if other[i]}, stated)
+            FollowedGains({name: float(values[i]) for i, name in enumerate(stated) if other[i]}, stated)
             if any(other)
             else None
         )
@@ -119,11 +119,11 @@ def obeyed(log: Log) -> Obeyed | None:
     if left > NEARLY * size or abs(factor) * np.abs(wall).max() <= SHARE * largest or 1 / FACTOR < factor < FACTOR:
         return None
     found = {name: float(factor * stated[name]) for name in ("stiffness", "damping") if stated[name]}
-    return Obeyed(found | ({} if 1 / FACTOR < step < FACTOR else {"step": float(step * header.step)}), stated)
+    return FollowedGains(found | ({} if 1 / FACTOR < step < FACTOR else {"step": float(step * header.step)}), stated)
 
 
-def _obeyed_freely(log: Log, stated: dict[str, float]) -> Obeyed | None:
-    """Return which other gains the command of a released or hit device obeys, as `obeyed`."""
+def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | None:
+    """Return which other gains the command of a released or hit device obeys, as `followed_gains`."""
     gains = (log.header.stiffness, log.header.damping)
     fitted = _free_fit(log.time, log.command, log.position) if any(gains) else None
     if fitted is None or not fitted[0].stiffness:
@@ -136,10 +136,10 @@ def _obeyed_freely(log: Log, stated: dict[str, float]) -> Obeyed | None:
         for name, value, gain, more, sigma in zip(("stiffness", "damping"), law[:2], gains, slack, error, strict=False)
         if value and abs(value - gain) > max(TOLERANCE * abs(gain), more, SURE * sigma)
     }
-    return Obeyed(found, stated) if found else None
+    return FollowedGains(found, stated) if found else None
 
 
-class Law(NamedTuple):
+class WallGains(NamedTuple):
     """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds.
 
     What makes no part of the command that is seen is 0.
@@ -150,8 +150,8 @@ class Law(NamedTuple):
     step: float
 
 
-def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
-    """Return the law that a command obeys, as `obeyed` knows it; None where none explains it.
+def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | None:
+    """Return the law that a command obeys, as `followed_gains` knows it; None where none explains it.
 
     Parameters
     ----------
@@ -160,31 +160,31 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     command, position : float64, shape (rows,)
         In any unit.
     """
-    if not _may_obey(time, command, position):
+    if not _may_follow(time, command, position):
         return None
     fitted = _fitted(_best_terms(time, command, position), command)
     return None if fitted is None else fitted[0]
 
 
-def free_law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
+def wall_gains_of_motion(time: Floats, command: Floats, position: Floats) -> WallGains | None:
     """Return the law of a released or hit device: a step of the force is the release, a pulse of it the hit.
 
-    Parameters as of `law_of`. Where no law explains all rows, it is that of those behind the pulse.
+    Parameters as of `wall_gains`. Where no law explains all rows, it is that of those behind the pulse.
     """
     fitted = _free_fit(time, command, position)
     return None if fitted is None else fitted[0]
 
 
-def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[Law, Floats] | None:
+def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGains, Floats] | None:
     """Return the law of a released or hit device and the standard errors of its gains; None where none explains it."""
-    if not _may_obey(time, command, position):
+    if not _may_follow(time, command, position):
         return None
     peak = float(np.abs(command).max())
     fitted = _fitted(_best_terms(time, command, position), command)
     for part in PULSE_PARTS if fitted is None else ():
         behind = slice(int(part * len(time)), None)
         rows = (time[behind], command[behind], position[behind])
-        if not _may_obey(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
+        if not _may_follow(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
             return None
         # what the position has moved before is a constant part of the command
         fitted = _fitted(_terms(*rows, 0), command[behind])
@@ -193,14 +193,14 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[Law, Flo
     return fitted
 
 
-def _may_obey(time: Floats, command: Floats, position: Floats) -> bool:
+def _may_follow(time: Floats, command: Floats, position: Floats) -> bool:
     """Return whether a law may be seen in some rows."""
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all():
         return False
     return bool(np.ptp(command) and np.ptp(position))
 
 
-def _fitted(terms: Floats, command: Floats) -> tuple[Law, Floats] | None:
+def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
     """Return the law that explains a command, and the standard errors of its gains; None where none does."""
     free = _free(command)
     if free.sum() < LEAST_ROWS:
@@ -209,7 +209,7 @@ def _fitted(terms: Floats, command: Floats) -> tuple[Law, Floats] | None:
     if left > EXACT * _size(command):
         return None
     told = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
-    return Law(*map(float, np.where(told, values, 0.0))), error
+    return WallGains(*map(float, np.where(told, values, 0.0))), error
 
 
 def _edges(command: Floats) -> list[int]:
@@ -268,16 +268,16 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
     return solution / scale, left * np.sqrt(np.diag(inverse)) / scale, left
 
 
-def other_gains(profile: Profile, log: Log) -> str | None:
+def gain_mismatch(profile: Profile, log: Log) -> str | None:
     """Return which other gains the command of a log obeys, and the line that cures it; None where it does not."""
-    found = obeyed(log)
+    found = followed_gains(log)
     if found is None:
         return None
-    cure = _native_cure(found, log) if profile.format == "native" else _cure(profile, found)
+    cure = _native_remedy(found, log) if profile.format == "native" else _remedy(profile, found)
     return f"{found.sentence}. To cure it: {cure}"
 
 
-def _native_cure(found: Obeyed, log: Log) -> str:
+def _native_remedy(found: FollowedGains, log: Log) -> str:
     """Return by what a column that is not in SI has to be multiplied, or the lines of the header that agree with it."""
     header = "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
     pace = float(np.median(np.diff(log.time))) / log.header.sampling_period_s
@@ -287,7 +287,7 @@ def _native_cure(found: Obeyed, log: Log) -> str:
     return f"{column} times {factor:.4g}, or {header}" if column else header
 
 
-def _column(found: Obeyed) -> tuple[str, float]:
+def _column(found: FollowedGains) -> tuple[str, float]:
     """Return the column whose unit alone explains the gains, and its unit in the stated one; empty where none does."""
     factors = found.factors
     first = next(iter(factors.values()))
@@ -299,7 +299,7 @@ def _column(found: Obeyed) -> tuple[str, float]:
     return ("position", first) if position and np.isfinite(first) else ("", 1.0)
 
 
-def _cure(profile: Profile, found: Obeyed) -> str:
+def _remedy(profile: Profile, found: FollowedGains) -> str:
     """Return the lines of a profile by which header and command would agree."""
     column, factor = _column(found)
     lines = _lines(column, profile.column_sources()[column], factor) if column else []
@@ -317,12 +317,12 @@ ALONE = " If this log alone is at fault:"
 """Begin of the part of a cure that is for one log; many that are at fault have one in common."""
 
 
-def common_cure(cure: str) -> str:
+def common_remedy(cure: str) -> str:
     """Return a cure without what is for one log alone."""
     return cure.partition(f".{ALONE}")[0]
 
 
-def _alone(profile: Profile, found: Obeyed) -> str:
+def _alone(profile: Profile, found: FollowedGains) -> str:
     """Return where a log states what its command contradicts, and by which number; empty where all logs share it."""
     by_file = {key for entry in profile.file for key in entry.given()}
     places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
