@@ -74,6 +74,18 @@ def test_no_path_of_a_machine(page: Path) -> None:
     assert PRIVATE.findall(read(page)) == []
 
 
+def test_the_worked_example_applies_to_the_code() -> None:
+    """Each hunk of the diff in CONTRIBUTING.md starts from lines that the code has."""
+    (diff,) = re.findall(r"^```diff\n(.*?)^```", read(ROOT / "CONTRIBUTING.md"), flags=re.MULTILINE | re.DOTALL)
+    files = re.split(r"^--- a/", diff, flags=re.MULTILINE)[1:]
+    assert len(files) == 4
+    for part in files:
+        code = read(ROOT / part.split("\n", 1)[0])
+        for hunk in re.split(r"^@@.*\n", part, flags=re.MULTILINE)[1:]:
+            before = "".join(f"{line[1:]}\n" for line in hunk.splitlines() if line[:1] != "+")
+            assert before in code
+
+
 def test_image_is_small_and_needs_no_network() -> None:
     images = [ROOT / name for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", read(ROOT / "README.md"))]
     assert images
