@@ -73,7 +73,7 @@ def test_a_command_that_no_column_holds_is_stated(tmp_path, start):
     [
         ('{ value = 6.0, unit = "N", sign = 1 }', "from_row"),
         ('{ from_row = 3, unit = "N", sign = 1 }', "value"),
-        ('{ value = 6.0, from_row = 3, name = "t", unit = "N", sign = 1 }', "beside the column"),
+        ('{ value = 6.0, from_row = 3, name = "t", unit = "N", sign = 1 }', "together with the column"),
         ('{ unit = "N", sign = 1 }', "value and from_row"),
     ],
 )
