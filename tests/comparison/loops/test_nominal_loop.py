@@ -143,7 +143,8 @@ def test_statements_rest_on_the_loop_of_the_file(told, name):
         ("filter", 'velocity = { kind = "difference", samples = 3 }'),
         ("filter", ""),
         ("lag", "actuator_lag_s = 0.004"),
-        ("mode", 'mode = { frequency_hz = 90.0, damping_ratio = 0.08, mass = 0.2, sensor = "motor" }'),
+        # one of 90 Hz has limits within 5 %, and is as good
+        ("mode", 'mode = { frequency_hz = 30.0, damping_ratio = 0.08, mass = 0.2, sensor = "motor" }'),
     ],
 )
 def test_a_file_of_another_loop_gives_way_to_the_found_device(told, name, other):
