@@ -80,7 +80,7 @@ CHANGES = (
     Change("store/names.py", "if safe.startswith((\".\", \"_\")) or", "if"),
     Change("store/names.py", "parent / (other if taken else name)", "parent / name"),
     Change("base/provenance.py", "return sha256(text.encode())[:16]", "return sha256(text.encode())[:4]"),
-    Change("intake/kept.py", "else sha256[:16]", "else sha256[:4]"),
+    Change("intake/stored_sources.py", "else sha256[:16]", "else sha256[:4]"),
     Change("records/trials.py", "result.hexdigest()[:16]", "result.hexdigest()[:4]"),
     Change(SESSIONS, "SESSION_S = 12 * 3600.0", "SESSION_S = 12e9 * 3600.0"),
     Change(SESSIONS, "sessions.expires > {time.time()} AND", "1 AND"),

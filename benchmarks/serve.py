@@ -26,7 +26,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.simulation.sweep import run_sweep, write_sweep
-from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
+from pipeline.store.batch_files import GROUP_TRIALS, ExperimentKey, write_batch
 from pipeline.store.storage import trials_files
 
 EXPERIMENTS, READERS, REQUESTS, MANY_READERS = 50, 20, 2000, 200
@@ -65,7 +65,7 @@ def store(folder: Path, trials: int) -> None:
             index = part.schema.get_field_index(column)
             part = part.set_column(index, part.schema.field(column), pa.array(new))
         parts = (part.slice(first, GROUP_TRIALS) for first in range(0, rows, GROUP_TRIALS))
-        write_batch(folder / "processed", Place("falcon", str(number), "translation"), parts)
+        write_batch(folder / "processed", ExperimentKey("falcon", str(number), "translation"), parts)
     file.unlink()
 
 

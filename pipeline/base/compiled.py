@@ -18,7 +18,7 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from pipeline.base.disk import read_kept, write_kept
+from pipeline.base.disk import read_result, write_result
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -174,7 +174,7 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
     name, key = machine_code.object_name(function), machine_code.object_key(function, signature).encode()
 
     def kept(folder: Path) -> bytes | None:
-        known, _, code = (read_kept(folder, name, ".o") or b"").partition(b"\n")
+        known, _, code = (read_result(folder, name, ".o") or b"").partition(b"\n")
         return code if known == key else None
 
     def made() -> bytes:
@@ -187,7 +187,7 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
         if code is None:
             with _one_process(folder):
                 code = kept(folder) or made()
-                write_kept(folder, name, ".o", key + b"\n" + code)
+                write_result(folder, name, ".o", key + b"\n" + code)
     except (OSError, RuntimeError):  # a full disk, a folder of another user, none at all
         code = made()
     return machine_code.loaded_object(code, signature)

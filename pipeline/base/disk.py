@@ -87,7 +87,7 @@ def sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def each(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:
+def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:
     """Apply an I/O-bound function to each item in a thread pool; results are in the order of the items."""
     if len(items) < 2:
         return [work(item) for item in items]
@@ -146,7 +146,7 @@ def new_file(
             yield new
             new.stream.flush()
             os.fsync(number)
-        new.path = folder / (name or f"{stem}{content_of(path)}{ending}")
+        new.path = folder / (name or f"{stem}{file_hash(path)}{ending}")
         os.replace(path, new.path)
     except BaseException:
         with suppress(FileNotFoundError):
@@ -179,27 +179,27 @@ def write_text(path: Path, text: str) -> None:
         stream.write(text.encode())
 
 
-def content_of(file: Path) -> str:
+def file_hash(file: Path) -> str:
     """Return the SHA-256 of a file as 64 hexadecimal digits."""
     with open(file, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def said_content(name: str) -> str | None:
+def hash_in_name(name: str) -> str | None:
     """Return the SHA-256 that the name of a file says of its content; None where it says none."""
     found = _CONTENT.fullmatch(name)
     return found[1] if found else None
 
 
-def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
+def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
     """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
     with new_file(folder, f"{stem}-", ending, mode=mode) as new:
         new.stream.write(data)
-    remove_all(file for file in kept_files(folder, stem, ending) if file != new.path)
+    remove_all(file for file in result_files(folder, stem, ending) if file != new.path)
     return new.path
 
 
-def kept_files(folder: Path, stem: str, ending: str) -> list[Path]:
+def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
     """Return the files that keep a result: one, but while another takes its place."""
     try:
         names = sorted(os.listdir(folder))
@@ -209,12 +209,12 @@ def kept_files(folder: Path, stem: str, ending: str) -> list[Path]:
     return [folder / n for n in names if len(n) == long and n.startswith(f"{stem}-") and n.endswith(ending)]
 
 
-def read_kept(folder: Path, stem: str, ending: str) -> bytes | None:
+def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
     """Return a stored result, or None if it is missing or damaged and has to be computed again."""
-    for file in kept_files(folder, stem, ending):
+    for file in result_files(folder, stem, ending):
         with suppress(FileNotFoundError):
             data = file.read_bytes()
-            if hashlib.sha256(data).hexdigest() == said_content(file.name):
+            if hashlib.sha256(data).hexdigest() == hash_in_name(file.name):
                 return data
     return None
 

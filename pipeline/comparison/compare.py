@@ -47,7 +47,7 @@ from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
 from pipeline.store.objects import origin
-from pipeline.store.storage import gone
+from pipeline.store.storage import missing_inputs
 from pipeline.theory.predictions import Predictions, Theory
 
 REPORT_BEGINS = 0.9
@@ -143,7 +143,7 @@ def compare(
     if dry_run:
         return Outcome(None, tuple(plan), None)
 
-    lost = gone(processed, data.scene.device)
+    lost = missing_inputs(processed, data.scene.device)
     with part_of_work("", 0.0, REPORT_BEGINS):
         found = _compute(data, early, predictions, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from pipeline.base.disk import if_writable, read_kept, write_kept
+from pipeline.base.disk import if_writable, read_result, write_result
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
@@ -173,13 +173,13 @@ def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResul
     keys = [stages.key(stage) for stage in sorted(NEEDS)]
     key = digest([result.model_dump_json(), device, code_digest("report"), *keys])
     folder = stage_folder(stages.processed, stages.device, stages.experiment)
-    stored = json.loads(read_kept(folder, FINDINGS, ".json") or b"{}")
+    stored = json.loads(read_result(folder, FINDINGS, ".json") or b"{}")
     if stored.get("key") == key:
         return LoopFindings.model_validate(stored["findings"])
     found = loop_findings(result, stages, data.device, units)
     with if_writable():
         document = {"key": key, "findings": found.model_dump(mode="json")}
-        write_kept(folder, FINDINGS, ".json", json.dumps(document, allow_nan=False).encode())
+        write_result(folder, FINDINGS, ".json", json.dumps(document, allow_nan=False).encode())
     return found
 
 

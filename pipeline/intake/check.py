@@ -18,10 +18,10 @@ import pyarrow as pa
 
 from pipeline.base.disk import (
     READABLE,
-    content_of,
+    file_hash,
+    hash_in_name,
     make_folder,
     remove_all,
-    said_content,
     sync_folder,
     write_text,
     writing,
@@ -29,11 +29,11 @@ from pipeline.base.disk import (
 from pipeline.base.errors import ProfileError, StoreError
 from pipeline.base.paths import path_of_text
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import FOLDER, RECORD
+from pipeline.intake.quarantine import FOLDER, RECORD
 from pipeline.records.findings import Record
 from pipeline.records.table_files import open_table
-from pipeline.store.batch_files import GROUP_TRIALS, Place, write_batch
-from pipeline.store.storage import TABLE, gone, read_rows
+from pipeline.store.batch_files import GROUP_TRIALS, ExperimentKey, write_batch
+from pipeline.store.storage import TABLE, missing_inputs, read_rows
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
@@ -109,14 +109,14 @@ def check(
     StoreError
         If the folder cannot be read, or written to.
     """
-    files, lost = list(_files(processed)), gone(processed)
+    files, lost = list(_files(processed)), missing_inputs(processed)
     faults: dict[Path, str] = {}
     size = 0
     for done, file in enumerate(files, 1):
         with suppress(FileNotFoundError):  # merged meanwhile
             try:
                 size += file.stat().st_size
-                if content_of(file) != said_content(file.name):
+                if file_hash(file) != hash_in_name(file.name):
                     faults[file] = "its content is not that of its name"
             except PermissionError as error:
                 faults[file] = str(error.strerror)
@@ -204,16 +204,16 @@ def _of_trials(
     """
     # the same logs make the same file, which is whole again where all of them were read
     there = {other: text for other, text in faults.items() if other.exists()}
-    damaged = {other: text for other, text in there.items() if content_of(other) != said_content(other.name)}
+    damaged = {other: text for other, text in there.items() if file_hash(other) != hash_in_name(other.name)}
     stored = set(read_rows(processed, ["source_path"], damaged).column("source_path"))
     if not repair:
         stored |= {row["source_path"] for row in rows if _is_there(row)}
-    places, kept = defaultdict[Place, list[pa.Table]](list), set[str]()
+    places, kept = defaultdict[ExperimentKey, list[pa.Table]](list), set[str]()
     for group in _groups(file) if file in damaged else ():
         new = group.filter(pa.array([path not in stored for path in group.column("source_path").to_pylist()]))
         if new.num_rows:
             device, experiment, motion = (new.column(name)[0].as_py() for name in ("device", "experiment", "motion"))
-            places[Place(device, experiment, motion, file.stat().st_mode & READABLE)].append(new)
+            places[ExperimentKey(device, experiment, motion, file.stat().st_mode & READABLE)].append(new)
             kept |= set(new.column("trial_id").to_pylist())
     gone = (row for row in rows if row["source_path"] not in stored and row["trial_id"] not in kept)
     lost = tuple({key: row[key] for key in ("trial_id", "source_path")} for row in gone)

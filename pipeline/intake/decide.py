@@ -12,8 +12,9 @@ from typing import Literal
 from pipeline.base.errors import LogError
 from pipeline.base.paths import path_of_text
 from pipeline.base.wording import counted
-from pipeline.intake.kept import QuarantineRecord, StoredSource
+from pipeline.intake.quarantine import QuarantineRecord
 from pipeline.intake.sources import Source
+from pipeline.intake.stored_sources import StoredSource
 
 Rule = Literal[
     "unchanged", "copy", "renamed copy", "new", "renamed", "changed", "profile changed", "completed", "refused before"

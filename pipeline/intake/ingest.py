@@ -20,20 +20,13 @@ from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.paths import is_gone, path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.intake.decide import Decision, Evidence, Twin, decide, decide_unread
-from pipeline.intake.kept import (
-    Accepted,
-    Periods,
+from pipeline.intake.quarantine import (
     QuarantineRecord,
     Refused,
-    StoredSource,
-    StoredSources,
-    accepted_logs,
-    batches_of,
-    keep,
     list_quarantine,
+    quarantine_sources,
     record_of,
-    release,
-    trial_id,
+    remove_from_quarantine,
 )
 from pipeline.intake.sources import (
     Notices,
@@ -45,12 +38,21 @@ from pipeline.intake.sources import (
     is_settled,
     reads_of,
 )
+from pipeline.intake.stored_sources import (
+    Accepted,
+    Periods,
+    StoredSource,
+    StoredSources,
+    accepted_logs,
+    batches_of,
+    trial_id,
+)
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.recording.signals import same_samples
 from pipeline.records.findings import Finding, Motion, Record
-from pipeline.store.batch_files import Key, merge_small, remove_incomplete, store, tidy
-from pipeline.store.corrections import carry
+from pipeline.store.batch_files import Key, merge_small, remove_incomplete, remove_superseded, store
+from pipeline.store.corrections import copy_corrections
 from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version, read_corrections
 
@@ -239,7 +241,7 @@ class _Run:
         if not self.dry_run:
             remove_incomplete(self.processed)
             if self.stored.rows.replaced or self.stored.doubled:
-                tidy(self.processed, self.damaged)
+                remove_superseded(self.processed, self.damaged)
                 self.stored = StoredSources(self.processed, self.claims, self.damaged)
         self.refused = {record.path: record for record in list_quarantine(self.processed, self.damaged)}
         self.periods = Periods(self.processed)
@@ -317,14 +319,14 @@ class _Run:
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
             if not self.dry_run:
-                keep(self.processed, refused)
+                quarantine_sources(self.processed, refused)
         self._flush()
         if self.dry_run:
             return
         if self.renamed:
-            carry(self.processed, self.renamed)
+            copy_corrections(self.processed, self.renamed)
         if renewed(self.processed, "trials"):
-            tidy(self.processed, self.damaged)
+            remove_superseded(self.processed, self.damaged)
         for folder in sorted(self.folders):
             try:
                 merge_small(self.processed, folder)
@@ -498,7 +500,7 @@ class _Run:
         if self.refused and not self.dry_run:
             keys = {source.key, *(path_text(os.path.abspath(file)) for file in source.files)}
             for key in keys & self.refused.keys():
-                release(self.processed, key)
+                remove_from_quarantine(self.processed, key)
 
     def _report_refused(self, source: Source, record: QuarantineRecord) -> None:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)

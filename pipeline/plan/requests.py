@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from pydantic import ValidationError
 
-from pipeline.base.disk import if_writable, read_kept, write_kept
+from pipeline.base.disk import if_writable, read_result, write_result
 from pipeline.records.findings import Record
 from pipeline.records.trials import Floats
 from pipeline.store.storage import stage_folder
@@ -103,7 +103,7 @@ def _apart(asked: Wall, got: Wall, far: float) -> float:
 
 def stored_requests(processed: Path, device: str, experiment: str) -> Requests:
     """Return what was asked for in an experiment; nothing where nothing is stored, or it is damaged."""
-    data = read_kept(stage_folder(processed, device, experiment), ASKED, ".json")
+    data = read_result(stage_folder(processed, device, experiment), ASKED, ".json")
     try:
         return Requests.model_validate_json(data or b"{}")
     except ValidationError:
@@ -125,7 +125,7 @@ def store_requests(
         return
     data = json.dumps(requests.model_dump(mode="json"), allow_nan=False).encode()
     with if_writable():
-        write_kept(stage_folder(processed, device, experiment), ASKED, ".json", data)
+        write_result(stage_folder(processed, device, experiment), ASKED, ".json", data)
 
 
 @dataclass(frozen=True)

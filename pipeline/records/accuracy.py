@@ -7,7 +7,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pipeline.base.disk import read_kept, write_kept
+from pipeline.base.disk import read_result, write_result
 from pipeline.base.provenance import PACKAGE_FOLDER, __version__, digest, digest_all, schema_folder, sha256
 from pipeline.records.findings import Record
 
@@ -126,12 +126,12 @@ def reference_file() -> Path:
 
 def store(report: AccuracyReport, processed: Path) -> None:
     """Keep a measurement for the reports of comparisons."""
-    write_kept(processed, STORED, ".json", (report.model_dump_json() + "\n").encode())
+    write_result(processed, STORED, ".json", (report.model_dump_json() + "\n").encode())
 
 
 def stored(processed: Path) -> AccuracyReport | None:
     """Return the kept measurement if it was made by this code on this machine, else None."""
-    data = read_kept(processed, STORED, ".json")
+    data = read_result(processed, STORED, ".json")
     if data is None:
         return None
     try:

@@ -17,7 +17,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import said_content
+from pipeline.base.disk import hash_in_name
 from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.tables import COLUMNS, TABLES
 
@@ -50,7 +50,7 @@ def read_table(path: Path) -> pa.Table:
     """
     with _told(path):
         data = path.read_bytes()
-        if said_content(path.name) not in (None, hashlib.sha256(data).hexdigest()):
+        if hash_in_name(path.name) not in (None, hashlib.sha256(data).hexdigest()):
             raise ValueError("its content is not that of its name")
         table = pq.read_table(pa.BufferReader(data))
     _check(path, table.schema)

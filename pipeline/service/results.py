@@ -23,7 +23,7 @@ from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import StoredSources
+from pipeline.intake.stored_sources import StoredSources
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.campaign import PlanOptions

@@ -21,10 +21,11 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from pipeline.base.disk import each, make_folder, sync_folder
+from pipeline.base.disk import make_folder, map_in_threads, sync_folder
 from pipeline.base.paths import path_of_text, path_text
-from pipeline.intake.kept import StoredSource, StoredSources, list_quarantine, trial_id
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import Source, content_hash, find_sources
+from pipeline.intake.stored_sources import StoredSource, StoredSources, trial_id
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
@@ -234,8 +235,8 @@ class Upload:
     def _sync(self, files: list[Path]) -> None:
         """Return when content and names of files are on the disk."""
         folders = {parent for file in files for parent in file.parents if self.folder in (parent, *parent.parents)}
-        each(_sync_file, files)
-        each(sync_folder, [*folders, self.folder.parent] if files else [])
+        map_in_threads(_sync_file, files)
+        map_in_threads(sync_folder, [*folders, self.folder.parent] if files else [])
 
 
 def _twin(source: Source, hashes: list[str], trial_paths: Mapping[str, str]) -> str | None:

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import kept_files
+from pipeline.base.disk import result_files
 from pipeline.base.wording import counted
 from pipeline.comparison.scene.origin import joint_sha256
 from pipeline.intake.ingest import ingest
@@ -26,7 +26,7 @@ from pipeline.records.accuracy import STORED
 from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.tables import LOCATION
-from pipeline.store.batch_files import Place, trials_of, write_batch
+from pipeline.store.batch_files import ExperimentKey, trials_of, write_batch
 from pipeline.store.corrections import write_corrections
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_trials, split_trials
@@ -139,7 +139,7 @@ def read_anew(
         _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
         if experiment in reported:
             _hold_samples(store, device, experiment, reported[experiment])
-    for kept in kept_files(processed, STORED, ".json") if folder.is_dir() else ():
+    for kept in result_files(processed, STORED, ".json") if folder.is_dir() else ():
         shutil.copy(kept, folder / kept.name)
     return store
 
@@ -202,7 +202,7 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
         for name in np.unique(files).tolist()
     }
     parts = chain.from_iterable(trials_of(file, kept) for file, kept in masks.items())
-    write_batch(store.folder, Place(device, experiment, trials.column("motion")[0].as_py()), parts)
+    write_batch(store.folder, ExperimentKey(device, experiment, trials.column("motion")[0].as_py()), parts)
 
 
 def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:

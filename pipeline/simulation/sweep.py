@@ -29,7 +29,7 @@ from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import applied_delay_moments, simulate
-from pipeline.store.names import place_of
+from pipeline.store.names import folder_for
 from pipeline.theory.cases import tested_grid
 
 LOWEST_DAMPING = 2.0
@@ -190,7 +190,7 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
     PipelineError
         If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
     """
-    target = place_of(place_of(folder, sweep.device.name), sweep.experiment.name)
+    target = folder_for(folder_for(folder, sweep.device.name), sweep.experiment.name)
     names = [f"{name}.csv" for name in sweep.trials.trial_id]
     try:
         earlier = _earlier_logs(target, overwrite)

@@ -17,14 +17,14 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import (
     READABLE,
-    content_of,
-    each,
+    file_hash,
+    hash_in_name,
     make_folder,
+    map_in_threads,
     new_file,
     readers_of,
     remove_all,
     remove_temporary,
-    said_content,
 )
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import stamp
@@ -62,7 +62,7 @@ KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
 """A trial as it was read: path of its log, its id, SHA-256 of the profile."""
 
 
-class Place(NamedTuple):
+class ExperimentKey(NamedTuple):
     """What the trials of a file have in common; `mode` is who may read it: who may read the logs of all of them."""
 
     device: str
@@ -71,23 +71,23 @@ class Place(NamedTuple):
     mode: int = READABLE
 
 
-def place_of_file(file: Path) -> Place:
+def key_of_file(file: Path) -> ExperimentKey:
     """Return what the trials of a file have in common."""
     with open_table(file) as stored:
         told = metadata_of(stored.schema_arrow)
     motion = cast(Motion, told["pipeline.motion"])
-    return Place(told["pipeline.device"], told["pipeline.experiment"], motion, readers_of(file.stat().st_mode))
+    return ExperimentKey(told["pipeline.device"], told["pipeline.experiment"], motion, readers_of(file.stat().st_mode))
 
 
 def write_batch(
-    processed: Path, place: Place, parts: Iterable[pa.Table], replaces: Collection[Path] = ()
+    processed: Path, place: ExperimentKey, parts: Iterable[pa.Table], replaces: Collection[Path] = ()
 ) -> Path | None:
     """Write trials into one file that replaces others, which are then removed.
 
     Parameters
     ----------
     processed : Path
-    place : Place
+    place : ExperimentKey
     parts : iterable of pyarrow.Table
         Trials, at most a group of them each; they come to the disk group by group, so that memory does not grow.
     replaces : collection of Path
@@ -134,7 +134,7 @@ def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
 
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
     """Return which files have not the content that their name says, and what to do."""
-    bad = [file for file in files if said_content(file.name) not in (None, content_of(file))]
+    bad = [file for file in files if hash_in_name(file.name) not in (None, file_hash(file))]
     return {file: str(damaged_file(file, "its content is not that of its name")) for file in bad}
 
 
@@ -148,7 +148,7 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
     """
     for text in find_damaged(files).values():
         raise StoreError(text)
-    places = [place_of_file(file) for file in files]
+    places = [key_of_file(file) for file in files]
     mode = READABLE
     for place in places:
         mode &= place.mode
@@ -156,23 +156,23 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
     return write_batch(processed, places[0]._replace(mode=mode), parts, files)
 
 
-def kept_of(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
+def remaining_rows(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
     """Return which rows are kept of each file that does not keep all."""
     return {rows.files[index]: keep[rows.file == index] for index in np.unique(rows.file[~keep]).tolist()}
 
 
-def without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
+def rows_without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
     """Return the remaining rows of each file with dropped trials; damaged files are reported and left as they are."""
     rows = read_rows(processed, KEY_COLUMNS, damaged)
     keys = zip(*map(rows.column, KEY_COLUMNS), strict=True)
-    kept = kept_of(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
+    kept = remaining_rows(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
     damaged |= (bad := find_damaged(kept))
     return {file: mask for file, mask in kept.items() if file not in bad}
 
 
 def store(
     processed: Path,
-    batches: Mapping[Place, Iterable[pa.Table]],
+    batches: Mapping[ExperimentKey, Iterable[pa.Table]],
     dropped: Collection[Key],
     outdated: Collection[Key],
     damaged: dict[Path, str],
@@ -183,11 +183,11 @@ def store(
     before, since new trials can be read again from their log. Outdated contents are dropped afterwards: a reader that
     finds two contents of a log takes the newer one.
     """
-    absorbed, later = defaultdict[Place, list[Path]](list), list[Path]()
-    first = without(processed, dropped, damaged) if dropped else {}
-    kept = without(processed, {*dropped, *outdated}, damaged) if outdated else first
+    absorbed, later = defaultdict[ExperimentKey, list[Path]](list), list[Path]()
+    first = rows_without(processed, dropped, damaged) if dropped else {}
+    kept = rows_without(processed, {*dropped, *outdated}, damaged) if outdated else first
     for file in kept:
-        if (place := place_of_file(file)) in batches:
+        if (place := key_of_file(file)) in batches:
             absorbed[place].append(file)
         elif file in first:
             rewrite(processed, [file], kept)
@@ -196,11 +196,11 @@ def store(
     for place in batches:  # one after the other: the name of a folder depends on those that are there
         make_folder(trials_folder(processed, place.device, place.experiment))
 
-    def write(place: Place) -> Path | None:
+    def write(place: ExperimentKey) -> Path | None:
         former = chain.from_iterable(trials_of(file, kept[file]) for file in absorbed[place])
         return write_batch(processed, place, chain(batches[place], former), absorbed[place])
 
-    folders = {path.parent for path in each(write, list(batches), OPEN_FILES) if path is not None}
+    folders = {path.parent for path in map_in_threads(write, list(batches), OPEN_FILES) if path is not None}
     for file in later:
         rewrite(processed, [file], kept)
     return folders
@@ -212,7 +212,7 @@ def remove_incomplete(processed: Path) -> None:
         remove_temporary(processed / name, deep=True)
 
 
-def tidy(processed: Path, damaged: dict[Path, str]) -> None:
+def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
     """Remove replaced files, and trials that are not used. Call with the lock of the store.
 
     Two writers on an object store may have stored, or merged, the same trials, and each might choose another file to
@@ -222,16 +222,16 @@ def tidy(processed: Path, damaged: dict[Path, str]) -> None:
     rows = read_rows(processed, VERSION_COLUMNS, damaged)
     remove_all(rows.replaced)
     keep = rows.current
-    masks, trials = kept_of(rows, keep), rows.column("trial_id")
+    masks, trials = remaining_rows(rows, keep), rows.column("trial_id")
     twice = {trials[row] for row in np.flatnonzero(~keep).tolist()}
     sharing = {rows.files[of] for trial, of in zip(trials, rows.file.tolist(), strict=True) if trial in twice}
     if bad := find_damaged({*masks, *sharing}):
         damaged |= bad
-        tidy(processed, damaged)
+        remove_superseded(processed, damaged)
         return
     together = defaultdict[tuple[Path, str], list[Path]](list)
     for file in sorted({*masks, *sharing}):
-        together[file.parent, place_of_file(file).motion].append(file)
+        together[file.parent, key_of_file(file).motion].append(file)
     for files in together.values():
         rewrite(processed, files, masks)
 
@@ -239,11 +239,11 @@ def tidy(processed: Path, damaged: dict[Path, str]) -> None:
 def merge_small(processed: Path, folder: Path) -> None:
     """Merge small batches of like size, if an experiment has many; the caller holds the lock."""
     while len(files := sorted(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
-        tiers = defaultdict[tuple[Place, int], list[Path]](list)
+        tiers = defaultdict[tuple[ExperimentKey, int], list[Path]](list)
         for file in files:
             trials = pq.read_metadata(file).num_rows
             if trials < LARGE_TRIALS and file.stat().st_size < LARGE_BYTES:
-                tiers[place_of_file(file), int(np.log(trials) / np.log(MOST_SMALL) + 1e-9)].append(file)
+                tiers[key_of_file(file), int(np.log(trials) / np.log(MOST_SMALL) + 1e-9)].append(file)
         full = next((alike for alike in tiers.values() if len(alike) >= MOST_SMALL), None)
         if full is None:
             return

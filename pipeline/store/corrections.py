@@ -28,19 +28,19 @@ from pipeline.base.provenance import stamp
 from pipeline.base.wording import counted
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import TABLES, to_arrow
-from pipeline.store.batch_files import kept_of, rewrite
+from pipeline.store.batch_files import remaining_rows, rewrite
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import (
     IDENTITY,
     TABLE,
     Correction,
     Exclusion,
-    alike,
     corrections_files,
     read_corrections,
     read_exclusions,
     read_rows,
     read_trials,
+    same_period,
 )
 
 SHOWN = 5
@@ -95,7 +95,7 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
                 loops.setdefault(experiment, set()).add(tuple(row[name] for name in more))
         for experiment, found in loops.items():
             (motion, period), *others = sorted(found)
-            if any(other != motion or not alike(period, apart) for other, apart in others):
+            if any(other != motion or not same_period(period, apart) for other, apart in others):
                 raise UsageError(
                     f"{wanted}: cannot become {place[0]}, experiment {experiment}: motion or sampling period differ "
                     f"({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
@@ -136,7 +136,7 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
     """
     with writing(processed, wait_s, say):
         gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
-        kept = kept_of(rows, np.array([trial not in gone for trial in rows.column("trial_id")], dtype=np.bool_))
+        kept = remaining_rows(rows, np.array([trial not in gone for trial in rows.column("trial_id")], dtype=np.bool_))
         for file in kept:
             rewrite(processed, [file], kept)
     return len(gone.intersection(rows.column("trial_id")))
@@ -162,7 +162,7 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     remove_all(old for old in former if old != file.path)
 
 
-def carry(processed: Path, ids: Mapping[str, str]) -> None:
+def copy_corrections(processed: Path, ids: Mapping[str, str]) -> None:
     """Apply corrections of trials to new ids as well: their logs were renamed."""
     known = read_corrections(processed)
     new = [known[old].model_copy(update={"trial_id": now}) for old, now in ids.items() if old in known]

@@ -42,11 +42,11 @@ def folder_name(name: str) -> str:
 
 
 def name_of_folder(folder: str) -> str:
-    """Return the device or experiment name that `place_of` made a folder name of."""
+    """Return the device or experiment name that `folder_for` made a folder name of."""
     return unquote(folder)
 
 
-def place_of(parent: Path, name: str) -> Path:
+def folder_for(parent: Path, name: str) -> Path:
     """Return the folder of a device or experiment in a folder, whether it is there or not.
 
     A name that differs from another one there in case only is written in digits alone.

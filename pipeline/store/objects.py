@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.base.disk import each, if_writable
+from pipeline.base.disk import if_writable, map_in_threads
 from pipeline.base.errors import PipelineError, StoreError, UsageError
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import read_corrections
@@ -180,7 +180,7 @@ class _Mirror:
             self.known[name] = file.stat().st_mtime_ns
             return True
 
-        return all(each(fetch, [one for one in listed if one[0] not in self.known], _AT_ONCE))
+        return all(map_in_threads(fetch, [one for one in listed if one[0] not in self.known], _AT_ONCE))
 
     def publish(self) -> None:
         """Put what is new, then delete what is gone."""
@@ -191,7 +191,7 @@ class _Mirror:
             if file.is_file() and not file.name.startswith(".")
         }
         new = [name for name, mtime_ns in present.items() if self.known.get(name) != mtime_ns]
-        each(lambda name: self.objects.put(name, self.folder / name), new, _AT_ONCE)
+        map_in_threads(lambda name: self.objects.put(name, self.folder / name), new, _AT_ONCE)
         self.objects.delete(self.known.keys() - present.keys())
         self.known = present
 

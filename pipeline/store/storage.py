@@ -27,14 +27,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import content_of, kept_files, said_content
+from pipeline.base.disk import file_hash, hash_in_name, result_files
 from pipeline.base.errors import StoreError
 from pipeline.base.wording import counted
 from pipeline.records.findings import Record
 from pipeline.records.table_files import damaged_file, metadata_of, open_table, read_table
 from pipeline.records.tables import LOCATION, OF_TRIALS, TABLES, arrow_schema
 from pipeline.records.trials import Booleans, Integers
-from pipeline.store.names import name_of_folder, place_of
+from pipeline.store.names import folder_for, name_of_folder
 from pipeline.store.trial_index import INDEXED, MIN_INDEXED_FILES, FileRows, indexed_rows
 
 Result = TypeVar("Result")
@@ -56,7 +56,7 @@ def trials_folder(processed: Path, *names: str) -> Path:
     """Return the folder with the trials of a device, or of one of its experiments."""
     folder = processed / "trials"
     for name in names:
-        folder = place_of(folder, name)
+        folder = folder_for(folder, name)
     return folder
 
 
@@ -67,7 +67,7 @@ def stage_folder(processed: Path, device: str, experiment: str) -> Path:
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path | None:
     """Return the file with the result of a stage for an experiment, or None."""
-    return next(iter(kept_files(stage_folder(processed, device, experiment), stage, TABLE)), None)
+    return next(iter(result_files(stage_folder(processed, device, experiment), stage, TABLE)), None)
 
 
 def list_devices(processed: Path) -> list[str]:
@@ -116,7 +116,7 @@ def _listing(folder: Path) -> list[str]:
     return sorted(files)
 
 
-def steadily(folder: Path, read: Callable[[], Result]) -> Result:
+def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
     """Return what a function reads below a folder without a lock; where files moved meanwhile, it is called again.
 
     Raises
@@ -183,7 +183,7 @@ def read_trials(
         current = rows.current
         # to filter would import what takes longer than reading
         tables.append(rows.table if current.all() else rows.table.filter(pa.array(current)))
-    return applied(pa.concat_tables(tables), corrections, place).select(wanted)
+    return apply_corrections(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
 class Rows(NamedTuple):
@@ -251,7 +251,7 @@ def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] 
         replaced = [file for file in files if file.stem in replaces]
         return Rows(pa.concat_tables([_schema(tuple(columns)).empty_table(), *kept]), of, counting, replaced)
 
-    rows = steadily(trials_folder(processed, *names), read)
+    rows = read_steadily(trials_folder(processed, *names), read)
     if broken and damaged is None:
         raise StoreError(next(iter(broken.values())))
     (damaged if damaged is not None else {}).update(broken)
@@ -282,7 +282,7 @@ APART = 0.01
 proportional to 1/T."""
 
 
-def alike(one: float, other: float) -> bool:
+def same_period(one: float, other: float) -> bool:
     """Return whether two sampling periods [s] may be of one experiment."""
     return abs(one - other) <= APART * max(one, other)
 
@@ -316,7 +316,7 @@ def check_version(processed: Path) -> None:
         with suppress(pa.ArrowException, OSError, KeyError):  # damaged files are reported elsewhere
             if pq.read_schema(file).names == list(TABLES["trials"]):
                 return
-            if said_content(file.name) in (None, content_of(file)):
+            if hash_in_name(file.name) in (None, file_hash(file)):
                 paths = pq.read_table(file, columns=["source_path"]).column("source_path").to_pylist()
                 folders |= set(map(os.path.dirname, paths))
     if folders:
@@ -388,7 +388,7 @@ def read_corrections(processed: Path) -> dict[str, Correction]:
     StoreError
         If a file is damaged: what is corrected is then not known, and nothing may be computed.
     """
-    tables = steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
+    tables = read_steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
     rows = [Correction(**row) for table in tables for row in table.to_pylist()]
     return {one.trial_id: one for one in sorted(rows, key=lambda one: one.corrected_ns)}
 
@@ -420,7 +420,7 @@ def moved_from(corrections: Iterable[Correction], place: tuple[str, ...]) -> set
     return {stored for stored in moved if stored[:own] != place}
 
 
-def applied(trials: pa.Table, corrections: Mapping[str, Correction], place: tuple[str, ...]) -> pa.Table:
+def apply_corrections(trials: pa.Table, corrections: Mapping[str, Correction], place: tuple[str, ...]) -> pa.Table:
     """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
     if not corrections:
         return trials
@@ -445,7 +445,7 @@ MOST = 3
 """Ids that are named in a sentence."""
 
 
-def gone(processed: Path, device: str | None = None) -> tuple[str, ...]:
+def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...]:
     """Return a sentence for each experiment whose stored results used trials or corrections that no longer exist.
 
     Of all devices or of one. Trials that a later ingest may have replaced by as many others are not reported.

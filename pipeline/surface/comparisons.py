@@ -16,7 +16,7 @@ from pipeline.comparison.compare import compare as compare_stored
 from pipeline.device_data.devices import read_device
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame
-from pipeline.surface.logs import Place
+from pipeline.surface.logs import PathLike
 from pipeline.surface.stored import folder_of
 
 _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
@@ -97,7 +97,7 @@ class Comparison:
         """
         return frames(self.result)["scores"]
 
-    def write(self, path: Place) -> Path:
+    def write(self, path: PathLike) -> Path:
         """Write the HTML report, and the document as JSON next to it; return the path of the report.
 
         The report is made of what is stored at that moment; where that changed, the numbers here are renewed with it.
@@ -123,7 +123,7 @@ class Comparison:
 
 def compare(
     device: str,
-    processed: Place = "processed",
+    processed: PathLike = "processed",
     *,
     experiments: Sequence[str] | None = None,
     criteria: Sequence[str] | None = None,
@@ -165,7 +165,7 @@ def compare(
     return Comparison(result, lambda path: ask(report=path).result)
 
 
-def load(report: Place) -> Comparison:
+def load(report: PathLike) -> Comparison:
     """Read a comparison from the JSON document of a report (or by the name of the report itself).
 
     Raises

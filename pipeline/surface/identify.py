@@ -45,7 +45,7 @@ from pipeline.theory.boundary import outline
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pipeline.surface.logs import Place
+    from pipeline.surface.logs import PathLike
     from pipeline.surface.physical_loop import Loop
 
 FOLLOWS = 50.0
@@ -99,7 +99,7 @@ class IdentifiedDevice:
         loop = wall_loop(self.document)
         return None if loop is None else Loop.of(loop)
 
-    def write(self, path: Place) -> None:
+    def write(self, path: PathLike) -> None:
         """Write a device file that theory, simulator and planner take.
 
         Raises
@@ -111,8 +111,8 @@ class IdentifiedDevice:
 
 
 def identify(
-    paths: Place | Sequence[Place],
-    profile: Place | None = None,
+    paths: PathLike | Sequence[PathLike],
+    profile: PathLike | None = None,
     *,
     period: float | None = None,
     delay: float | None = None,

@@ -21,14 +21,14 @@ from pipeline.records.trials import Trial
 from pipeline.rendering.frames import units_of
 from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 
-Place = str | os.PathLike[str]
+PathLike = str | os.PathLike[str]
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
 """Columns of a step response; the last two are NaN where a log has none."""
 
 
 def ingest(
-    paths: Place | Sequence[Place], processed: Place = "processed", profile: Place | None = None
+    paths: PathLike | Sequence[PathLike], processed: PathLike = "processed", profile: PathLike | None = None
 ) -> IngestReport:
     """Store all new logs of files and folders, as `pipeline ingest` does.
 
@@ -67,7 +67,7 @@ def ingest(
     return ingest_logs([Path(path) for path in places], Path(processed), _profile(profile))
 
 
-def read_log(path: Place, profile: Place | None = None, label: str | None = None) -> pd.DataFrame:
+def read_log(path: PathLike, profile: PathLike | None = None, label: str | None = None) -> pd.DataFrame:
     """Read one step response in SI; nothing is stored.
 
     Parameters
@@ -123,7 +123,7 @@ def simulate(
     ideal: bool = False,
     coarsen: int = 1,
     duration_s: float | None = None,
-    out: Place | None = None,
+    out: PathLike | None = None,
     overwrite: bool = False,
 ) -> list[pd.DataFrame]:
     """Simulate all trials of an experiment, as `pipeline simulate` does.
@@ -201,7 +201,7 @@ def _frame(sweep: SimulatedSweep, trial: Trial, verdict: str) -> pd.DataFrame:
     return response_frame(samples, sweep.device.motion, about)
 
 
-def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:
+def _chosen(logs: Sequence[Log], label: str | None, path: PathLike) -> Log:
     """Return the log with a label, or the only one."""
     if label is None and len(logs) == 1:
         return logs[0]
@@ -212,5 +212,5 @@ def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:
     return named[0]
 
 
-def _profile(profile: Place | None) -> str | Path | None:
+def _profile(profile: PathLike | None) -> str | Path | None:
     return profile if profile is None or isinstance(profile, str) else Path(profile)

@@ -24,7 +24,7 @@ from pipeline.records.results import ExperimentResult
 from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials
-from pipeline.surface.logs import SAMPLES, Place, response_frame
+from pipeline.surface.logs import SAMPLES, PathLike, response_frame
 
 _CONDITIONS = (
     *("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"),
@@ -33,7 +33,7 @@ _CONDITIONS = (
 _COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterion", "cost", "low", "high", "reason")
 
 
-def devices(processed: Place = "processed") -> pd.DataFrame:
+def devices(processed: PathLike = "processed") -> pd.DataFrame:
     """Return the devices that have stored trials, a row each.
 
     Returns
@@ -62,7 +62,7 @@ def devices(processed: Place = "processed") -> pd.DataFrame:
     return frame_of("device title motion known experiments trials", rows, {})
 
 
-def experiments(processed: Place = "processed", device: str | None = None) -> pd.DataFrame:
+def experiments(processed: PathLike = "processed", device: str | None = None) -> pd.DataFrame:
     """Return the experiments that have stored trials, a row each, sorted as people sort them (2 before 10).
 
     Returns
@@ -91,7 +91,7 @@ def experiments(processed: Place = "processed", device: str | None = None) -> pd
     return frame_of((*columns, "trials"), rows, units_of(columns))
 
 
-def trials(processed: Place = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
+def trials(processed: PathLike = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
     """Return the stored trials: all, of a device, or of one experiment.
 
     Returns
@@ -116,7 +116,7 @@ def trials(processed: Place = "processed", device: str | None = None, experiment
     return _frame(table.append_column("exclusion_reason", [reasons]))
 
 
-def samples(processed: Place, trial_id: str) -> pd.DataFrame:
+def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     """Return the samples of a stored trial.
 
     Returns
@@ -147,7 +147,7 @@ def samples(processed: Place, trial_id: str) -> pd.DataFrame:
 
 
 def estimates(
-    processed: Place, device: str, experiment: str | None = None, *, all_methods: bool = False
+    processed: PathLike, device: str, experiment: str | None = None, *, all_methods: bool = False
 ) -> pd.DataFrame:
     """Return delay, mass, damping and what else is estimated, of one experiment or of all of a device.
 
@@ -177,7 +177,7 @@ def estimates(
     return estimates_frame(_results(_open(processed, device, experiment)), all_methods=all_methods)
 
 
-def boundary(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+def boundary(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
     """Return the measured stability boundary, of one experiment or of all of a device.
 
     Returns
@@ -198,7 +198,7 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
     return boundary_frame(_results(data), data.motion)
 
 
-def optima(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+def optima(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
     """Return the best trial by each criterion, of one experiment or of all of a device.
 
     Returns
@@ -218,7 +218,7 @@ def optima(processed: Place, device: str, experiment: str | None = None) -> pd.D
     return optima_frame(_results(data), data.motion)
 
 
-def costs(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
     """Return verdict and costs of each trial, of one experiment or of all of a device.
 
     Returns
@@ -254,7 +254,7 @@ def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
             yield {"experiment": stages.experiment, "criterion": criterion, **dict(zip(columns, row, strict=True))}
 
 
-def _open(processed: Place, device: str, experiment: str | None) -> SceneData:
+def _open(processed: PathLike, device: str, experiment: str | None) -> SceneData:
     return open_scene(device, folder_of(processed), None if experiment is None else [experiment], None)
 
 
@@ -268,7 +268,7 @@ def _results(data: SceneData) -> Iterator[ExperimentResult]:
     return (experiment_result(data, stages, None) for stages in _computed(data).experiments)
 
 
-def folder_of(processed: Place) -> Path:
+def folder_of(processed: PathLike) -> Path:
     """Return the folder of stored tables as a path; it must be there."""
     folder = Path(processed)
     if not folder.is_dir():

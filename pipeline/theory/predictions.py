@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict
 
-from pipeline.base.disk import if_writable, read_kept, write_kept
+from pipeline.base.disk import if_writable, read_result, write_result
 from pipeline.base.errors import ParameterError
 from pipeline.base.process import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
@@ -212,13 +212,13 @@ class Predictions:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
             kept = _Kept.model_construct(loop=repr(loop), optima=dict(sorted(points.items())))
             with if_writable():
-                write_kept(self.folder, self._key(loop), ".json", f"{kept.model_dump_json(indent=1)}\n".encode())
+                write_result(self.folder, self._key(loop), ".json", f"{kept.model_dump_json(indent=1)}\n".encode())
 
     def _key(self, loop: NormalisedLoop) -> str:
         return digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
 
     def _read(self, loop: NormalisedLoop) -> dict[str, Found]:
-        data = read_kept(self.folder, self._key(loop), ".json")
+        data = read_result(self.folder, self._key(loop), ".json")
         try:
             return {} if data is None else _Kept.model_validate_json(data).optima
         except ValueError:

@@ -13,7 +13,7 @@ from native_logs import FAULTS, log_text
 from stored import merge_all
 
 from pipeline.base import disk
-from pipeline.base.disk import kept_files, new_file, read_kept, replacing, write_kept
+from pipeline.base.disk import new_file, read_result, replacing, result_files, write_result
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 
@@ -101,16 +101,16 @@ def test_no_file_is_written_through_a_link(tmp_path, monkeypatch):
 
 
 def test_a_kept_result_is_named_by_its_content_and_a_damaged_one_is_none(tmp_path):
-    assert read_kept(tmp_path, "x", ".json") is None
-    other = write_kept(tmp_path, "x-y", ".json", b"{1}")
-    first, second = (write_kept(tmp_path, "x", ".json", content) for content in (b"{}", b"{2}"))
+    assert read_result(tmp_path, "x", ".json") is None
+    other = write_result(tmp_path, "x-y", ".json", b"{1}")
+    first, second = (write_result(tmp_path, "x", ".json", content) for content in (b"{}", b"{2}"))
     assert not first.exists()
-    assert kept_files(tmp_path, "x", ".json") == [second]
-    assert (read_kept(tmp_path, "x", ".json"), read_kept(tmp_path, "x-y", ".json")) == (b"{2}", b"{1}")
+    assert result_files(tmp_path, "x", ".json") == [second]
+    assert (read_result(tmp_path, "x", ".json"), read_result(tmp_path, "x-y", ".json")) == (b"{2}", b"{1}")
     second.write_bytes(b"{3}")
-    assert read_kept(tmp_path, "x", ".json") is None
-    assert write_kept(tmp_path, "x", ".json", b"{2}") == second
-    assert read_kept(tmp_path, "x", ".json") == b"{2}"
+    assert read_result(tmp_path, "x", ".json") is None
+    assert write_result(tmp_path, "x", ".json", b"{2}") == second
+    assert read_result(tmp_path, "x", ".json") == b"{2}"
     assert other.exists()
 
 

@@ -11,7 +11,7 @@ from pipeline import readers
 from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, digest, digest_all
 from pipeline.comparison.compare import report_code
 from pipeline.intake import ingest
-from pipeline.intake.kept import trial_id
+from pipeline.intake.stored_sources import trial_id
 from pipeline.measured import thesis
 from pipeline.records import models
 from pipeline.rendering import labels

@@ -124,7 +124,7 @@ def test_what_a_worker_may_not_store_is_handed_back(trials, local, monkeypatch):
 
     (own, *_), (expected, *_) = experiments(trials), experiments(local / "whole")
     assert stage_pool.do(stage_pool.job_of(expected, NEEDED), stored_suffices=True) == {}
-    monkeypatch.setattr(stage_tables, "write_kept", refuse)
+    monkeypatch.setattr(stage_tables, "write_result", refuse)
     done = stage_pool.do(stage_pool.job_of(own, NEEDED), stored_suffices=True)
     assert {name: table.equals(expected.table(name)) for name, table in done.items()} == dict.fromkeys(NEEDED, True)
 

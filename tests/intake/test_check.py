@@ -22,7 +22,7 @@ from pipeline.store.storage import corrections_files, read_exclusions, read_tria
 def lab(tmp_path, monkeypatch):
     """Six logs of one experiment in three groups of rows, one refused log, one result, one exclusion."""
     monkeypatch.setattr(batch_files, "GROUP_TRIALS", 2)
-    monkeypatch.setattr("pipeline.intake.kept.GROUP_TRIALS", 2)
+    monkeypatch.setattr("pipeline.intake.stored_sources.GROUP_TRIALS", 2)
     (tmp_path / "logs").mkdir()
     for number in range(6):
         (tmp_path / "logs" / f"{number}.csv").write_text(short_log(float(number), rows=40))

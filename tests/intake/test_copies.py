@@ -138,7 +138,7 @@ def test_a_renamed_log_that_is_refused_keeps_its_former_trials(named, monkeypatc
         raise LogError("its device is another one", code="condition-wrong")
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.intake.kept.motion_of", refuse)
+        patch.setattr("pipeline.intake.stored_sources.motion_of", refuse)
         report = named.ingest()
     assert (len(report.quarantined), report.removed, report.changed) == (1, (str(log),), ())
     assert named.rows() == [("K100_a.csv", 100.0)]

@@ -7,8 +7,9 @@ import pytest
 
 from pipeline.base.errors import LogError
 from pipeline.intake.decide import Evidence, Twin, decide, decide_unread
-from pipeline.intake.kept import QuarantineRecord, StoredSource
+from pipeline.intake.quarantine import QuarantineRecord
 from pipeline.intake.sources import Source
+from pipeline.intake.stored_sources import StoredSource
 from pipeline.profiles.profile_files import shipped_profiles
 
 NATIVE = next(profile for profile in shipped_profiles() if profile.name == "native")

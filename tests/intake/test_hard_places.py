@@ -14,7 +14,7 @@ from stored import check_whole
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake.ingest import ingest
 from pipeline.shell.watch import Watched, run_pass, status_of
-from pipeline.store.storage import list_experiments, read_trials, steadily
+from pipeline.store.storage import list_experiments, read_steadily, read_trials
 
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 
@@ -85,14 +85,14 @@ def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
             raise FileNotFoundError(file)
         return "seen"
 
-    assert (steadily(store, look), calls) == ("seen", [0, 1, 2])
+    assert (read_steadily(store, look), calls) == ("seen", [0, 1, 2])
 
     def damaged():
         calls.append(-1)
         raise StoreError("damaged")
 
     with pytest.raises(StoreError, match="damaged"):
-        steadily(store, damaged)
+        read_steadily(store, damaged)
     assert calls.count(-1) == 1
 
 

@@ -16,7 +16,7 @@ from pipeline.base.errors import ProfileError, UsageError
 from pipeline.intake import ingest as ingest_module
 from pipeline.intake import sources
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.store import batch_files
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_trials

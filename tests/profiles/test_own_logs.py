@@ -8,7 +8,7 @@ import pytest
 from native_logs import FAULTS
 
 from pipeline.base.units import unit_in_heading
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import find_questions
 from pipeline.profiles.profile_model import QUANTITIES
 from pipeline.shell.cli import run

@@ -23,7 +23,7 @@ from places import ROOT
 from pipeline.base.errors import CURES, LogError, ProfileError, UsageError
 from pipeline.base.paths import open_regular, path_of_text, path_text, storable
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import mapping

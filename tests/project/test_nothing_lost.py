@@ -15,7 +15,7 @@ import pytest
 from native_logs import FAULTS, log_text, with_cell
 from served import serving
 
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.service.settings import Settings
 from pipeline.store.storage import read_trials
 

@@ -17,7 +17,7 @@ from native_logs import GOOD, log_text
 
 from pipeline.base.errors import LogError
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.readers import Log, RawLog
 from pipeline.readers.formats.native import read

@@ -28,7 +28,7 @@ from pipeline.comparison.scene.scene_file import read_scene
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.rendering.report.report_parts import take_apart

@@ -14,14 +14,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from stored import merge_all
 
-from pipeline.base.disk import content_of
+from pipeline.base.disk import file_hash
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import COLUMNS, LOCATION, TABLES, to_arrow
 from pipeline.store.corrections import write_corrections
-from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
+from pipeline.store.names import folder_for, folder_name, name_of_folder, page_against, page_against_document, report_of
 from pipeline.store.samples import load_trial, load_trials
 from pipeline.store.storage import (
     IDENTITY,
@@ -64,7 +64,7 @@ ODD = ["CON", "nul", "aux", "prn.txt", "com1", "LPT9.tar.gz", "con ", "x.", "x "
     [*ODD, "Index", "accuracy", "THEORY", "lwr=1-against-2", "lwr-against-earlier", "x-against-against-y", "%41"],
 )
 def test_names_that_some_system_refuses_are_written_otherwise(name, tmp_path):
-    folder = place_of(tmp_path, name).name
+    folder = folder_for(tmp_path, name).name
     assert name_of_folder(folder) == name
     assert not refused_by_windows(folder)
     report = report_of(tmp_path, name)
@@ -104,14 +104,14 @@ def test_names_that_differ_in_case_are_different_files_everywhere(names):
     with tempfile.TemporaryDirectory() as text:
         parent = Path(text)
         for name in names:
-            place_of(parent, name).mkdir()
+            folder_for(parent, name).mkdir()
             report_of(parent, name).touch()
         found = os.listdir(parent)
         assert len({entry.casefold() for entry in found}) == len(found) == 2 * len(names)
         assert {name_of_folder(entry) for entry in found if not entry.endswith(".html")} == set(names)
-        assert [name_of_folder(place_of(parent, name).name) for name in names] == names
+        assert [name_of_folder(folder_for(parent, name).name) for name in names] == names
         assert [name_of_folder(report_of(parent, name).stem) for name in names] == names
-        assert all(place_of(parent, name).is_dir() and report_of(parent, name).is_file() for name in names)
+        assert all(folder_for(parent, name).is_dir() and report_of(parent, name).is_file() for name in names)
 
 
 def test_devices_that_differ_in_case_are_stored_apart(tmp_path):
@@ -204,7 +204,7 @@ def test_a_table_of_other_columns_is_not_written():
 def test_a_store_of_an_earlier_version_is_told_with_what_rebuilds_it(processed, tmp_path):
     for file in trials_files(processed):
         pq.write_table(pq.read_table(file).drop_columns(["claims"]), file)
-        file.rename(file.with_name(f"{content_of(file)}.parquet"))
+        file.rename(file.with_name(f"{file_hash(file)}.parquet"))
     words = rf"another version.*pipeline ingest {tmp_path}/logs --processed {processed}-new"
     with pytest.raises(StoreError, match=words):
         ingest([tmp_path / "logs"], processed)

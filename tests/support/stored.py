@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import writing
 from pipeline.records.table_files import parquet_bytes
-from pipeline.store.batch_files import remove_incomplete, rewrite, tidy
+from pipeline.store.batch_files import remove_incomplete, remove_superseded, rewrite
 from pipeline.store.objects import publish
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials, trials_files
@@ -20,7 +20,7 @@ def merge_all(processed: Path) -> None:
     """Make one file of all batches of an experiment, a motion and a mode, as ingests do of those of like size."""
     with writing(processed, 0):
         remove_incomplete(processed)
-        tidy(processed, {})
+        remove_superseded(processed, {})
         kinds: dict[tuple[Path, str, int], list[Path]] = {}
         for file in trials_files(processed):
             motion = pq.read_schema(file).metadata[b"pipeline.motion"].decode()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.disk import if_writable, write_kept
+from pipeline.base.disk import if_writable, write_result
 from pipeline.base.errors import StoreError
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import code_digest, digest, stamp
@@ -201,7 +201,7 @@ class ExperimentStages:
                 self._tables[stage] = self._computed(stage)
                 folder = stage_folder(self.processed, self.device, self.experiment)
                 with if_writable():
-                    write_kept(folder, stage, TABLE, parquet_bytes(self._tables[stage]))
+                    write_result(folder, stage, TABLE, parquet_bytes(self._tables[stage]))
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: MapTrials) -> None:

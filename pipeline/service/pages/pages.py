@@ -22,7 +22,7 @@ from starlette.types import Message
 from pipeline.device_data.devices import known_devices
 from pipeline.explorer import page as explorer
 from pipeline.explorer.entries import device_entries
-from pipeline.intake.kept import list_quarantine
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
 from pipeline.records.results import Answer

@@ -11,7 +11,7 @@ from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.base.paths import path_of_text
-from pipeline.intake.kept import list_quarantine, record_id, release
+from pipeline.intake.quarantine import list_quarantine, record_id, remove_from_quarantine
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service import profiles
 from pipeline.service.problems import Problem
@@ -169,7 +169,7 @@ def dismiss(service: Shared, who: Who, which: str) -> Response:
         if (service.settings.data / "logs").absolute() in log.absolute().parents:
             service.database.run("DELETE FROM uploads WHERE path = ?", path)
             shutil.rmtree(log) if log.is_dir() else log.unlink(missing_ok=True)
-        release(service.settings.processed, path)
+        remove_from_quarantine(service.settings.processed, path)
     service.database.note(who, "dismissed", {"logs": list(paths.values())})
     return Response(status_code=204)
 

@@ -160,7 +160,7 @@ def status(processed: Processed = Path("processed")) -> int:
 
     Example: pipeline status --processed processed
     """
-    from pipeline.intake.kept import list_quarantine
+    from pipeline.intake.quarantine import list_quarantine
     from pipeline.store import corrections as correct
     from pipeline.store.storage import read_exclusions, read_trials
 
@@ -395,7 +395,7 @@ def quarantine(
 
     Example: pipeline quarantine logs/run_01.csv
     """
-    from pipeline.intake.kept import find_record, list_quarantine, record_id
+    from pipeline.intake.quarantine import find_record, list_quarantine, record_id
 
     _must_exist(processed)  # a mistyped one must not look like one without refusals
     records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)

@@ -74,7 +74,7 @@ def few(of, **options):
 
 
 def test_a_declared_spring_is_that_of_the_costs(held, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.measured.stages.stage_tables.write_kept", lambda *_: None)
+    monkeypatch.setattr("pipeline.measured.stages.stage_tables.write_result", lambda *_: None)
     told, untold = few(held, spring=SPRING), few(held)
     assert rest_spring(untold) == 0.0
     K, B = (told.column("overshoot", name) for name in ("stiffness", "damping"))

@@ -320,7 +320,7 @@ def test_energy_without_a_mass_says_why(falcon, monkeypatch):
     nothing = mass_estimate(of).model_copy(update={"value": None, "reason": "no trial moved"})
     monkeypatch.setattr(stage_rows, "by_model", lambda *_: nothing)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "energy")
-    monkeypatch.setattr(stage_tables, "write_kept", lambda *_: None)
+    monkeypatch.setattr(stage_tables, "write_result", lambda *_: None)
     cost, why = of.cost("energy_step_w0")
     assert np.isnan(cost).all()
     assert why == "energy needs the mass: no trial moved"

@@ -1,14 +1,8 @@
-"""What is kept of each source: its trials, with what they replace; or why it was refused.
-
-A refused source has one record, in a separate folder below ``processed/quarantine``. Refusing it again replaces the
-record, accepting it removes the record. The source itself is never changed or copied.
-"""
+"""Stored sources: which trials of each are stored, and the rows of the trials table for new ones."""
 
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,21 +14,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.disk import each, kept_files, read_kept, readers_of, write_kept
-from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
-from pipeline.base.paths import path_of_text, path_text, storable
-from pipeline.base.provenance import __version__, digest
+from pipeline.base.disk import readers_of
+from pipeline.base.errors import StoreError
+from pipeline.base.provenance import __version__
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.sources import ENDINGS, Source, motion_of
 from pipeline.readers import Log
 from pipeline.readers.gain_check import gain_mismatch
 from pipeline.readers.log import step_flags
-from pipeline.records.findings import FINDINGS, Motion, Record
+from pipeline.records.findings import FINDINGS, Motion
 from pipeline.records.table_files import open_table
 from pipeline.records.tables import COLUMNS, to_arrow
-from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, Key, Place
+from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, ExperimentKey, Key
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import alike, read_rows, trials_files
+from pipeline.store.storage import read_rows, same_period, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
 """Columns that show whether a source is new; with groups of 64 rows each column costs a tenth of the time."""
@@ -147,11 +140,11 @@ class Periods:
         """Return a log with the name of the experiment of its period, and a warning if that differs from the header."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
-        if alike(common, period):
+        if same_period(common, period):
             return log
         stem = f"{header.experiment}-T"
         of_device = [(name, known) for (device, name), known in self.known.items() if device == header.device]
-        names = (name for name, known in of_device if name.startswith(stem) and alike(known, period))
+        names = (name for name, known in of_device if name.startswith(stem) and same_period(known, period))
         name = next(names, f"{stem}{1e3 * period:.4g}ms")
         self.known.setdefault((header.device, name), period)
         text = (
@@ -190,10 +183,10 @@ class Accepted:
         return LOG_BYTES + sum(values.nbytes for values in vars(self.log).values() if isinstance(values, np.ndarray))
 
     @property
-    def place(self) -> Place:
+    def place(self) -> ExperimentKey:
         """What it has in common with the trials of its file."""
         device, experiment, motion = (self.row[name] for name in ("device", "experiment", "motion"))
-        return Place(device, experiment, motion, readers_of(self.source.mode))
+        return ExperimentKey(device, experiment, motion, readers_of(self.source.mode))
 
 
 def accepted_logs(
@@ -243,9 +236,9 @@ def accepted_logs(
     return found
 
 
-def batches_of(accepted: Sequence[Accepted]) -> dict[Place, Iterator[pa.Table]]:
+def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.Table]]:
     """Return the trials of logs for each place, a group of rows at a time."""
-    places = defaultdict[Place, list[Accepted]](list)
+    places = defaultdict[ExperimentKey, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
     return {place: _tables(members) for place, members in places.items()}
@@ -293,148 +286,3 @@ def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
     parts = [part for part in (label, told) if part is not None]
     # neither label nor name contains a NUL
     return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]
-
-
-RECORD = "reason"
-"""Begin of the name of a record."""
-
-
-class QuarantineRecord(Record):
-    """Why a source was refused, and how to see whether it has changed since.
-
-    Parameters
-    ----------
-    path : str
-        Absolute path of the source (of the first file of a pair).
-    size, mtime_ns : int
-        Of all its files together [byte], and the newest modification [ns].
-    sha256 : str or None
-        Of its content; None where it could not be read or was too large to be a log.
-    row : int or None
-        Row at fault, counted from 1: the line of a text file, else record, sample or message.
-    reason : str
-    profile, profile_sha256 : str or None
-        Profile that claimed it; None where none did.
-    code : str or None
-        The reason for programs, one of `errors.CURES`; None in records of earlier versions.
-    profile_line : str or None
-        Line of a profile by which it might be read.
-    """
-
-    path: str
-    size: int
-    mtime_ns: int
-    sha256: str | None
-    row: int | None
-    reason: str
-    profile: str | None
-    profile_sha256: str | None
-    code: str | None = None
-    profile_line: str | None = None
-
-    def knows_less(self, other: QuarantineRecord | None) -> bool:
-        """Return whether its profile does not fit the file, while another record's profile fitted and found a fault."""
-        if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
-            return False
-        return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
-
-
-FOLDER = "quarantine"
-"""Folder below `processed` of all refused logs."""
-
-
-def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
-    """Return the records of all refused logs, sorted by path.
-
-    Parameters
-    ----------
-    processed : Path
-    damaged : dict of Path to str, optional
-        Gets the damaged records, and why; without it they are an error.
-
-    Raises
-    ------
-    StoreError
-        If a record is damaged.
-    OSError
-        If the folder may not be read.
-    """
-    records = []
-    try:
-        folders = sorted((processed / FOLDER).iterdir())
-    except FileNotFoundError:
-        return []
-    for folder in folders:
-        if (data := read_kept(folder, RECORD, ".json")) is not None:
-            records.append(QuarantineRecord.model_validate_json(data))
-            continue
-        for file in kept_files(folder, RECORD, ".json")[:1]:  # none where its log was accepted meanwhile
-            fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
-            if damaged is None:
-                raise StoreError(fault)
-            damaged[file] = fault
-    return sorted(records, key=lambda record: record.path)
-
-
-def record_id(record: QuarantineRecord) -> str:
-    """Return the id of a record: the name of its folder."""
-    return digest(record.path)
-
-
-def find_record(processed: Path, wanted: str) -> QuarantineRecord:
-    """Return the record of a source by its id or path.
-
-    Parameters
-    ----------
-    processed : Path
-    wanted : str
-        Id, or path of the source: absolute, or from the current folder.
-
-    Raises
-    ------
-    UsageError
-        If nothing of this id or path is in quarantine.
-    """
-    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
-    for record in list_quarantine(processed):
-        if wanted == record_id(record) or path == record.path:
-            return record
-    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
-
-
-def record_of(source: Source, sha256: str | None, error: LogError) -> QuarantineRecord:
-    """Return the record of a refused source."""
-    return QuarantineRecord(
-        path=source.key,
-        size=source.size,
-        mtime_ns=source.mtime_ns,
-        sha256=sha256,
-        row=error.row,
-        reason=storable(error.reason),
-        profile=source.profile.name if source.profile else None,
-        profile_sha256=source.profile_sha256,
-        code=error.code,
-        profile_line=None if error.profile_line is None else storable(error.profile_line),
-    )
-
-
-Refused = tuple[Source, QuarantineRecord]
-
-
-def keep(processed: Path, refused: Sequence[Refused]) -> None:
-    """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
-
-    A record quotes the log, and may be read by whom that may be read by.
-    """
-
-    def write(one: Refused) -> None:
-        source, record = one
-        text = record.model_dump_json() + "\n"
-        write_kept(processed / FOLDER / record_id(record), RECORD, ".json", text.encode(), source.mode)
-
-    each(write, refused)
-
-
-def release(processed: Path, path: str) -> None:
-    """Remove the record of a source, if there is one: it was repaired and is now stored."""
-    shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)

@@ -1,0 +1,163 @@
+"""Quarantine: a record for each refused source, with the reason and a remedy.
+
+A refused source has one record, in a separate folder below ``processed/quarantine``. Refusing it again replaces the
+record, accepting it removes the record. The source itself is never changed or copied.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.base.disk import map_in_threads, read_result, result_files, write_result
+from pipeline.base.errors import OTHER_COLUMNS, REMEDY, LogError, StoreError, UsageError
+from pipeline.base.paths import path_of_text, path_text, storable
+from pipeline.base.provenance import digest
+from pipeline.intake.sources import Source
+from pipeline.records.findings import Record
+
+RECORD = "reason"
+"""Begin of the name of a record."""
+
+
+class QuarantineRecord(Record):
+    """Why a source was refused, and how to see whether it has changed since.
+
+    Parameters
+    ----------
+    path : str
+        Absolute path of the source (of the first file of a pair).
+    size, mtime_ns : int
+        Of all its files together [byte], and the newest modification [ns].
+    sha256 : str or None
+        Of its content; None where it could not be read or was too large to be a log.
+    row : int or None
+        Row at fault, counted from 1: the line of a text file, else record, sample or message.
+    reason : str
+    profile, profile_sha256 : str or None
+        Profile that claimed it; None where none did.
+    code : str or None
+        The reason for programs, one of `errors.CURES`; None in records of earlier versions.
+    profile_line : str or None
+        Line of a profile by which it might be read.
+    """
+
+    path: str
+    size: int
+    mtime_ns: int
+    sha256: str | None
+    row: int | None
+    reason: str
+    profile: str | None
+    profile_sha256: str | None
+    code: str | None = None
+    profile_line: str | None = None
+
+    def knows_less(self, other: QuarantineRecord | None) -> bool:
+        """Return whether its profile does not fit the file, while another record's profile fitted and found a fault."""
+        if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
+            return False
+        return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
+
+
+FOLDER = "quarantine"
+"""Folder below `processed` of all refused logs."""
+
+
+def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
+    """Return the records of all refused logs, sorted by path.
+
+    Parameters
+    ----------
+    processed : Path
+    damaged : dict of Path to str, optional
+        Gets the damaged records, and why; without it they are an error.
+
+    Raises
+    ------
+    StoreError
+        If a record is damaged.
+    OSError
+        If the folder may not be read.
+    """
+    records = []
+    try:
+        folders = sorted((processed / FOLDER).iterdir())
+    except FileNotFoundError:
+        return []
+    for folder in folders:
+        if (data := read_result(folder, RECORD, ".json")) is not None:
+            records.append(QuarantineRecord.model_validate_json(data))
+            continue
+        for file in result_files(folder, RECORD, ".json")[:1]:  # none where its log was accepted meanwhile
+            fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
+            if damaged is None:
+                raise StoreError(fault)
+            damaged[file] = fault
+    return sorted(records, key=lambda record: record.path)
+
+
+def record_id(record: QuarantineRecord) -> str:
+    """Return the id of a record: the name of its folder."""
+    return digest(record.path)
+
+
+def find_record(processed: Path, wanted: str) -> QuarantineRecord:
+    """Return the record of a source by its id or path.
+
+    Parameters
+    ----------
+    processed : Path
+    wanted : str
+        Id, or path of the source: absolute, or from the current folder.
+
+    Raises
+    ------
+    UsageError
+        If nothing of this id or path is in quarantine.
+    """
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
+    for record in list_quarantine(processed):
+        if wanted == record_id(record) or path == record.path:
+            return record
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
+
+
+def record_of(source: Source, sha256: str | None, error: LogError) -> QuarantineRecord:
+    """Return the record of a refused source."""
+    return QuarantineRecord(
+        path=source.key,
+        size=source.size,
+        mtime_ns=source.mtime_ns,
+        sha256=sha256,
+        row=error.row,
+        reason=storable(error.reason),
+        profile=source.profile.name if source.profile else None,
+        profile_sha256=source.profile_sha256,
+        code=error.code,
+        profile_line=None if error.profile_line is None else storable(error.profile_line),
+    )
+
+
+Refused = tuple[Source, QuarantineRecord]
+
+
+def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
+    """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
+
+    A record quotes the log, and may be read by whom that may be read by.
+    """
+
+    def write(one: Refused) -> None:
+        source, record = one
+        text = record.model_dump_json() + "\n"
+        write_result(processed / FOLDER / record_id(record), RECORD, ".json", text.encode(), source.mode)
+
+    map_in_threads(write, refused)
+
+
+def remove_from_quarantine(processed: Path, path: str) -> None:
+    """Remove the record of a source, if there is one: it was repaired and is now stored."""
+    shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)
