@@ -21,8 +21,8 @@ import pyarrow.parquet as pq
 from timing import fastest, run
 
 from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.theory import crossings
 from pipeline.theory.boundary import boundary, stiffness_limit
-from pipeline.theory.circle import first_branch
 from pipeline.theory.costs import bounding_box
 
 ENDED = 64
@@ -62,7 +62,8 @@ def boundary_of_five_delays() -> Row:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
 
     def ours() -> list[np.ndarray]:
-        first_branch.cache_clear()
+        for known in (crossings.branches, crossings.circle_condition, crossings.ends, crossings.rounded):
+            known.cache_clear()
         return [stiffness_limit(NormalisedLoop.ideal(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
 
     difference = max(float(np.abs(a - b).max()) for a, b in zip(other(), ours(), strict=True))

@@ -15,14 +15,27 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats, Integers
-from pipeline.theory.circle import FirstBranch, angle_of, bisect, circle_points, first_branch, place_of
-from pipeline.theory.crossings import polished, stretches, turning_dampings
+from pipeline.theory.crossings import (
+    angle_of,
+    bisect,
+    branches,
+    circle_points,
+    level_passings,
+    place_of,
+    polished,
+    stable_intervals,
+    stiffness_turns,
+    turning_dampings,
+)
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
 """Places between two dampings at which stretches change: next to both, where limits still have 11 digits, and where
 corners are noticed."""
 
 _MIDDLE = len(_NODES) // 2
+
+_ASIDE = 1e-12
+"""Relative distance from a corner to both sides at which limits are taken."""
 
 _MOST_CORNERS = 8
 """Corners between two neighbours that are told apart; more than one is rare."""
@@ -104,7 +117,7 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
     floor : float
         Softest wall, -gamma to 0: intervals that begin there, or hold it, are no islands; none below it counts.
     """
-    found = stretches(loop, beta)
+    found = stable_intervals(loop, beta)
     above = np.flatnonzero(found.high > floor)
     index, ends, at = found.index[above], np.stack([found.low, found.high])[:, above], (found.low_at, found.high_at)
     if exact:
@@ -136,11 +149,7 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
     Nothing is sampled to find where limits begin, end, jump or turn: `crossings.turning_dampings` are all of these but
     corners, and corners are met where neighbours are bounded by other branches.
     """
-    turning = turning_dampings(loop)
-    # evenly where dampings are of the usual size: far beyond, an island beside the end of a gap would not be met
-    usual = float(np.median(np.abs(np.append(turning, 1.0)))) or 1.0
-    evenly = np.arcsinh(turning / usual)
-    nodes = usual * np.sinh(evenly[:-1, None] + np.diff(evenly)[:, None] * _NODES)
+    turning, nodes = turning_dampings(loop), _nodes(loop)
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
     levels = np.unique(np.append(nodes, marks))
@@ -167,6 +176,15 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
     return Outline(beta, found, part, islands, levels, peak, at, (float(low[0]), float(high[-1])))
 
 
+def _nodes(loop: NormalisedLoop) -> Floats:
+    """Return dampings between those at which anything turns, shape (gaps, nodes)."""
+    # evenly where dampings are of the usual size: far beyond, an island next to the end of a gap would not be met
+    turning = turning_dampings(loop)
+    usual = float(np.median(np.abs(np.append(turning, 1.0)))) or 1.0
+    evenly = np.arcsinh(turning / usual)
+    return np.asarray(usual * np.sinh(evenly[:-1, None] + np.diff(evenly)[:, None] * _NODES))
+
+
 def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
     """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
     known = _bounds(loop, levels)
@@ -178,7 +196,8 @@ def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
         if not len(low):
             break
         good, bad = bisect(partial(_are_bounded, loop, left), low, high)
-        corners += [good, bad]
+        # a little aside: at the corner itself rounding decides
+        corners += [np.maximum(good - _ASIDE * np.abs(good), low), np.minimum(bad + _ASIDE * np.abs(bad), high)]
         low, left = bad, _bounds(loop, bad)
     return np.concatenate(corners)
 
@@ -189,8 +208,8 @@ def _are_bounded(loop: NormalisedLoop, by: Integers, beta: Floats) -> Booleans:
 
 def _bounds(loop: NormalisedLoop, beta: Floats) -> Integers:
     """Return a number for the branches that bound what is stable at each beta."""
-    found, result = stretches(loop, beta), np.zeros(len(beta), np.intp)
-    np.add.at(result, found.index, (found.outline + 1) ** 2)
+    found, result = stable_intervals(loop, beta), np.zeros(len(beta), np.intp)
+    np.add.at(result, found.index, (found.bounds + 1) ** 2)
     return result
 
 
@@ -254,7 +273,7 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
     if points < 8:
         raise ParameterError(f"points = {points}: expected at least 8.")
     first = first_branch(loop)
-    return _along(first, points) if first is not None else _over_dampings(loop, points)
+    return _along(loop, first, points) if first is not None else _over_dampings(loop, points)
 
 
 def has_islands(loop: NormalisedLoop) -> bool:
@@ -267,15 +286,50 @@ def stabilises(loop: NormalisedLoop) -> bool:
     return first_branch(loop) is not None or len(outline(loop, _FEWEST).beta) > 0
 
 
-def _along(first: FirstBranch, points: int) -> Boundary:
+@dataclass(frozen=True)
+class FirstBranch:
+    """The branch from alpha = -gamma at theta -> 0 to where it meets that line again; beta rises all along it.
+
+    Parameters
+    ----------
+    peak, end : float
+        Places of the largest alpha, and of its end.
+    start : float
+        beta at theta -> 0.
+    """
+
+    peak: float
+    end: float
+    start: float
+
+
+@lru_cache(maxsize=64)
+def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
+    """Return the first branch of a mass with damper and spring where it alone encloses what is stable."""
+    if len(loop.sampled.motion) > 3 or len(loop.sampled.filter) > 1:
+        return None
+    known = branches(loop)
+    _, high, beta_low, beta_high, _ = (column[0] for column in known.cells)
+    passings, turns = level_passings(loop, -loop.gamma), stiffness_turns(loop)
+    ends, peaks = (np.array([float(s.ln()) for s in found if s.ln() < high]) for found in (passings, turns))
+    if not (beta_low < beta_high and len(ends) and (peaks < ends[0]).sum() == 1):
+        return None
+    nodes = _nodes(loop).ravel()
+    last, found = float(circle_points(loop, ends[:1]).beta[0]), stable_intervals(loop, nodes)
+    inside = np.flatnonzero((nodes > beta_low) & (nodes < last))
+    alone = np.array_equal(found.index, inside) and (found.bounds == len(known.lines[0]) + 1).all()
+    return FirstBranch(float(peaks[0]), float(ends[0]), float(beta_low)) if alone else None
+
+
+def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
     """Boundary by the angle, whose largest damping is that of its end."""
     # cosine spacing: dense at both ends, where the branch meets the line alpha = -gamma
     share = 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
     place = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end)
     place = np.append(np.sort(np.append(place, first.peak)), first.end)
-    p, peak = circle_points(first.loop, place), circle_points(first.loop, np.array([first.peak]))
-    p.alpha[-1] = 0.0 - first.loop.gamma  # by definition of the end
-    ends = float(p.beta[-1]), float(p.alpha[-1]), float(first.cells.beta_low[0])
+    p, peak = circle_points(loop, place), circle_points(loop, np.array([first.peak]))
+    p.alpha[-1] = 0.0 - loop.gamma  # by definition of the end
+    ends = float(p.beta[-1]), float(p.alpha[-1]), first.start
     return Boundary(p.alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
 
 
@@ -376,7 +430,7 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
     Source: Hulin 2017, sec. 3.4.
     """
     _, b = as_points(0.0, beta)
-    found = stretches(loop, b)
+    found = stable_intervals(loop, b)
     kept = np.flatnonzero(found.low <= 0)
     result = np.full(len(b), -np.inf)
     np.maximum.at(result, found.index[kept], found.high[kept])
@@ -386,7 +440,7 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
     """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
     levels, of = np.unique(beta, return_inverse=True)
-    found = stretches(loop, levels)
+    found = stable_intervals(loop, levels)
     kept = np.flatnonzero(islands | (found.low <= 0))
     index, low, high = found.index[kept], found.low[kept], found.high[kept]
     result = np.full(len(alpha), -np.inf)

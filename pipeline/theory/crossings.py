@@ -1,116 +1,302 @@
-"""All positive real roots of a polynomial, none missed: Descartes' rule of signs on halved intervals, in integers.
+"""Walls that put a pole on the unit circle, all of them: the one search for roots of the theory.
 
-A polynomial has as many roots in (0, 1) as its transform (1 + x)^n p(1/(1 + x)) has changes of sign, or fewer by an
-even number: intervals are halved until there are one or none. Roots above 1 are those of the reversed polynomial.
+On the circle, z = exp(j theta), a wall alpha + beta N = -1/G is real in alpha and beta: two equations, whose solutions
+are ratios of polynomials in s = tan^2(theta/2). Everything that changes along a loop's crossings is a positive root of
+such a polynomial: where beta turns or is infinite, where alpha turns or passes a level. `positive_roots` isolates them
+by Descartes' rule of signs on halved intervals, in doubles whose rounding is bounded; an interval that doubles cannot
+decide is halved in exact integers. No root is missed: between the roots every branch is monotone in beta, and what a
+branch adds to the unstable poles follows from the order of the roots alone.
 
-Source: Collins and Akritas 1976, Polynomial real root isolation using Descartes' rule of signs.
+The place of a crossing is x = ln s, so that both ends of the circle keep their digits. Values on the circle come from
+polynomials in w = j sqrt(s), above |w| = 1 in powers of 1/w, which are exact before they are rounded
+(`NormalisedLoop.sampled`).
+
+Sources: Hulin 2017, eqs. 3.9 to 3.11 on |z| = 1, in another form. Collins and Akritas 1976, Polynomial real root
+isolation using Descartes' rule of signs; in the Bernstein basis: Lane and Riesenfeld 1981.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
 from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polydiv, polyval
+from numpy.typing import NDArray
 
-from pipeline.loop.many_digits import (
-    Digits,
-    as_exact,
-    many_digits,
-    power,
-    product,
-    total,
-)
+from pipeline.base.compiled import compiled, inlined
+from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.loop.state_space import LEAST_RATIO
-from pipeline.records.trials import Floats, Integers
-from pipeline.theory.circle import (
-    Cells,
-    ends,
-    first_branch,
-    is_sampled,
-    sampled_cells,
-    sampled_turns,
-    solved,
-)
+from pipeline.records.trials import Booleans, Floats, Integers
 
-_DEEPEST, _FINEST = 200, 60
-"""Halvings, and of them those below the leading digit, after which roots count as one: they then differ by 1e-18."""
+Arrays = tuple[Any, ...]
+Complexes = NDArray[np.complex128]
+
+EPSILON = 2.0**-52
+"""Rounding of a double."""
+
+FLOOR = 1e-300
+"""Size below which a coefficient counts as unknown: doubles lose digits there."""
+
+DEEPEST, NARROWEST = 160, 44
+"""Halvings of an interval in doubles: in all, and below the leading digit of its place."""
+
+ROOT_WIDTH = 1e-13
+"""Relative width to which doubles enclose a root. Roots that are closer count as one place."""
+
+MAX_STEPS = 200
+"""More than the steps to any root or crossing: halving to rounding takes 60."""
+
+_EXACT_HALVINGS = 200, 60
+"""The same in integers, after which roots count as one: they then differ by 1e-18."""
 
 _MIDDLE = Decimal("0.98765432101")
-"""Place that parts small roots from large ones: at it and its binary fractions lie none that filters have by design."""
+"""Value that separates small roots from large ones. It and its binary fractions are no root that filters have."""
 
-_TOGETHER = Decimal("1e-13")
-"""Relative distance within which two roots are one place."""
+_NOISE_DIGITS = 20
+"""Last digits of the coefficients that are rounding, relative to the largest."""
 
-_NOISE = 20
-"""Digits of the coefficients, relative to the largest, that are rounding."""
+_ROUNDED = Decimal("1e-18")
+"""Relative width of a bracket below the rounding of a double."""
 
-_STEPS = 200
-"""More than the steps of any root."""
-
-_BESIDE = Decimal("1e-40")
-"""Share of a bracket by which its sign is looked at beside its ends."""
-
-_FINE = Decimal("1e-18")
-"""Relative width of a bracket at which a root is known: below the rounding of a double."""
+_INSET = Decimal("1e-40")
+"""Share of a bracket at which the sign next to its ends is taken: an end may be another root."""
 
 
-def positive_roots(polynomial: Digits, digits: int) -> dict[Decimal, int]:
-    """Return the positive real roots in order, to the precision of a double, and their multiplicities.
+# --- roots of a polynomial -------------------------------------------------------------------------------------------
+
+
+@inlined
+def sign_changes(node: Floats) -> tuple[int, int]:
+    """Return the least and the largest number of sign changes of coefficients with error bounds, at most 2 and 3."""
+    least, unknown, before, open_run = 0, 0, 0.0, 0
+    for k in range(node.shape[1]):
+        if abs(node[0, k]) <= node[1, k]:
+            open_run += 1
+            continue
+        sign = 1.0 if node[0, k] > 0 else -1.0
+        if before == 0:
+            unknown += open_run
+        elif sign != before:
+            least += 1
+            unknown += open_run > 1
+        else:
+            unknown += open_run
+        before, open_run = sign, 0
+        if least > 1:
+            return 2, 3
+    if before == 0:
+        return 0, -1
+    return least, least + unknown + open_run
+
+
+@inlined
+def value_in(node: Floats, share: float) -> tuple[float, float]:
+    """Return a polynomial in the Bernstein basis at a share of its interval, and a bound of its error."""
+    n, rest, chances, reach = node.shape[1] - 1, 1.0 - share, 1.0, 1.0
+    if n == 0:
+        return node[0, 0], node[1, 0]
+    rounding = (6 * n + 6) * EPSILON
+    value, error = node[0, 0] * rest, (node[1, 0] + rounding * abs(node[0, 0])) * rest
+    for k in range(1, n):
+        reach *= share
+        chances *= (n - k + 1) / k
+        weight = reach * chances
+        value = (value + weight * node[0, k]) * rest
+        error = (error + weight * (node[1, k] + rounding * abs(node[0, k]))) * rest
+    reach *= share
+    return value + reach * node[0, n], error + reach * (node[1, n] + rounding * abs(node[0, n]))
+
+
+@inlined
+def enclosed_root(node: Floats, low: float, width: float) -> float:
+    """Return the one root of a node, or -1 where doubles enclose it no closer than `ROOT_WIDTH`."""
+    n = node.shape[1] - 1
+    left, right, first, last = 0.0, 1.0, node[0, 0], node[0, n]
+    if not abs(first) > node[1, 0] or not abs(last) > node[1, n]:
+        return -1.0
+    upward = last > 0
+    for step in range(MAX_STEPS):
+        if (right - left) * width <= 0.25 * ROOT_WIDTH * (low + left * width):
+            break
+        middle = left + (right - left) * first / (first - last) if step % 3 else 0.5 * (left + right)
+        least = 0.1 * ROOT_WIDTH * (low + middle * width) / width
+        middle = min(max(middle, left + least), right - least)
+        value, error = value_in(node, middle)
+        if abs(value) <= error:
+            # the sign is unknown here: look on both sides, where it has to be known
+            gap = 0.4 * ROOT_WIDTH * (low + middle * width) / width
+            before, error_before = value_in(node, middle - gap)
+            after, error_after = value_in(node, middle + gap)
+            known = abs(before) > error_before and abs(after) > error_after
+            if known and (before > 0) != (after > 0):
+                return low + middle * width
+            if not known:
+                return -1.0
+            value = after
+        if (value > 0) == upward:
+            right, last, first = middle, value, 0.5 * first
+        else:
+            left, first, last = middle, value, 0.5 * last
+    return low + 0.5 * (left + right) * width
+
+
+@compiled("void(f8[:,:,::1],f8[:,::1],f8[::1],i8[::1])")
+def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> None:
+    """Find all roots of a polynomial in (0, 1), in order; a count of -1 where doubles cannot decide.
+
+    Parameters
+    ----------
+    stack : float64, shape (depth, 2, n + 1)
+        Nodes: Bernstein coefficients over an interval, and bounds of their errors; the first one is given.
+    places : float64, shape (depth, 2)
+        Low end and width of each interval; the first one is given.
+    roots, count : float64, shape (n + 1,); int, shape (1,)
+        Which are set.
+    """
+    n, top = stack.shape[2] - 1, 1
+    count[0] = 0
+    while top > 0:
+        top -= 1
+        node, low, width = stack[top], places[top, 0], places[top, 1]
+        least, most = sign_changes(node)
+        if most == 0:
+            continue
+        if most < 0 or top + 2 > len(stack) or (low > 0 and width * 2.0**NARROWEST < low):
+            count[0] = -1
+            return
+        if least == 1 and most == 1 and low > 0:
+            root = enclosed_root(node, low, width)
+            if root < 0:
+                count[0] = -1
+                return
+            roots[count[0]] = root
+            count[0] += 1
+            continue
+        if least > 0 and width < 2.0**-DEEPEST:
+            count[0] = -1
+            return
+        # de Casteljau: the node becomes the right half, the next one the left
+        left = stack[top + 1]
+        for part in range(2):
+            left[part, 0] = node[part, 0]
+        for level in range(1, n + 1):
+            for k in range(n - level + 1):
+                node[0, k] = 0.5 * (node[0, k] + node[0, k + 1])
+                node[1, k] = 0.5 * (node[1, k] + node[1, k + 1]) + EPSILON * abs(node[0, k]) + FLOOR
+            left[0, level], left[1, level] = node[0, 0], node[1, 0]
+        places[top, 0], places[top, 1] = low + 0.5 * width, 0.5 * width
+        places[top + 1, 0], places[top + 1, 1] = low, 0.5 * width
+        top += 2
+
+
+@dataclass(frozen=True, eq=False)
+class Roots:
+    """Positive real roots in order, to about 13 digits; multiplicities, shape (n,); sign before the first."""
+
+    value: Floats
+    multiplicity: Integers
+    first_sign: float
+
+    def sign_at(self, place: Floats) -> Floats:
+        """Return the sign of the polynomial at places that are no roots."""
+        return np.where(np.searchsorted(self.passed, place) % 2, -self.first_sign, self.first_sign)
+
+    @property
+    def passed(self) -> Floats:
+        """The roots at which the polynomial changes its sign."""
+        return np.asarray(self.value[self.multiplicity % 2 == 1])
+
+
+def positive_roots(polynomial: Digits, digits: int) -> Roots:
+    """Return all positive real roots of a polynomial.
 
     Parameters
     ----------
     polynomial : Digits
         Coefficients, lowest power first.
     digits : int
-        Digits to which the coefficients hold; the decimal context has as many.
+        Digits to which the coefficients are known. The decimal context has as many.
+
+    Notes
+    -----
+    Roots that differ by less than `ROOT_WIDTH`, relatively, are one of their multiplicities' sum.
     """
     largest = max((abs(c) for c in polynomial), default=Decimal(0))
     if largest == 0:
-        return {}
-    scale = Decimal(10) ** (digits - largest.adjusted())
-    rounding = 10**_NOISE
-    whole = [int(c * scale * _MIDDLE**k) for k, c in enumerate(polynomial)]
-    whole = [w if abs(w) > rounding else 0 for w in whole]
-    while whole[-1] == 0:
-        whole.pop()
-    while whole[0] == 0:
-        whole.pop(0)
-    up, down = as_exact(whole), as_exact(whole[::-1])
-    roots = [(_MIDDLE * _refined(up, *place), place[2]) for place in _isolated(whole)]
-    roots += [(_MIDDLE / _refined(down, *place), place[2]) for place in _isolated(whole[::-1])]
-    return _joined(sorted(roots))
-
-
-def _joined(roots: list[tuple[Decimal, int]]) -> dict[Decimal, int]:
-    """Return roots that doubles cannot tell apart as one of their multiplicities' sum."""
-    joined: list[tuple[Decimal, int]] = []
-    for root, multiplicity in roots:
-        if joined and root - joined[-1][0] <= _TOGETHER * root:
+        return Roots(np.zeros(0), np.zeros(0, np.intp), 0.0)
+    noise = largest * Decimal(10) ** (_NOISE_DIGITS - digits)
+    known = [c / largest if abs(c) > noise else Decimal(0) for c in polynomial]
+    used = [k for k, c in enumerate(known) if c]
+    known = known[used[0] : used[-1] + 1]
+    sign = 1.0 if known[0] > 0 else -1.0
+    if all(c >= 0 for c in known) or all(c <= 0 for c in known):
+        return Roots(np.zeros(0), np.zeros(0, np.intp), sign)
+    scaled = [c * _MIDDLE**k for k, c in enumerate(known)]
+    middle = float(_MIDDLE)
+    roots = [(middle * root, m) for root, m in _roots_below_one(scaled, digits)]
+    roots += [(middle / root, m) for root, m in _roots_below_one(scaled[::-1], digits)]
+    joined: list[tuple[float, int]] = []
+    for root, multiplicity in sorted(roots):
+        if joined and root - joined[-1][0] <= ROOT_WIDTH * root:
             root, multiplicity = joined[-1][0], multiplicity + joined.pop()[1]
         joined.append((root, multiplicity))
-    return dict(joined)
+    return Roots(np.array([root for root, _ in joined]), np.array([m for _, m in joined], np.intp), sign)
 
 
-def passed_roots(polynomial: Digits, digits: int) -> list[Decimal]:
-    """Return the positive real roots, in order, at which a polynomial changes its sign."""
-    return [root for root, multiplicity in positive_roots(polynomial, digits).items() if multiplicity % 2]
+@lru_cache(maxsize=256)
+def _bernstein(degree: int) -> Floats:
+    """Return the matrix from coefficients, lowest power first, to the Bernstein basis of (0, 1)."""
+    rows = [[math.comb(k, j) / math.comb(degree, j) for j in range(degree + 1)] for k in range(degree + 1)]
+    return np.array(rows)
 
 
-def _isolated(polynomial: list[int]) -> list[tuple[Decimal, Decimal, int]]:
-    """Return intervals in (0, 1) with one root each, and its multiplicity."""
-    found, degree = [], len(polynomial) - 1
-    waiting = [(polynomial, 0, 0)]
+def _roots_below_one(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
+    """Return the roots in (0, 1) and their multiplicities, in no order: in doubles where these decide."""
+    values, matrix = np.array([float(c) for c in polynomial]), _bernstein(len(polynomial) - 1)
+    errors = (len(values) + 3) * EPSILON * (matrix @ np.abs(values)) + FLOOR
+    found = _isolated(np.array([matrix @ values, errors]), 0.0, 1.0)
+    return _exact_roots(polynomial, digits) if found is None else [(root, 1) for root in found.tolist()]
+
+
+def _isolated(node: Floats, low: float, width: float) -> Floats | None:
+    """Return the roots of a node, which are simple; None where doubles cannot decide."""
+    size = node.shape[1]
+    stack, places = np.empty((DEEPEST + NARROWEST, 2, size)), np.empty((DEEPEST + NARROWEST, 2))
+    roots, count = np.empty(size), np.empty(1, np.int64)
+    stack[0], places[0] = node, (low, width)
+    isolate(stack, places, roots, count)
+    return roots[: count[0]] if count[0] >= 0 else None
+
+
+def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
+    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or there are one or none."""
+    scale, degree = Decimal(10) ** digits, len(polynomial) - 1
+    whole, (deepest, finest) = [int(c * scale) for c in polynomial], _EXACT_HALVINGS
+    chances, found = [math.comb(degree, k) for k in range(degree + 1)], []
+    waiting = [(whole, 0, 0)]
     while waiting:  # ends: depth is bounded, and each halving keeps the number of changes or splits it
         p, depth, place = waiting.pop()
-        changes = _changes(_shifted(p[::-1]))
-        if changes == 1 or (changes and (depth == _DEEPEST or place.bit_length() > _FINEST)):
-            found.append((place / Decimal(2) ** depth, (place + 1) / Decimal(2) ** depth, changes))
-        elif changes:
+        over = _shifted(p[::-1])[::-1]
+        signs = [c > 0 for c in over if c]
+        changes = sum(a != b for a, b in pairwise(signs))
+        if not changes:
+            continue
+        low, width = place / Decimal(2) ** depth, Decimal(2) ** -depth
+        size = max(abs(c) // chance for c, chance in zip(over, chances, strict=True)) + 1
+        values = np.array([c / (size * chance) for c, chance in zip(over, chances, strict=True)])
+        roots = _isolated(np.array([values, EPSILON * np.abs(values) + FLOOR]), float(low), float(width))
+        if roots is not None:
+            found += [(root, 1) for root in roots.tolist()]
+        elif changes == 1 or depth == deepest or place.bit_length() > finest:
+            found.append((float(_refined(as_exact(whole), low, low + width, changes)), changes))
+        else:
             left = [c << (degree - k) for k, c in enumerate(p)]
             waiting += [(left, depth + 1, 2 * place), (_shifted(left), depth + 1, 2 * place + 1)]
     return found
@@ -125,26 +311,20 @@ def _shifted(polynomial: list[int]) -> list[int]:
     return result
 
 
-def _changes(polynomial: list[int]) -> int:
-    signs = [c > 0 for c in polynomial if c]
-    return sum(a != b for a, b in pairwise(signs))
-
-
 def _refined(polynomial: Digits, low: Decimal, high: Decimal, multiplicity: int) -> Decimal:
     """Return the root between two places: false position, halved in turn, where they differ in sign."""
     if multiplicity % 2 == 0:
         return _between(low, high)
-    # an end may be a root itself, which is another one
-    beside = (high - low) * _BESIDE
-    at_low, at_high = (polyval(end, polynomial) for end in (low + beside, high - beside))
-    for step in range(_STEPS):
+    inset = (high - low) * _INSET
+    at_low, at_high = (polyval(end, polynomial) for end in (low + inset, high - inset))
+    for step in range(MAX_STEPS):
         middle = (low * at_high - high * at_low) / (at_high - at_low) if step % 3 else _between(low, high)
         there = polyval(middle, polynomial)
         if (there > 0) == (at_low > 0):
             low, at_low, at_high = middle, there, at_high / 2
         else:
             high, at_high, at_low = middle, there, at_low / 2
-        if high - low <= _FINE * high or there == 0:
+        if high - low <= _ROUNDED * high or there == 0:
             break
     return middle
 
@@ -153,51 +333,231 @@ def _between(low: Decimal, high: Decimal) -> Decimal:
     return (low * high).sqrt() if low > 0 else high / 8
 
 
-_END = Decimal("1e-36")
+def bisect(
+    is_true: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60
+) -> tuple[Floats, Floats]:
+    """Return the last values towards ``bad`` at which a condition is true, and the next ones, to the last bit.
+
+    Parameters
+    ----------
+    is_true : callable
+    good, bad : float64, shape (n,)
+        Where it is true, and where it is not.
+    halvings : int
+    """
+    for _ in range(halvings):
+        middle = 0.5 * (good + bad)
+        fine = is_true(middle)
+        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
+    return good, bad
+
+
+# --- values on the circle --------------------------------------------------------------------------------------------
+
+
+@inlined
+def polynomial_at(polynomials: Floats, row: int, x: complex) -> complex:
+    """Return a polynomial, lowest power first."""
+    value = 0j
+    for k in range(polynomials.shape[1] - 1, -1, -1):
+        value = value * x + polynomials[row, k]
+    return value
+
+
+@inlined
+def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex, complex, complex, complex]:
+    """Return -1/G and N at a place of the unit circle, and their slopes over it."""
+    size, far = math.exp(0.5 * place), place > 0
+    # ratios of polynomials of one degree; above |w| = 1 in powers of 1/w
+    w, x, side = complex(0.0, size), complex(0.0, -1 / size if far else size), polynomials[1 if far else 0]
+    motion, force, velocity, bottom = (
+        polynomial_at(side, 0, x),
+        polynomial_at(side, 1, x),
+        polynomial_at(side, 2, x),
+        polynomial_at(side, 3, x),
+    )
+    motion_slope, force_slope, velocity_slope = (
+        polynomial_at(side, 4, x),
+        polynomial_at(side, 5, x),
+        polynomial_at(side, 6, x),
+    )
+    # beyond |w| = 1 counted from theta = pi, where whole turns would take the digits
+    half = -math.atan(1 / size) if far else math.atan(size)
+    sign = -1.0 if far and delay % 2 == 1 else 1.0
+    lever = -sign * complex(math.cos(2 * delay * half), math.sin(2 * delay * half)) / force
+    turn, share = 2 * delay * w / (1 - w * w), 2 * w / (1 + w) / bottom
+    inverse_slope = lever * (motion * (turn - force_slope / force) + motion_slope)
+    rate_slope = share * (velocity * (1 / (1 + w) - polynomial_at(side, 7, x) / bottom) + velocity_slope)
+    return lever * motion, share * velocity, 0.5 * inverse_slope, 0.5 * rate_slope
+
+
+@compiled("void(f8[:,:,::1],i8,f8[::1],c16[:,::1])")
+def values_on_circle(polynomials: Floats, delay: int, place: Floats, values: Complexes) -> None:
+    """Set what `on_circle_at` returns, shape (4, n)."""
+    for n in range(len(place)):
+        values[0, n], values[1, n], values[2, n], values[3, n] = on_circle_at(polynomials, delay, place[n])
+
+
+@dataclass(frozen=True, eq=False)
+class CirclePoints:
+    """Walls with a pole pair on the unit circle, and their slopes over the place, shape (n,)."""
+
+    alpha: Floats
+    beta: Floats
+    alpha_slope: Floats
+    beta_slope: Floats
+
+
+def place_of(angle: Floats) -> Floats:
+    """Return the places of angles in (0, pi)."""
+    return np.asarray(2 * np.log(np.tan(0.5 * angle)))
+
+
+def angle_of(place: Floats) -> Floats:
+    """Return the angles of places."""
+    return np.asarray(2 * np.arctan(np.exp(0.5 * place)))
+
+
+def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> Complexes:
+    """Return -1/G and N on the unit circle, and their slopes over the place, shape (2, 2, n): [value, slope]."""
+    values = np.empty((4, len(place)), np.complex128)
+    values_on_circle(rounded(loop), loop.oldest_force, np.ascontiguousarray(place), values)
+    return values.reshape(2, 2, len(place))
+
+
+def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
+    """Return the walls at places."""
+    (inverse, rate), (inverse_slope, rate_slope) = inverse_and_rate(loop, place)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # at poles of beta
+        beta = inverse.imag / rate.imag
+        slope = (inverse_slope.imag - beta * rate_slope.imag) / rate.imag
+        alpha_slope = inverse_slope.real - slope * rate.real - beta * rate_slope.real
+        return CirclePoints(inverse.real - beta * rate.real, beta, alpha_slope, slope)
+
+
+@lru_cache(maxsize=512)
+def rounded(loop: NormalisedLoop) -> Floats:
+    """Return the four polynomials and w times their derivatives, upwards and downwards, shape (2, 8, degree + 1)."""
+    g = loop.sampled
+    result = np.zeros((2, 8, max(len(part) for part in (g.motion, g.velocity))))
+    for i, part in enumerate((g.motion, g.force, g.velocity, g.filter)):
+        upwards, order = as_floats(part), np.arange(len(part))
+        result[:, i, : len(part)] = upwards, upwards[::-1]
+        result[:, 4 + i, : len(part)] = upwards * order, (upwards * order)[::-1]
+    return result
+
+
+# --- the ends of the circle ------------------------------------------------------------------------------------------
+
+_STIFF = Decimal("1e40")
+"""Wall that counts as endlessly stiff: 1/G is below 1e12 where device and wall are those of a machine."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Ends of the unit circle.
+
+    Parameters
+    ----------
+    start : float
+        beta at which the first branch leaves the line alpha = -gamma, theta -> 0.
+    last, slope : float
+        alpha at which a pole lies at z = -1 is last - beta slope; infinite where there is none.
+    bend : tuple of float
+        The pole leaves the circle there as alpha rises where bend[0] + beta bend[1] > 0.
+    unstable : int
+        Number of unstable poles of an endlessly stiff wall.
+    """
+
+    start: float
+    last: float
+    slope: float
+    bend: tuple[float, float]
+    unstable: int
+
+
+@lru_cache(maxsize=512)
+def ends(loop: NormalisedLoop) -> Ends:
+    """Return the walls at both ends of the circle."""
+    with many_digits(loop.digits):
+        return Ends(_start(loop), *_at_minus_one(loop), _unstable_when_stiff(loop))
+
+
+def _start(loop: NormalisedLoop) -> float:
+    """-1/G is -(1 + 2 delay w) motion/force and N is 2 w velocity/filter, both up to w^2."""
+    g = loop.sampled
+    if not g.velocity[0]:
+        return float("nan")
+    turn = 2 * g.delay * g.motion[0] / g.force[0] + _slope(g.motion, g.force)
+    return float(-turn * g.filter[0] / (2 * g.velocity[0]))
+
+
+def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, float]]:
+    """Return value, slope and the two parts of the bend of the line on which a pole lies at z = -1.
+
+    In u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 is u > 0.
+    """
+    g = loop.sampled
+    motion, force, velocity, bottom = (part[::-1] for part in (g.motion, g.force, g.velocity, g.filter))
+    if abs(force[0]) <= Decimal(10) ** (30 - loop.digits) * np.abs(force).max():
+        return np.inf, 0.0, (1.0, 0.0)  # the device does not answer at half the sampling rate
+    value_at = [-((-1) ** g.delay) * motion[0] / force[0], 2 * velocity[0] / bottom[0]]
+    change = [
+        -((-1) ** g.delay) * (_slope(motion, force) + 2 * g.delay * motion[0] / force[0]),
+        2 * (_slope(velocity, bottom) - velocity[0] / bottom[0]),
+    ]
+    return float(value_at[0]), float(value_at[1]), (float(change[0]), -float(change[1]))
+
+
+def _slope(top: Digits, bottom: Digits) -> Decimal:
+    """Return the derivative at 0 of a ratio."""
+    if len(top) == 1:
+        return Decimal(0)
+    return Decimal((top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2)
+
+
+def _unstable_when_stiff(loop: NormalisedLoop) -> int:
+    """Number of poles outside the circle, the right half of w, of an endlessly stiff wall without damping."""
+    g = loop.sampled
+    up, down = as_exact([1, 1]), as_exact([1, -1])
+    whole = total(product(power(up, g.delay), g.motion), _STIFF * product(power(down, g.delay), g.force))
+    return right_half(whole)
+
+
+def right_half(polynomial: Digits) -> int:
+    """Return the number of roots with positive real part: sign changes of Routh's array."""
+    upper, lower = polynomial[::-1][::2], polynomial[::-1][1::2]
+    first = [upper[0]]
+    while len(lower):  # each step takes a coefficient away
+        first.append(lower[0])
+        rest = np.append(lower[1:], as_exact([0] * (len(upper) - len(lower))))
+        upper, lower = lower, upper[1:] - upper[0] / lower[0] * rest
+    signs = [entry > 0 for entry in first]
+    return sum(a != b for a, b in pairwise(signs))
+
+
+# --- crossings of a loop ---------------------------------------------------------------------------------------------
+
+_END = 1e-36
 """Smallest s and reciprocal of the largest: angles of 2e-18."""
 
 _SHARPENINGS = 5
 """Newton's steps from the digits of a double to many: each doubles them."""
 
-_POLISHINGS = 2
+_POLISHINGS, _FARTHEST = 2, Decimal("1e-4")
+"""Newton's steps that polish a crossing, and the relative change that they may come to: where beta touches its value
+there is no slope."""
 
-_FARTHEST = Decimal("1e-4")
-"""Change of s that polishing may come to; where beta touches its value the slope is none."""
-
-_NEXT = 1 + Decimal("1e-20")
-"""Factor to a place beside another, to see whether beta rises."""
-
-
-_NO_WALL = 1e-8
+NO_WALL = 1e-8
 """Largest alpha and beta that the least loss of a mode may keep stable, however light its near side; far below those of
 any wall."""
 
-
-@dataclass(frozen=True, eq=False)
-class Branches:
-    """Cells of a loop's crossings, and unstable poles that alpha gains (2) or loses (-2) by rising through each."""
-
-    cells: Cells
-    turn: Integers
+CONVERGED, NARROW = 1e-8, 1e-15
+"""Newton step in ln s after which the next one is below rounding, and relative width of a bracket that is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """Walls alpha - beta slope with poles at one place of the circle, shape (n,): nan for z = -1.
-
-    There alpha gains ``turn`` unstable poles by rising where bend[0] + beta bend[1] > 0, and loses as many elsewhere;
-    none where the pole only touches the circle.
-    """
-
-    alpha: Floats
-    slope: Floats
-    bend: Floats
-    turn: Integers
-    place: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class OnCircle:
+class CircleCondition:
     """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
 
     beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
@@ -216,9 +576,23 @@ class OnCircle:
     level: Digits
     filter: Digits
 
+    def bend(self, over: Digits) -> Digits:
+        """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
+        plain = total(product(polyder(over), self.turn), -product(over, polyder(self.turn)))
+        return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
+
+    def beta(self, s: Decimal) -> Decimal:
+        """Return beta at a place that is no pole of it."""
+        return Decimal(-polyval(s, self.twist) / ((1 + s) ** self.delay * polyval(s, self.turn)))
+
+    def alpha(self, s: Decimal, beta: Decimal) -> Decimal:
+        """Return alpha at a place for its beta."""
+        stretch = polyval(s, self.stretch) / ((1 + s) ** self.delay * polyval(s, self.size))
+        return Decimal(-stretch - beta * polyval(s, self.level) / polyval(s, self.filter))
+
 
 @lru_cache(maxsize=64)
-def on_circle(loop: NormalisedLoop) -> OnCircle:
+def circle_condition(loop: NormalisedLoop) -> CircleCondition:
     """Return a loop's condition on the unit circle."""
     g = loop.sampled
     with many_digits(loop.digits):
@@ -231,14 +605,14 @@ def on_circle(loop: NormalisedLoop) -> OnCircle:
         free, inverse, rate = _without_shared(_odd(inverse), _odd(rate), loop.digits)
         rise = total(product(inverse, level), -product(stretch, rate))
         twist, turn = product(inverse, square), product(rate, size)
-        return OnCircle(free, g.delay, twist, rate, turn, rise, stretch, size, level, square)
+        return CircleCondition(free, g.delay, twist, rate, turn, rise, stretch, size, level, square)
 
 
 def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
     """Return the positive roots that two polynomials share, as often as they do, and both without them."""
-    shared = []
-    for root, multiplicity in positive_roots(second, digits).items():
-        simple = second
+    shared, roots = [], positive_roots(second, digits)
+    for start, multiplicity in zip(roots.value.tolist(), roots.multiplicity.tolist(), strict=True):
+        root, simple = Decimal(start), second
         for _ in range(multiplicity - 1):
             simple = polyder(simple)
         for _ in range(_SHARPENINGS):
@@ -251,214 +625,11 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
     return shared, first, second
 
 
-@lru_cache(maxsize=64)
-def branches(loop: NormalisedLoop) -> Branches:
-    """Return what is known of a loop's crossings once."""
-    return sampled_branches(loop) if is_sampled(loop) else exact_branches(loop)
-
-
-def sampled_branches(loop: NormalisedLoop) -> Branches:
-    """Return them by samples, of a loop whose polynomials are long."""
-    c = on_circle(loop)
-    with many_digits(loop.digits):
-        free = {float(root.ln()): float(_beta(c, root)) for root in _beside(c.free, _poles(loop))}
-    return Branches(*sampled_cells(loop, _breaks(loop), free))
-
-
-@lru_cache(maxsize=64)
-def _poles(loop: NormalisedLoop) -> dict[Decimal, int]:
-    """Return the places s at which beta is infinite, in order, and their multiplicities."""
-    with many_digits(loop.digits):
-        return positive_roots(on_circle(loop).rate, loop.digits)
-
-
-def _breaks(loop: NormalisedLoop) -> Floats:
-    with many_digits(loop.digits):
-        return np.array([float(root.ln()) for root in _poles(loop)])
-
-
-def _beside(roots: list[Decimal], poles: dict[Decimal, int]) -> list[Decimal]:
-    """Return the roots that are no poles, each once."""
-    return [root for root in dict.fromkeys(roots) if all(abs(root - p) > _TOGETHER * p for p in poles)]
-
-
-@lru_cache(maxsize=64)
-def _lines(loop: NormalisedLoop) -> Lines:
-    """Return the lines of a loop: at z = -1, and where N and -1/G are both real."""
-    known, c = ends(loop), on_circle(loop)
-    with many_digits(loop.digits):
-        free = list(dict.fromkeys(c.free))
-        place = np.array([float(root.ln()) for root in free])
-        none = [float(_exact_alpha(c, root, Decimal(0))) for root in free]
-        slope = [float(polyval(root, c.level) / polyval(root, c.filter)) for root in free]
-        bend = [[float(side * part) for part in _pull(c, root)] for root in free for side in [_side(c, root)]]
-    return Lines(
-        alpha=np.append(known.last, none),
-        slope=np.append(known.slope, slope),
-        bend=np.array([known.bend, *bend]).T,
-        turn=np.append(1, [2 * (c.free.count(root) % 2) for root in free]).astype(np.intp),
-        place=np.append(np.nan, place),
-    )
-
-
-def exact_branches(loop: NormalisedLoop) -> Branches:
-    """Return them by real roots, of any loop."""
-    c = on_circle(loop)
-    with many_digits(loop.digits):
-        turning, poles = passed_roots(_bend(c, c.twist), loop.digits), _poles(loop)
-        inner: dict[Decimal, Decimal | None] = {s: _beta(c, s) for s in _beside([*turning, *c.free], poles)}
-        inner |= dict.fromkeys(poles)
-        edges = [_END, *sorted(root for root in inner if _END < root < 1 / _END), 1 / _END]
-        values = [inner[s] if s in inner else _beta(c, s) for s in edges]
-        low, high, turns = [], [], []
-        for (s, start), (t, end) in pairwise(zip(edges, values, strict=True)):
-            middle = (s * t).sqrt()
-            rises = _beta(c, middle * _NEXT) > _beta(c, middle)
-            # beta is infinite where it has no value: at its poles
-            low.append(start if start is not None else Decimal("-Infinity" if rises else "Infinity"))
-            high.append(end if end is not None else Decimal("Infinity" if rises else "-Infinity"))
-            turns.append(2 if rises == (_side(c, middle) * polyval(middle, c.rate) > 0) else -2)
-        logs, at_low, at_high = (np.array([float(v) for v in row]) for row in ([s.ln() for s in edges], low, high))
-        return Branches(Cells(logs[:-1], logs[1:], at_low, at_high), np.array(turns))
-
-
-@lru_cache(maxsize=64)
-def turning_dampings(loop: NormalisedLoop) -> Floats:
-    """Return every beta, in order, at which stable stretches may begin or end, join, or their ends have an extremum.
-
-    Between two of these each end of a stretch is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all stable
-    or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. What is left are corners,
-    where two branches cross.
-    """
-    cells, lines, levels = branches(loop).cells, _lines(loop), sorted({0.0, -loop.gamma})
-    dampings = sampled_turns(loop, levels, _breaks(loop)) if is_sampled(loop) else _exact_turns(loop, levels)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        passing = [(lines.alpha - level) / lines.slope for level in levels]
-    found = np.concatenate([dampings, cells.beta_low, cells.beta_high, *passing])
-    return np.unique(found[np.isfinite(found)])
-
-
-def _exact_turns(loop: NormalisedLoop, levels: list[float]) -> Floats:
-    c = on_circle(loop)
-    with many_digits(loop.digits):
-        whole = product(power(as_exact([1, 1]), c.delay), c.turn)
-        passing = [total(c.rise, -Decimal(level) * whole) for level in levels]
-        roots = [root for part in (_bend(c, c.rise), *passing) for root in passed_roots(part, loop.digits)]
-        beside = _beside(roots, _poles(loop))
-        return np.array([float(_beta(c, root)) for root in beside if polyval(root, c.turn) != 0])
-
-
-@dataclass(frozen=True, eq=False)
-class Stretches:
-    """Stable intervals of alpha, shape (n,): index of their beta, ends, and ln s of the crossings there.
-
-    ln s is nan at z = 1 and z = -1. ``outline`` is a number for the pair of branches that bound an interval.
-    """
-
-    index: Integers
-    low: Floats
-    high: Floats
-    low_at: Floats
-    high_at: Floats
-    outline: Integers
-
-
-def stretches(loop: NormalisedLoop, beta: Floats) -> Stretches:
-    """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to some 11 digits.
-
-    Parameters
-    ----------
-    loop : NormalisedLoop
-    beta : float64, shape (n,)
-    """
-    first = first_branch(loop)
-    if first is not None:
-        index, place, high = first.met(beta)
-        on = np.flatnonzero(high > -loop.gamma)
-        low, unknown = np.full(len(on), -loop.gamma), np.full(len(on), np.nan)
-        return Stretches(index[on], low, high[on], unknown, place[on], np.zeros(len(on), np.intp))
-    return counted_stretches(loop, branches(loop), beta)
-
-
-def counted_stretches(loop: NormalisedLoop, b: Branches, beta: Floats) -> Stretches:
-    """Return the same by counting the unstable poles over all crossings, downwards from an endlessly stiff wall."""
-    lines, everyone = _lines(loop), np.arange(len(beta))
-    below_low, below_high = (side[None, :] < beta[:, None] for side in (b.cells.beta_low, b.cells.beta_high))
-    which, cell = np.nonzero(below_low != below_high)
-    place, crossed = solved(loop, b.cells, cell, beta[which])
-    on, line = (grid.ravel() for grid in np.meshgrid(everyone, np.arange(len(lines.alpha)), indexing="ij"))
-    outward = np.where(lines.bend[0, line] + beta[on] * lines.bend[1, line] > 0, 1, -1)
-    none = np.zeros(len(beta), np.intp)
-    i = np.concatenate([which, on, everyone])
-    level = lines.alpha[line] - beta[on] * lines.slope[line]
-    a = np.concatenate([crossed, level, np.full(len(beta), -loop.gamma)])
-    jump = np.concatenate([b.turn[cell], lines.turn[line] * outward, none])
-    at = np.concatenate([place, lines.place[line], np.full(len(beta), np.nan)])
-    source = np.concatenate([cell + 1 + len(lines.alpha), line + 1, none])
-    kept = np.isfinite(a) & (a >= -loop.gamma)
-    order = np.flatnonzero(kept)[np.lexsort((a[kept], i[kept]))]
-    a, i, jump, at, source = a[order], i[order], jump[order], at[order], source[order]
-    total_jump = np.cumsum(jump)
-    last = np.searchsorted(i, everyone, side="right") - 1
-    above = ends(loop).unstable - (total_jump[last][i] - total_jump)
-    if _has_no_loss(loop):  # what the least loss of a mode keeps stable is none
-        a = np.where((a > 0) & (a < _NO_WALL) & (np.abs(beta[i]) < _NO_WALL), 0.0, a)
-    stable = np.flatnonzero((above[:-1] == 0) & (i[1:] == i[:-1]) & (a[1:] > a[:-1]))
-    outline = source[stable] * (len(b.turn) + 1 + len(lines.alpha)) + source[stable + 1]
-    return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
-
-
-def _has_no_loss(loop: NormalisedLoop) -> bool:
-    """Return whether nothing damps a loop's mode but the wall."""
-    plant = loop.plant
-    return plant.has_mode and loop.delta == 0 and plant.spring_damping <= 2 * LEAST_RATIO * plant.spring**0.5
-
-
-def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
-    """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
-    c, result, lines = on_circle(loop), [], set(_lines(loop).place)
-    with many_digits(loop.digits):
-        twist, turn = polyder(c.twist), polyder(c.turn)
-        for b, start in zip(as_exact(beta), place, strict=True):
-            first = s = Decimal(float(np.exp(start)))
-            for _ in range(0 if start in lines else _POLISHINGS):
-                # of twist + beta (1 + s)^delay turn
-                pull, lever = b * (1 + s) ** c.delay, polyval(s, c.turn)
-                slope = polyval(s, twist) + pull * (polyval(s, turn) + c.delay * lever / (1 + s))
-                s -= (polyval(s, c.twist) + pull * lever) / slope
-            touches = abs(s - first) > _FARTHEST * first
-            result.append(_exact_alpha(c, first if touches else s, b))
-    return np.array([float(a) for a in result])
-
-
-def _bend(c: OnCircle, over: Digits) -> Digits:
-    """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
-    plain = total(product(polyder(over), c.turn), -product(over, polyder(c.turn)))
-    return total(product(as_exact([1, 1]), plain), -c.delay * product(over, c.turn))
-
-
-def _beta(c: OnCircle, s: Decimal) -> Decimal:
-    return Decimal(-polyval(s, c.twist) / ((1 + s) ** c.delay * polyval(s, c.turn)))
-
-
-def _pull(c: OnCircle, s: Decimal) -> Digits:
-    """Return the imaginary parts of -1/G and -N without their shared roots and a positive factor."""
-    return np.array([-polyval(s, c.twist) / (1 + s) ** c.delay, -polyval(s, c.turn)])
-
-
-def _side(c: OnCircle, s: Decimal) -> int:
-    """Return the sign of the product of (s - root) over all shared roots but s."""
-    return -1 if sum(root > s for root in c.free) % 2 else 1
-
-
-def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
-    stretch = polyval(s, c.stretch) / ((1 + s) ** c.delay * polyval(s, c.size))
-    return Decimal(-stretch - beta * polyval(s, c.level) / polyval(s, c.filter))
-
-
 def _mirrored(polynomial: Digits) -> Digits:
     """Return p(-w): the conjugate on the imaginary axis."""
-    return np.asarray(polynomial * as_exact([(-1) ** k for k in range(len(polynomial))]), dtype=object)
+    result = polynomial.copy()
+    result[1::2] *= -1
+    return result
 
 
 def _even(polynomial: Digits) -> Digits:
@@ -469,3 +640,268 @@ def _even(polynomial: Digits) -> Digits:
 def _odd(polynomial: Digits) -> Digits:
     """Return the imaginary part on w = j sqrt(s) over sqrt(s), as a polynomial in s."""
     return _mirrored(polynomial[1::2])
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """All crossings of a loop.
+
+    Parameters
+    ----------
+    cells : tuple of float64, shape (cells,)
+        Intervals of places on which beta is monotone: ends, beta there (infinite at its poles), and the unstable poles
+        that alpha gains (2) or loses (-2) by rising through the branch.
+    lines : tuple of float64, shape (lines,)
+        Walls alpha - beta slope with poles at one place of the circle, at z = -1 first: alpha, slope, two parts of a
+        bend, unstable poles that alpha gains by rising where bend_0 + beta bend_1 > 0 and loses elsewhere, none where
+        the pole only touches the circle, and the place, nan for z = -1.
+    unstable : int
+        Unstable poles of an endlessly stiff wall.
+    """
+
+    cells: tuple[Floats, ...]
+    lines: tuple[Floats, ...]
+    unstable: int
+
+
+@lru_cache(maxsize=64)
+def branches(loop: NormalisedLoop) -> Branches:
+    """Return all crossings of a loop."""
+    c, known = circle_condition(loop), ends(loop)
+    with many_digits(loop.digits):
+        poles, turning = (positive_roots(part, loop.digits) for part in (c.rate, c.bend(c.twist)))
+        free = np.array([float(root) for root in dict.fromkeys(c.free)])
+        inner = np.concatenate([_no_poles(np.append(turning.passed, free), poles), poles.value])
+        inner = np.unique(inner[(inner > _END) & (inner < 1 / _END)])
+        edges = np.concatenate([[_END], inner, [1 / _END]])
+        middle = np.sqrt(edges[:-1] * edges[1:])
+        rises = turning.sign_at(middle) < 0
+        hidden, exact = np.array([float(root) for root in c.free]), {float(root): root for root in c.free}
+        beta = _dampings(c, [exact.get(s, Decimal(s)) for s in edges.tolist()])
+        side = np.where((hidden > middle[:, None]).sum(axis=1) % 2, -1, 1)
+        gain = np.where(rises == (side * poles.sign_at(middle) > 0), 2.0, -2.0)
+        lines = [_line(c, root) for root in dict.fromkeys(c.free)]
+    if not math.isnan(known.start):
+        beta[0] = known.start
+    far, endless = np.where(rises, np.inf, -np.inf), np.isin(edges, poles.value)
+    low, high = np.where(endless[:-1], -far, beta[:-1]), np.where(endless[1:], far, beta[1:])
+    place = np.log(edges)
+    last = (known.last, known.slope, *known.bend, 1.0, np.nan)
+    columns = np.ascontiguousarray(np.array([last, *lines]).T)
+    return Branches((place[:-1].copy(), place[1:].copy(), low, high, gain), tuple(columns), known.unstable)
+
+
+def _no_poles(roots: Floats, poles: Roots) -> Floats:
+    """Return the roots that are no poles of beta."""
+    return roots[(np.abs(roots[:, None] - poles.value) > ROOT_WIDTH * poles.value).all(axis=1)]
+
+
+def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
+    """Return a row of `Branches.lines`, where N and -1/G are both real."""
+    slope, side = polyval(root, c.level) / polyval(root, c.filter), -1 if sum(r > root for r in c.free) % 2 else 1
+    bend = (-side * polyval(root, c.twist) / (1 + root) ** c.delay, -side * polyval(root, c.turn))
+    turn = 2 * (c.free.count(root) % 2)
+    return tuple(map(float, (c.alpha(root, Decimal(0)), slope, *bend, turn, root.ln())))
+
+
+def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
+    """Return beta at places s, infinite at its poles, to the last digit of a double."""
+    return np.array([float(c.beta(s)) if polyval(s, c.turn) else np.inf for s in roots])
+
+
+@lru_cache(maxsize=64)
+def stiffness_turns(loop: NormalisedLoop) -> tuple[Decimal, ...]:
+    """Return the s, in order, at which alpha has an extremum along a branch."""
+    c = circle_condition(loop)
+    with many_digits(loop.digits):
+        return _passed(loop, c.bend(c.rise))
+
+
+@lru_cache(maxsize=64)
+def level_passings(loop: NormalisedLoop, level: float) -> tuple[Decimal, ...]:
+    """Return the s, in order, at which alpha passes a level along a branch."""
+    c = circle_condition(loop)
+    with many_digits(loop.digits):
+        whole = product(power(as_exact([1, 1]), c.delay), c.turn)
+        return _passed(loop, total(c.rise, -Decimal(level) * whole))
+
+
+def _passed(loop: NormalisedLoop, polynomial: Digits) -> tuple[Decimal, ...]:
+    """Return the roots at which a polynomial changes its sign and that are no poles of beta, in many digits."""
+    found, poles = (positive_roots(part, loop.digits) for part in (polynomial, circle_condition(loop).turn))
+    slope, result = polyder(polynomial), []
+    for root in as_exact(_no_poles(found.passed, poles)):
+        if not _END < root < 1 / _END:
+            continue
+        rate = polyval(root, slope)
+        change = polyval(root, polynomial) / rate if rate else root
+        result.append(root - change if abs(change) <= Decimal(ROOT_WIDTH) * root else root)
+    return tuple(result)
+
+
+@lru_cache(maxsize=64)
+def turning_dampings(loop: NormalisedLoop) -> Floats:
+    """Return every beta, in order, at which stable intervals may begin or end, join, or their ends have an extremum.
+
+    Between two of these each end of an interval is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all
+    stable or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. Only corners, where
+    two branches cross, lie between.
+    """
+    b, levels = branches(loop), sorted({0.0, -loop.gamma})
+    turns = [*stiffness_turns(loop), *(s for level in levels for s in level_passings(loop, level))]
+    (_, _, low, high, _), (alpha, slope, *_) = b.cells, b.lines
+    with np.errstate(divide="ignore", invalid="ignore"), many_digits(loop.digits):
+        passing = [(alpha - level) / slope for level in levels]
+        found = np.concatenate([_dampings(circle_condition(loop), turns), low, high, *passing])
+    return np.unique(found[np.isfinite(found)])
+
+
+# --- stable intervals ------------------------------------------------------------------------------------------------
+
+
+@inlined
+def solved(
+    polynomials: Floats, delay: int, cell: tuple[float, float, float, float], beta: float, first: float
+) -> tuple[float, float, float]:
+    """Return the place at which beta has a value within a cell, alpha there, and the slope of beta.
+
+    Newton's method from a first place, or one interpolated in s; a step that leaves the bracket is replaced by halving.
+    """
+    low, high, beta_low, beta_high = cell
+    share = (beta - beta_low) / (beta_high - beta_low)
+    place = first
+    if not low < place < high:
+        place = high + math.log(math.exp(low - high) - share * math.expm1(low - high))
+    if not low < place < high:  # at an infinite end halves
+        place = 0.5 * (low + high)
+    alpha, slope = 0.0, 0.0
+    for _ in range(MAX_STEPS):
+        inverse, rate, inverse_slope, rate_slope = on_circle_at(polynomials, delay, place)
+        there = inverse.imag / rate.imag
+        slope = (inverse_slope.imag - there * rate_slope.imag) / rate.imag
+        miss, before = there - beta, place
+        low, high = (low, before) if (miss > 0) == (beta_high > beta_low) else (before, high)
+        place = before - miss / slope
+        newton = low <= place <= high
+        if not newton:
+            place = 0.5 * (low + high)
+        if miss == 0 or (newton and abs(place - before) <= CONVERGED) or high - low <= NARROW * abs(high):
+            step = place - before
+            alpha = inverse.real - beta * rate.real + step * (inverse_slope.real - beta * rate_slope.real)
+            break
+    return place, alpha, slope
+
+
+CELLS, LINES = "UniTuple(f8[::1],5)", "UniTuple(f8[::1],6)"
+
+
+@compiled(f"void(f8[:,:,::1],Tuple((i8,i8,f8,b1)),{CELLS},{LINES},f8[::1],UniTuple(f8[:,::1],3),i8[::1])")
+def count_intervals(
+    polynomials: Floats, about: Arrays, cells: Arrays, lines: Arrays, betas: Floats, out: Arrays, count: Integers
+) -> None:
+    """Find the stable intervals of alpha at each beta by counting the unstable poles, down from a stiff wall.
+
+    ``about`` are the delay, the unstable poles of an endlessly stiff wall, -gamma, and whether nothing damps a mode;
+    ``out`` the last solution of each cell (3, cells), events (4, cells + lines + 1), and the intervals, which are set:
+    index of beta, both ends, their places, and a number for the pair of branches that bound it.
+    """
+    delay, unstable, line, lossless = about
+    known, events, intervals = out
+    count[0] = 0
+    for n in range(len(betas)):
+        beta, number, total_gain = betas[n], 1, 0.0
+        events[0, 0], events[1, 0], events[2, 0], events[3, 0] = line, 0.0, math.nan, 0.0
+        for i in range(len(lines[0]) + len(cells[0])):
+            c = i - len(lines[0])
+            if c < 0:
+                alpha, place = lines[0][i] - beta * lines[1][i], lines[5][i]
+                gain = lines[4][i] if lines[2][i] + beta * lines[3][i] > 0 else -lines[4][i]
+            else:
+                if (cells[2][c] < beta) == (cells[3][c] < beta):
+                    continue
+                cell = (cells[0][c], cells[1][c], cells[2][c], cells[3][c])
+                first = known[0, c] + (beta - known[1, c]) / known[2, c]
+                place, alpha, slope = solved(polynomials, delay, cell, beta, first)
+                gain = cells[4][c]
+                known[0, c], known[1, c], known[2, c] = place, beta, slope
+            if not (math.isfinite(alpha) and alpha >= line):
+                continue
+            if lossless and 0 < alpha < NO_WALL and abs(beta) < NO_WALL:
+                alpha = 0.0  # what the least loss of a mode keeps stable is none
+            at = number
+            while at > 0 and events[0, at - 1] > alpha:
+                for row in range(4):
+                    events[row, at] = events[row, at - 1]
+                at -= 1
+            events[0, at], events[1, at], events[2, at], events[3, at] = alpha, gain, place, i + 1
+            number, total_gain = number + 1, total_gain + gain
+        above = unstable - total_gain
+        for e in range(number - 1):
+            above += events[1, e]
+            if above == 0 and events[0, e + 1] > events[0, e]:
+                row = intervals[count[0]]
+                row[0], row[1], row[2], row[3], row[4] = (
+                    n,
+                    events[0, e],
+                    events[0, e + 1],
+                    events[2, e],
+                    events[2, e + 1],
+                )
+                row[5] = events[3, e] * (len(lines[0]) + len(cells[0]) + 1) + events[3, e + 1]
+                count[0] += 1
+
+
+@dataclass(frozen=True, eq=False)
+class StableIntervals:
+    """Stable intervals of alpha, shape (n,): index of their beta, ends, and places of the crossings there.
+
+    The place is nan at z = 1 and z = -1. ``bounds`` is a number for the pair of branches that bound an interval.
+    """
+
+    index: Integers
+    low: Floats
+    high: Floats
+    low_at: Floats
+    high_at: Floats
+    bounds: Integers
+
+
+def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
+    """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to about 11 digits.
+
+    Parameters
+    ----------
+    loop : NormalisedLoop
+    beta : float64, shape (n,)
+    """
+    b = branches(loop)
+    cells = len(b.cells[0])
+    most = cells + len(b.lines[0]) + 1
+    out = np.full((3, cells), np.nan), np.empty((4, most)), np.empty((len(beta) * most, 6))
+    count, about = np.zeros(1, np.int64), (loop.oldest_force, b.unstable, -loop.gamma, _has_no_loss(loop))
+    count_intervals(rounded(loop), about, b.cells, b.lines, np.ascontiguousarray(beta), out, count)
+    index, low, high, low_at, high_at, bounds = out[2][: count[0]].T.copy()
+    return StableIntervals(index.astype(np.intp), low, high, low_at, high_at, bounds.astype(np.intp))
+
+
+def _has_no_loss(loop: NormalisedLoop) -> bool:
+    """Return whether nothing damps a loop's mode but the wall."""
+    plant = loop.plant
+    return plant.has_mode and loop.delta == 0 and plant.spring_damping <= 2 * LEAST_RATIO * plant.spring**0.5
+
+
+def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
+    """Return alpha of crossings near places, shape (n,), to the last digit or two of a double."""
+    c, result, lines = circle_condition(loop), [], set(branches(loop).lines[5])
+    with many_digits(loop.digits):
+        twist, turn = polyder(c.twist), polyder(c.turn)
+        for b, start in zip(as_exact(beta), place, strict=True):
+            first = s = Decimal(float(np.exp(start)))
+            for _ in range(0 if start in lines else _POLISHINGS):
+                # of twist + beta (1 + s)^delay turn
+                pull, lever = b * (1 + s) ** c.delay, polyval(s, c.turn)
+                slope = polyval(s, twist) + pull * (polyval(s, turn) + c.delay * lever / (1 + s))
+                s -= (polyval(s, c.twist) + pull * lever) / slope
+            touches = abs(s - first) > _FARTHEST * first
+            result.append(c.alpha(first if touches else s, b))
+    return np.array([float(a) for a in result])

@@ -17,7 +17,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats
-from pipeline.theory.circle import bisect, inverse_and_rate, place_of
+from pipeline.theory.crossings import bisect, inverse_and_rate, place_of
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""

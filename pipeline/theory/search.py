@@ -12,7 +12,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats, Integers
 from pipeline.theory.boundary import boundary, is_well_inside, limits
-from pipeline.theory.circle import bisect
+from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""

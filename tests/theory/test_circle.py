@@ -11,8 +11,7 @@ import pytest
 from independent import DIGITS, characteristic
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.theory.circle import circle_points, ends, first_branch, place_of
-from pipeline.theory.crossings import counted_stretches, exact_branches, stretches
+from pipeline.theory.crossings import circle_points, ends, place_of
 
 NYQUIST = math.pi**2
 
@@ -106,14 +105,3 @@ def test_the_line_of_a_pole_at_minus_one() -> None:
                 exact = -value_at(plant, -1) / bottom
                 # a zero of the plant that lies within 1e-10 of -1 leaves fewer digits
                 assert abs(level - exact) <= 1e-5 * abs(exact), loop
-
-
-@pytest.mark.parametrize("values", [(0, 0, 1), (0, 0, 4), (1e-3, 0.02, 2.5), (0, 0.1, 0.3), (1e-4, 0.01, 33.5)])
-def test_the_first_branch_is_what_counting_over_all_of_them_finds(values) -> None:
-    loop = NormalisedLoop.ideal(*values)
-    first = first_branch(loop)
-    beta = np.linspace(first.cells.beta_low[0], first.cells.beta_high[-1], 203)[1:-1]
-    ours, counted = stretches(loop, beta), counted_stretches(loop, exact_branches(loop), beta)
-    assert ours.index.tolist() == counted.index.tolist()
-    np.testing.assert_allclose(ours.high, counted.high, rtol=0, atol=1e-12 * counted.high.max())
-    np.testing.assert_allclose(ours.low, counted.low, rtol=0, atol=1e-15)

@@ -14,9 +14,9 @@ from pipeline.device.loop import Loop
 from pipeline.device.parts import Coefficients, Difference
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
+from pipeline.theory import crossings
 from pipeline.theory.boundary import boundary, is_inside, limits, outline
-from pipeline.theory.circle import right_half
-from pipeline.theory.crossings import counted_stretches, exact_branches, passed_roots, positive_roots, sampled_branches
+from pipeline.theory.crossings import branches, positive_roots, right_half, turning_dampings
 from pipeline.theory.poles import spectral_radius
 
 
@@ -120,8 +120,8 @@ def test_all_positive_roots_are_found():
         factors = [np.array([-Decimal(root), Decimal(1)], dtype=object) for root in wanted]
         polynomial = product(*factors, as_exact([5, 1]), as_exact([2, 1, 1]), as_exact([4.01, -4, 1]))
         found = positive_roots(polynomial, 150)
-    np.testing.assert_allclose([float(r) for r in found], [float(r) for r in wanted], rtol=1e-14)
-    assert set(found.values()) == {1}
+    np.testing.assert_allclose(found.value, [float(r) for r in wanted], rtol=1e-13)
+    assert set(found.multiplicity) == {1}
 
 
 def test_repeated_roots_are_one_each():
@@ -130,9 +130,9 @@ def test_repeated_roots_are_one_each():
         simple, double, lifted = as_exact([-7, 1]), as_exact([-1, 1]), as_exact([9 + Decimal("1e-60"), -6, 1])
         split = product(as_exact([-2, 1]), as_exact([-2 - Decimal("1e-15"), 1]), as_exact([-2, 1]))
         found = positive_roots(product(simple, double, double, lifted, split), 100)
-        assert passed_roots(product(simple, double, double, lifted, split), 100) == [*found][1::2]
-    np.testing.assert_allclose([float(r) for r in found], [1, 2, 3, 7], rtol=1e-14)
-    assert list(found.values()) == [2, 3, 2, 1]
+    np.testing.assert_allclose(found.value, [1, 2, 3, 7], rtol=1e-13)
+    assert found.multiplicity.tolist() == [2, 3, 2, 1]
+    assert found.passed.tolist() == found.value[1::2].tolist()
 
 
 def test_right_half_counts_roots():
@@ -145,17 +145,41 @@ DEVICES = [replace(NormalisedLoop.of(random_device(np.random.default_rng(seed)))
 
 
 @pytest.mark.parametrize(
-    "loop", [*DEVICES, NormalisedLoop.ideal(0.5, 0.01, 20.5), NormalisedLoop.ideal(1e-3, 0.3, 40.0)]
+    "loop", [*DEVICES, NormalisedLoop.ideal(0.0, 0.0, 4), NormalisedLoop.ideal(0.5, 0.01, 20.5)], ids=str
 )
-def test_branches_by_samples_are_those_by_roots(loop):
-    """Samples stand for the roots of long polynomials; where both are quick they count the same stretches."""
-    beta = np.unique(np.concatenate([np.linspace(-0.3, 0.9, 61), np.linspace(-1e-2, 1e-2, 21)]))
-    exact, found = (counted_stretches(loop, known(loop), beta) for known in (exact_branches, sampled_branches))
-    np.testing.assert_array_equal(found.index, exact.index)
-    for name in ("low", "high"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(exact, name), rtol=1e-9 if loop in DEVICES else 1e-12, atol=1e-14
-        )
+def test_doubles_isolate_the_roots_that_integers_do(loop, monkeypatch):
+    """Integers alone, which know no rounding, find the same crossings and turns."""
+    caches = [
+        getattr(crossings, name)
+        for name in ("circle_condition", "branches", "stiffness_turns", "level_passings", "turning_dampings")
+    ]
+
+    def found():
+        for cache in caches:
+            cache.cache_clear()
+        return branches(loop).cells, turning_dampings(loop)
+
+    (*cells, gain), turns = found()
+    monkeypatch.setattr(crossings, "_isolated", lambda *_: None)
+    (*exact_cells, exact_gain), exact_turns = found()
+    np.testing.assert_array_equal(gain, exact_gain)
+    for ours, exact in zip([*cells, turns], [*exact_cells, exact_turns], strict=True):
+        np.testing.assert_allclose(ours, exact, rtol=1e-9, atol=1e-12)
+
+
+def test_coefficients_that_doubles_cannot_decide_are_decided_by_integers(monkeypatch):
+    """Roots that differ by 1e-9 behind a cloud of complex ones: no bound of rounding leaves a sign."""
+    decided = []
+    isolated = crossings._isolated
+    monkeypatch.setattr(
+        crossings, "_isolated", lambda *given: decided.append(isolated(*given) is not None) or isolated(*given)
+    )
+    with many_digits(200):
+        factors = [as_exact([-Decimal(root), Decimal(1)]) for root in ("0.3", "0.3000000001", "0.30000000021")]
+        cloud = [as_exact([Decimal(9) / 100 + Decimal(k) / 10**6, Decimal(-3) / 5, Decimal(1)]) for k in range(1, 12)]
+        found = positive_roots(product(*factors, *cloud), 200)
+    np.testing.assert_allclose(found.value, [0.3, 0.3000000001, 0.30000000021], rtol=1e-13)
+    assert False in decided
 
 
 @pytest.mark.parametrize(("samples", "delay", "gamma"), [(5, 2.0, 2e-4), (4, 1.5, 0.0), (9, 4.0, 2e-4), (3, 19.0, 0.0)])

@@ -12,9 +12,8 @@ from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.theory.boundary import boundary, has_islands, is_inside, robust_limits, stiffness_limit
-from pipeline.theory.circle import first_branch
-from pipeline.theory.crossings import stretches
+from pipeline.theory.boundary import boundary, first_branch, has_islands, is_inside, robust_limits, stiffness_limit
+from pipeline.theory.crossings import stable_intervals
 from pipeline.theory.poles import spectral_radius
 
 NYQUIST = math.pi**2
@@ -83,7 +82,7 @@ def check_extremes(loop: NormalisedLoop) -> None:
     beyond = companion_radius(loop, np.full(201, peak + 1e-7 * width), across).min()
     assert beyond > 1 + 1e-12 or has_islands(loop), loop
     alpha_at = float(stiffness_limit(loop, high - 1e-6 * (high - low))[0])
-    intervals = stretches(loop, np.array([high - 1e-6 * (high - low)]))
+    intervals = stable_intervals(loop, np.array([high - 1e-6 * (high - low)]))
     middle = float(0.5 * (intervals.low[0] + intervals.high[0]))
     assert stable_by_schur_cohn(characteristic(*values, middle, high - 1e-6 * (high - low))), loop
     along = -loop.gamma + width * np.append(np.linspace(0, 1.2, 160)[1:], np.logspace(-9, -1, 40))

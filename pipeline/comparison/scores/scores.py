@@ -15,7 +15,7 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.results import DampingScore, ExperimentResult, RegionScore, Scores, StiffnessScore
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside
-from pipeline.theory.crossings import stretches
+from pipeline.theory.crossings import stable_intervals
 from pipeline.theory.predictions import Theory
 
 
@@ -72,7 +72,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
     """Stable stiffness K >= 0 of theory at each damping; several stretches where the stable set has gaps."""
-    found = stretches(theory.normalised, damping / theory.units.damping)
+    found = stable_intervals(theory.normalised, damping / theory.units.damping)
     layer = np.arange(len(found.index)) - np.searchsorted(found.index, found.index)
     shape = (int(layer.max(initial=-1)) + 1, len(damping))
     low, high = np.zeros(shape), np.zeros(shape)
