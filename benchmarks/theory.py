@@ -29,6 +29,13 @@ ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""
 
 
+CACHES = [
+    getattr(crossings, name)
+    for name in ("circle_condition", "ends", "rounded", "branches", "level_passings", "first_branch")
+]
+"""What the boundary of a loop is computed from, once for each loop."""
+
+
 @dataclass(frozen=True)
 class Row:
     """One comparison: seconds of the other method and of ours, the ratio wanted, and the largest difference seen."""
@@ -62,7 +69,7 @@ def boundary_of_five_delays() -> Row:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
 
     def ours() -> list[np.ndarray]:
-        for known in (crossings.branches, crossings.circle_condition, crossings.ends, crossings.rounded):
+        for known in CACHES:
             known.cache_clear()
         return [stiffness_limit(NormalisedLoop.ideal(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
 

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
+from functools import lru_cache
+from itertools import accumulate
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -79,7 +82,11 @@ def product(*factors: Digits) -> Digits:
 
 def power(base: Digits, exponent: int) -> Digits:
     """Return a power of a polynomial."""
-    return product(as_exact([1]), *([base] * exponent))
+    result = as_exact([1])
+    for bit in bin(exponent)[2:]:
+        result = np.convolve(result, result)
+        result = np.convolve(result, base) if bit == "1" else result
+    return result
 
 
 def total(first: Digits, second: Digits) -> Digits:
@@ -101,10 +108,19 @@ def shifted(polynomial: Digits, by: int) -> Digits:
 
 def bilinear(polynomial: Digits, degree: int) -> Digits:
     """Return (1 - w)^degree p(z) as a polynomial in w, z = (1 + w)/(1 - w); the unit circle is w = j tan(theta/2)."""
-    # z = 2/(1 - w) - 1
-    by_y = shifted(np.append(polynomial, as_exact([0] * (degree + 1 - len(polynomial)))), -1)
-    scaled = by_y * as_exact([2**k for k in range(degree + 1)])
-    return np.asarray(shifted(scaled[::-1] * _signs(degree + 1), -1), dtype=object)
+    return np.asarray(_bilinear(degree)[:, : len(polynomial)] @ polynomial, dtype=object)
+
+
+@lru_cache(maxsize=64)
+def _bilinear(degree: int) -> Digits:
+    """Return the matrix whose columns are (1 + w)^k (1 - w)^(degree - k), lowest power first."""
+    row, columns = [(-1) ** i * comb(degree, i) for i in range(degree + 1)], []
+    for _ in range(degree + 1):
+        columns.append(row)
+        # times (1 + w)/(1 - w)
+        over = list(accumulate(row))[:degree]
+        row = [a + b for a, b in zip([*over, 0], [0, *over], strict=True)]
+    return as_exact(np.array(columns, dtype=object).T)
 
 
 def from_w(polynomial: Digits) -> Digits:

@@ -194,8 +194,6 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
     """Return the narrowed ends, before and behind, of where a room below zero at 0 is left; None where it is at no
     look and no top between.
     """
-    from scipy.optimize import minimize_scalar
-
     trail = [(0.0, at_0)]
     for behind in looks:
         over, edge = room(behind), behind
@@ -211,6 +209,8 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
             else:
                 trail.append((middle, found))
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
+            from scipy.optimize import minimize_scalar
+
             # rooms jump: between looks the wish may be reached, and left again
             ends = sorted((trail[-2][0], behind))
             options = {"maxiter": _TOP_LOOKS}

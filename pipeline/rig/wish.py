@@ -14,7 +14,8 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
-from pipeline.theory.boundary import first_branch, stiffness_limit
+from pipeline.theory.boundary import stiffness_limit
+from pipeline.theory.crossings import first_branch
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 

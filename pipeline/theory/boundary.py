@@ -16,11 +16,11 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.crossings import (
+    FirstBranch,
     angle_of,
     bisect,
-    branches,
     circle_points,
-    level_passings,
+    first_branch,
     place_of,
     polished,
     stable_intervals,
@@ -286,48 +286,14 @@ def stabilises(loop: NormalisedLoop) -> bool:
     return first_branch(loop) is not None or len(outline(loop, _FEWEST).beta) > 0
 
 
-@dataclass(frozen=True)
-class FirstBranch:
-    """The branch from alpha = -gamma at theta -> 0 to where it meets that line again; beta rises all along it.
-
-    Parameters
-    ----------
-    peak, end : float
-        Places of the largest alpha, and of its end.
-    start : float
-        beta at theta -> 0.
-    """
-
-    peak: float
-    end: float
-    start: float
-
-
-@lru_cache(maxsize=64)
-def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
-    """Return the first branch of a mass with damper and spring where it alone encloses what is stable."""
-    if len(loop.sampled.motion) > 3 or len(loop.sampled.filter) > 1:
-        return None
-    known = branches(loop)
-    _, high, beta_low, beta_high, _ = (column[0] for column in known.cells)
-    passings, turns = level_passings(loop, -loop.gamma), stiffness_turns(loop)
-    ends, peaks = (np.array([float(s.ln()) for s in found if s.ln() < high]) for found in (passings, turns))
-    if not (beta_low < beta_high and len(ends) and (peaks < ends[0]).sum() == 1):
-        return None
-    nodes = _nodes(loop).ravel()
-    last, found = float(circle_points(loop, ends[:1]).beta[0]), stable_intervals(loop, nodes)
-    inside = np.flatnonzero((nodes > beta_low) & (nodes < last))
-    alone = np.array_equal(found.index, inside) and (found.bounds == len(known.lines[0]) + 1).all()
-    return FirstBranch(float(peaks[0]), float(ends[0]), float(beta_low)) if alone else None
-
-
 def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
     """Boundary by the angle, whose largest damping is that of its end."""
     # cosine spacing: dense at both ends, where the branch meets the line alpha = -gamma
     share = 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
-    place = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end)
-    place = np.append(np.sort(np.append(place, first.peak)), first.end)
-    p, peak = circle_points(loop, place), circle_points(loop, np.array([first.peak]))
+    place, turns = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end), stiffness_turns(loop)
+    peak_at = np.log(turns[:1])
+    place = np.append(np.sort(np.append(place, peak_at)), first.end)
+    p, peak = circle_points(loop, place), circle_points(loop, peak_at)
     p.alpha[-1] = 0.0 - loop.gamma  # by definition of the end
     ends = float(p.beta[-1]), float(p.alpha[-1]), first.start
     return Boundary(p.alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)

@@ -47,8 +47,10 @@ FLOOR = 1e-300
 DEEPEST, NARROWEST = 160, 44
 """Halvings of an interval in doubles: in all, and below the leading digit of its place."""
 
-ROOT_WIDTH = 1e-13
-"""Relative width to which doubles enclose a root. Roots that are closer count as one place."""
+ENCLOSED = 1e-9
+"""Relative distance to either side of a root at which doubles have to know the sign."""
+
+_ENCLOSED = Decimal(ENCLOSED)
 
 MAX_STEPS = 200
 """More than the steps to any root or crossing: halving to rounding takes 60."""
@@ -58,6 +60,9 @@ _EXACT_HALVINGS = 200, 60
 
 _MIDDLE = Decimal("0.98765432101")
 """Value that separates small roots from large ones. It and its binary fractions are no root that filters have."""
+
+_TOGETHER = 1e-13
+"""Relative distance within which roots count as one place."""
 
 _NOISE_DIGITS = 20
 """Last digits of the coefficients that are rounding, relative to the largest."""
@@ -116,35 +121,25 @@ def value_in(node: Floats, share: float) -> tuple[float, float]:
 
 @inlined
 def enclosed_root(node: Floats, low: float, width: float) -> float:
-    """Return the one root of a node, or -1 where doubles enclose it no closer than `ROOT_WIDTH`."""
+    """Return the one root of a node, or -1 where doubles do not show it within `ENCLOSED` of it."""
     n = node.shape[1] - 1
     left, right, first, last = 0.0, 1.0, node[0, 0], node[0, n]
-    if not abs(first) > node[1, 0] or not abs(last) > node[1, n]:
-        return -1.0
-    upward = last > 0
+    upward, middle = last > 0, 0.5
     for step in range(MAX_STEPS):
-        if (right - left) * width <= 0.25 * ROOT_WIDTH * (low + left * width):
-            break
         middle = left + (right - left) * first / (first - last) if step % 3 else 0.5 * (left + right)
-        least = 0.1 * ROOT_WIDTH * (low + middle * width) / width
-        middle = min(max(middle, left + least), right - least)
-        value, error = value_in(node, middle)
-        if abs(value) <= error:
-            # the sign is unknown here: look on both sides, where it has to be known
-            gap = 0.4 * ROOT_WIDTH * (low + middle * width) / width
-            before, error_before = value_in(node, middle - gap)
-            after, error_after = value_in(node, middle + gap)
-            known = abs(before) > error_before and abs(after) > error_after
-            if known and (before > 0) != (after > 0):
-                return low + middle * width
-            if not known:
-                return -1.0
-            value = after
+        value, _ = value_in(node, middle)
+        if value == 0 or (right - left) * width <= EPSILON * low:
+            break
         if (value > 0) == upward:
             right, last, first = middle, value, 0.5 * first
         else:
             left, first, last = middle, value, 0.5 * last
-    return low + 0.5 * (left + right) * width
+    root = low + middle * width
+    aside = ENCLOSED * root / width
+    before, error_before = value_in(node, max(middle - aside, 0.0))
+    after, error_after = value_in(node, min(middle + aside, 1.0))
+    known = abs(before) > error_before and abs(after) > error_after and (before > 0) != (after > 0)
+    return root if known else -1.0
 
 
 @compiled("void(f8[:,:,::1],f8[:,::1],f8[::1],i8[::1])")
@@ -214,7 +209,7 @@ class Roots:
         return np.asarray(self.value[self.multiplicity % 2 == 1])
 
 
-def positive_roots(polynomial: Digits, digits: int) -> Roots:
+def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Roots:
     """Return all positive real roots of a polynomial.
 
     Parameters
@@ -223,10 +218,12 @@ def positive_roots(polynomial: Digits, digits: int) -> Roots:
         Coefficients, lowest power first.
     digits : int
         Digits to which the coefficients are known. The decimal context has as many.
+    sharp : bool
+        Whether roots are needed to the last digit of a double; to some 11 digits else.
 
     Notes
     -----
-    Roots that differ by less than `ROOT_WIDTH`, relatively, are one of their multiplicities' sum.
+    Roots that differ by less than 1e-13, relatively, are one of their multiplicities' sum.
     """
     largest = max((abs(c) for c in polynomial), default=Decimal(0))
     if largest == 0:
@@ -240,11 +237,11 @@ def positive_roots(polynomial: Digits, digits: int) -> Roots:
         return Roots(np.zeros(0), np.zeros(0, np.intp), sign)
     scaled = [c * _MIDDLE**k for k, c in enumerate(known)]
     middle = float(_MIDDLE)
-    roots = [(middle * root, m) for root, m in _roots_below_one(scaled, digits)]
-    roots += [(middle / root, m) for root, m in _roots_below_one(scaled[::-1], digits)]
+    roots = [(middle * root, m) for root, m in _roots_below_one(scaled, digits, sharp)]
+    roots += [(middle / root, m) for root, m in _roots_below_one(scaled[::-1], digits, sharp)]
     joined: list[tuple[float, int]] = []
     for root, multiplicity in sorted(roots):
-        if joined and root - joined[-1][0] <= ROOT_WIDTH * root:
+        if joined and root - joined[-1][0] <= _TOGETHER * root:
             root, multiplicity = joined[-1][0], multiplicity + joined.pop()[1]
         joined.append((root, multiplicity))
     return Roots(np.array([root for root, _ in joined]), np.array([m for _, m in joined], np.intp), sign)
@@ -257,12 +254,14 @@ def _bernstein(degree: int) -> Floats:
     return np.array(rows)
 
 
-def _roots_below_one(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
+def _roots_below_one(polynomial: list[Decimal], digits: int, sharp: bool) -> list[tuple[float, int]]:
     """Return the roots in (0, 1) and their multiplicities, in no order: in doubles where these decide."""
     values, matrix = np.array([float(c) for c in polynomial]), _bernstein(len(polynomial) - 1)
     errors = (len(values) + 3) * EPSILON * (matrix @ np.abs(values)) + FLOOR
     found = _isolated(np.array([matrix @ values, errors]), 0.0, 1.0)
-    return _exact_roots(polynomial, digits) if found is None else [(root, 1) for root in found.tolist()]
+    if found is None:
+        return _exact_roots(polynomial, digits)
+    return _sharpened(polynomial, found) if sharp else [(root, 1) for root in found.tolist()]
 
 
 def _isolated(node: Floats, low: float, width: float) -> Floats | None:
@@ -273,6 +272,19 @@ def _isolated(node: Floats, low: float, width: float) -> Floats | None:
     stack[0], places[0] = node, (low, width)
     isolate(stack, places, roots, count)
     return roots[: count[0]] if count[0] >= 0 else None
+
+
+def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, int]]:
+    """Return simple roots to the last digit of a double, by a step of Newton's method in many digits."""
+    result = []
+    for root in map(Decimal, roots.tolist()):
+        value = slope = Decimal(0)
+        for c in reversed(polynomial):
+            slope = slope * root + value
+            value = value * root + c
+        change = value / slope if slope else root
+        result.append((float(root - change if abs(change) <= _ENCLOSED * root else root), 1))
+    return result
 
 
 def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
@@ -293,7 +305,7 @@ def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, in
         values = np.array([c / (size * chance) for c, chance in zip(over, chances, strict=True)])
         roots = _isolated(np.array([values, EPSILON * np.abs(values) + FLOOR]), float(low), float(width))
         if roots is not None:
-            found += [(root, 1) for root in roots.tolist()]
+            found += _sharpened([Decimal(c) for c in whole], roots)
         elif changes == 1 or depth == deepest or place.bit_length() > finest:
             found.append((float(_refined(as_exact(whole), low, low + width, changes)), changes))
         else:
@@ -552,8 +564,17 @@ NO_WALL = 1e-8
 """Largest alpha and beta that the least loss of a mode may keep stable, however light its near side; far below those of
 any wall."""
 
-CONVERGED, NARROW = 1e-8, 1e-15
-"""Newton step in ln s after which the next one is below rounding, and relative width of a bracket that is rounding."""
+CONVERGED, STRAIGHT, NARROW = 1e-8, 0.01, 1e-15
+"""Newton step in ln s, and relative change of the slope, after which the next one is below rounding; relative width of
+a bracket that is rounding."""
+
+
+def value_of(polynomial: Digits, x: Decimal) -> Decimal:
+    """Return a polynomial at a place."""
+    value = Decimal(0)
+    for c in polynomial[::-1].tolist():
+        value = value * x + c
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -582,8 +603,9 @@ class CircleCondition:
         return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
-        """Return beta at a place that is no pole of it."""
-        return Decimal(-polyval(s, self.twist) / ((1 + s) ** self.delay * polyval(s, self.turn)))
+        """Return beta at a place; infinity at its poles."""
+        bottom = value_of(self.turn, s)
+        return -value_of(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
 
     def alpha(self, s: Decimal, beta: Decimal) -> Decimal:
         """Return alpha at a place for its beta."""
@@ -600,7 +622,7 @@ def circle_condition(loop: NormalisedLoop) -> CircleCondition:
         inverse = product(power(one_more, 2 * g.delay), g.motion, _mirrored(g.force))
         top, bottom = product(two_w, g.velocity), product(one_more, g.filter)
         rate = product(top, _mirrored(bottom))
-        size, square = _even(product(g.force, _mirrored(g.force))), _even(product(bottom, _mirrored(bottom)))
+        size, square = squared(g.force), squared(bottom)
         stretch, level = _even(inverse), _even(rate)
         free, inverse, rate = _without_shared(_odd(inverse), _odd(rate), loop.digits)
         rise = total(product(inverse, level), -product(stretch, rate))
@@ -623,6 +645,11 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
             shared.append(root)
             first, second = (polydiv(part, as_exact([-root, 1]))[0] for part in (first, second))
     return shared, first, second
+
+
+def squared(polynomial: Digits) -> Digits:
+    """Return the square of the size of a polynomial in w on the circle, as a polynomial in s."""
+    return _even(product(polynomial, _mirrored(polynomial)))
 
 
 def _mirrored(polynomial: Digits) -> Digits:
@@ -669,7 +696,7 @@ def branches(loop: NormalisedLoop) -> Branches:
     """Return all crossings of a loop."""
     c, known = circle_condition(loop), ends(loop)
     with many_digits(loop.digits):
-        poles, turning = (positive_roots(part, loop.digits) for part in (c.rate, c.bend(c.twist)))
+        poles, turning = positive_roots(c.rate, loop.digits), positive_roots(c.bend(c.twist), loop.digits, sharp=False)
         free = np.array([float(root) for root in dict.fromkeys(c.free)])
         inner = np.concatenate([_no_poles(np.append(turning.passed, free), poles), poles.value])
         inner = np.unique(inner[(inner > _END) & (inner < 1 / _END)])
@@ -693,7 +720,7 @@ def branches(loop: NormalisedLoop) -> Branches:
 
 def _no_poles(roots: Floats, poles: Roots) -> Floats:
     """Return the roots that are no poles of beta."""
-    return roots[(np.abs(roots[:, None] - poles.value) > ROOT_WIDTH * poles.value).all(axis=1)]
+    return roots[(np.abs(roots[:, None] - poles.value) > _TOGETHER * poles.value).all(axis=1)]
 
 
 def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
@@ -705,12 +732,12 @@ def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
 
 
 def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
-    """Return beta at places s, infinite at its poles, to the last digit of a double."""
-    return np.array([float(c.beta(s)) if polyval(s, c.turn) else np.inf for s in roots])
+    """Return beta at places s, to the last digit of a double."""
+    return np.array([float(c.beta(s)) for s in roots])
 
 
 @lru_cache(maxsize=64)
-def stiffness_turns(loop: NormalisedLoop) -> tuple[Decimal, ...]:
+def stiffness_turns(loop: NormalisedLoop) -> Floats:
     """Return the s, in order, at which alpha has an extremum along a branch."""
     c = circle_condition(loop)
     with many_digits(loop.digits):
@@ -718,7 +745,7 @@ def stiffness_turns(loop: NormalisedLoop) -> tuple[Decimal, ...]:
 
 
 @lru_cache(maxsize=64)
-def level_passings(loop: NormalisedLoop, level: float) -> tuple[Decimal, ...]:
+def level_passings(loop: NormalisedLoop, level: float) -> Floats:
     """Return the s, in order, at which alpha passes a level along a branch."""
     c = circle_condition(loop)
     with many_digits(loop.digits):
@@ -726,17 +753,11 @@ def level_passings(loop: NormalisedLoop, level: float) -> tuple[Decimal, ...]:
         return _passed(loop, total(c.rise, -Decimal(level) * whole))
 
 
-def _passed(loop: NormalisedLoop, polynomial: Digits) -> tuple[Decimal, ...]:
-    """Return the roots at which a polynomial changes its sign and that are no poles of beta, in many digits."""
+def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
+    """Return the roots at which a polynomial changes its sign and that are no poles of beta."""
     found, poles = (positive_roots(part, loop.digits) for part in (polynomial, circle_condition(loop).turn))
-    slope, result = polyder(polynomial), []
-    for root in as_exact(_no_poles(found.passed, poles)):
-        if not _END < root < 1 / _END:
-            continue
-        rate = polyval(root, slope)
-        change = polyval(root, polynomial) / rate if rate else root
-        result.append(root - change if abs(change) <= Decimal(ROOT_WIDTH) * root else root)
-    return tuple(result)
+    roots = _no_poles(found.passed, poles)
+    return roots[(roots > _END) & (roots < 1 / _END)]
 
 
 @lru_cache(maxsize=64)
@@ -748,11 +769,11 @@ def turning_dampings(loop: NormalisedLoop) -> Floats:
     two branches cross, lie between.
     """
     b, levels = branches(loop), sorted({0.0, -loop.gamma})
-    turns = [*stiffness_turns(loop), *(s for level in levels for s in level_passings(loop, level))]
+    turns = np.concatenate([stiffness_turns(loop), *(level_passings(loop, level) for level in levels)])
     (_, _, low, high, _), (alpha, slope, *_) = b.cells, b.lines
     with np.errstate(divide="ignore", invalid="ignore"), many_digits(loop.digits):
         passing = [(alpha - level) / slope for level in levels]
-        found = np.concatenate([_dampings(circle_condition(loop), turns), low, high, *passing])
+        found = np.concatenate([_dampings(circle_condition(loop), map(Decimal, turns.tolist())), low, high, *passing])
     return np.unique(found[np.isfinite(found)])
 
 
@@ -775,9 +796,9 @@ def solved(
     if not low < place < high:  # at an infinite end halves
         place = 0.5 * (low + high)
     alpha, slope = 0.0, 0.0
-    for _ in range(MAX_STEPS):
+    for number in range(MAX_STEPS):
         inverse, rate, inverse_slope, rate_slope = on_circle_at(polynomials, delay, place)
-        there = inverse.imag / rate.imag
+        there, former = inverse.imag / rate.imag, slope
         slope = (inverse_slope.imag - there * rate_slope.imag) / rate.imag
         miss, before = there - beta, place
         low, high = (low, before) if (miss > 0) == (beta_high > beta_low) else (before, high)
@@ -785,7 +806,9 @@ def solved(
         newton = low <= place <= high
         if not newton:
             place = 0.5 * (low + high)
-        if miss == 0 or (newton and abs(place - before) <= CONVERGED) or high - low <= NARROW * abs(high):
+        # next to a pole of beta steps are short at first, and double
+        ends = newton and abs(place - before) <= CONVERGED and abs(slope - former) <= STRAIGHT * abs(slope)
+        if miss == 0 or ends or high - low <= NARROW * abs(high) or number == MAX_STEPS - 1:
             step = place - before
             alpha = inverse.real - beta * rate.real + step * (inverse_slope.real - beta * rate_slope.real)
             break
@@ -874,7 +897,13 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
     loop : NormalisedLoop
     beta : float64, shape (n,)
     """
-    b = branches(loop)
+    known = branches(loop)
+    if first_branch(loop) is not None:  # inside it no pole is unstable, and nothing is stable elsewhere
+        known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
+    return _counted_intervals(loop, known, beta)
+
+
+def _counted_intervals(loop: NormalisedLoop, b: Branches, beta: Floats) -> StableIntervals:
     cells = len(b.cells[0])
     most = cells + len(b.lines[0]) + 1
     out = np.full((3, cells), np.nan), np.empty((4, most)), np.empty((len(beta) * most, 6))
@@ -882,6 +911,45 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
     count_intervals(rounded(loop), about, b.cells, b.lines, np.ascontiguousarray(beta), out, count)
     index, low, high, low_at, high_at, bounds = out[2][: count[0]].T.copy()
     return StableIntervals(index.astype(np.intp), low, high, low_at, high_at, bounds.astype(np.intp))
+
+
+@dataclass(frozen=True)
+class FirstBranch:
+    """The branch from alpha = -gamma at theta -> 0 to where it meets that line again; beta rises all along it.
+
+    Parameters
+    ----------
+    start : float
+        beta at theta -> 0.
+    end : float
+        Place of its end.
+    """
+
+    start: float
+    end: float
+
+
+_SIDES = np.array([1e-9, 0.5, 1 - 1e-9])
+"""Places between two dampings at which branches turn, at which stable intervals are counted."""
+
+
+@lru_cache(maxsize=512)
+def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
+    """Return the first branch of a mass with damper and spring where it alone encloses what is stable."""
+    b, ends = branches(loop), level_passings(loop, -loop.gamma)
+    _, high, start, top, gain = (column[0] for column in b.cells)
+    plain = len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1
+    if not (plain and start < top and gain > 0 and len(ends) and math.log(ends[0]) < high):
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"), many_digits(loop.digits):
+        passings = _dampings(circle_condition(loop), map(Decimal, ends.tolist()))
+        found = np.concatenate([passings, b.cells[2], b.cells[3], (b.lines[0] + loop.gamma) / b.lines[1]])
+    turning = np.unique(found[np.isfinite(found)])
+    nodes = (turning[:-1, None] + np.diff(turning)[:, None] * _SIDES).ravel()
+    intervals = _counted_intervals(loop, b, nodes)
+    alone = np.array_equal(intervals.index, np.flatnonzero((nodes > start) & (nodes < passings[0])))
+    alone = alone and bool((intervals.bounds == len(b.lines[0]) + 1).all())
+    return FirstBranch(float(start), math.log(ends[0])) if alone else None
 
 
 def _has_no_loss(loop: NormalisedLoop) -> bool:

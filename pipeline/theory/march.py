@@ -341,6 +341,21 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
     return False
 
 
+@compiled(f"void({MODAL},UniTuple(f8[::1],2),Tuple((c16[::1],c16[:,::1],b1[::1],f8[::1])))")
+def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
+    """Set z - 1 of all poles of each wall, and whether they are known.
+
+    ``out``: those of a first wall, from which each search begins and which are replaced; poles, shape (n, states);
+    whether they are known, shape (n,); an array that is used.
+    """
+    guess, zeta, known, forces = out
+    for n in range(len(known)):
+        copy(guess, zeta[n])
+        known[n] = roots(modal, (walls[0][n], walls[1][n]), zeta[n], forces)
+        if known[n]:
+            copy(zeta[n], guess)
+
+
 @inlined
 def upper_half(zeta: Floats) -> int:
     """Move real poles and those above the real axis to the front; return how many, 0 if the others are no pairs."""

@@ -5,7 +5,7 @@ Source: Hulin 2017, secs. 3.4, 3.5 and 5.1; margins are ours.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import reduce
@@ -17,18 +17,40 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats
-from pipeline.theory.crossings import bisect, inverse_and_rate, place_of
+from pipeline.theory import march, modes
+from pipeline.theory.crossings import (
+    Complexes,
+    angle_of,
+    bisect,
+    circle_condition,
+    inverse_and_rate,
+    positive_roots,
+    squared,
+)
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
 
+_FEW = 32
+"""Points up to which eigenvalues are quicker than the polynomials of a loop."""
 
-def poles(loop: NormalisedLoop, alpha: object, beta: object) -> np.ndarray:
-    """Return all poles z of each point, shape (n, states), complex, in no order."""
+
+def poles(loop: NormalisedLoop, alpha: object, beta: object) -> Complexes:
+    """Return all poles z of each point, shape (n, states), complex, in no order.
+
+    By the roots of the characteristic polynomial, from those of the point before; where these are not found, and for a
+    few points, by eigenvalues.
+    """
     a, b = as_points(alpha, beta)
-    found = np.empty((len(a), loop.states), dtype=np.complex128)
-    for i in range(0, len(a), _CHUNK):
-        part = slice(i, i + _CHUNK)
+    found, left = np.empty((len(a), loop.states), np.complex128), np.arange(len(a))
+    if len(a) > _FEW and len(modal := modes.polynomials(loop)[0]):
+        known, guess = np.empty(len(a), np.bool_), np.linalg.eigvals(loop.matrix(a[:1], b[:1]))[0] - 1.0 + 0j
+        walls, work = (np.ascontiguousarray(a), np.ascontiguousarray(b)), np.empty(len(modal))
+        with np.errstate(all="ignore"):  # of a search that fails
+            march.poles_of_walls(modes.polynomials(loop), walls, (guess, found, known, work))
+        found += 1.0
+        left = np.flatnonzero(~known)
+    for part in (left[i : i + _CHUNK] for i in range(0, len(left), _CHUNK)):
         found[part] = np.linalg.eigvals(loop.matrix(a[part], b[part]))
     return found
 
@@ -190,11 +212,8 @@ def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
     return free, product(force, bottom), product(force, two_w, g.velocity)
 
 
-_PLACES = 4000
-"""Angles over the range of the first look; beside these some at each pole of the open loop."""
-
-_SMALLEST = 1e-7
-"""Smallest angle that is looked at [rad/sample]."""
+_HALF_RATE = 82.0
+"""Place of half the sampling rate, ln s."""
 
 _DELAYS = 24
 """Steps up to the delay margin that the phase margin stands for, at which stability is looked at."""
@@ -254,27 +273,22 @@ def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
     if not is_stable(loop, alpha, beta)[0]:
         raise ParameterError("this wall is unstable: it has no margins.")
 
-    def response(angle: Floats) -> np.ndarray:
-        inverse, rate = inverse_and_rate(loop, place_of(angle))[0]
+    real, unit, slow = (np.log(roots) for roots in _margin_roots(loop, alpha, beta))
+
+    def response(place: Floats) -> Complexes:
+        inverse, rate = inverse_and_rate(loop, place)[0]
         return np.asarray(-(alpha + beta * rate) / inverse)
 
-    def compliance(angle: Floats) -> Floats:
-        inverse, rate = inverse_and_rate(loop, place_of(angle))[0]
-        return np.asarray(np.abs((alpha + loop.gamma) / (alpha + beta * rate - inverse)))
-
-    angle = _angles(loop)
-    real = response(_crossings(lambda a: response(a).imag, angle)).real
-    factors = -1 / np.append(real, response(np.array([np.pi * (1 - 1e-9)])).real)
-    factors = factors[_on_limit(loop, alpha, beta, factors)]
-    unit = _crossings(lambda a: np.abs(response(a)) - 1, angle)
-    phases = np.angle(-response(unit))
-    slow = _crossings(lambda a: compliance(a) - np.sqrt(0.5), angle)
+    with np.errstate(divide="ignore"):
+        factors = -1 / response(np.append(real, _HALF_RATE)).real
+    factors = factors[np.isfinite(factors)]
+    angle, phases = angle_of(unit), np.angle(-response(unit))
     return Margins(
         gain=_first(factors[factors > 1], min),
         gain_down=_first(factors[(factors < 1) & (factors > 0)], max),
         phase=_first(np.abs(phases), min),
-        delay=_added_delay(loop, alpha, beta, np.mod(phases, 2 * np.pi) / unit),
-        bandwidth=_first(slow, min),
+        delay=_added_delay(loop, alpha, beta, np.mod(phases, 2 * np.pi) / angle),
+        bandwidth=_first(angle_of(slow), min),
     )
 
 
@@ -282,29 +296,21 @@ def _first(values: Floats, which: Callable[[Floats], float]) -> float | None:
     return float(which(values)) if len(values) else None
 
 
-def _angles(loop: NormalisedLoop) -> Floats:
-    poles = np.linalg.eigvals(loop.open_loop[0])
-    near = np.abs(np.angle(poles))[:, None] + (1 - np.abs(poles))[:, None] * np.sinh(np.linspace(-6, 6, 41))
-    even = np.linspace(0, np.pi, int(64 * (loop.delay + 2)))
-    found = np.concatenate([np.geomspace(_SMALLEST, np.pi, _PLACES), even, near.ravel()])
-    return np.unique(found[(found >= _SMALLEST) & (found < np.pi * (1 - 1e-9))])
-
-
-def _crossings(function: Callable[[Floats], Floats], angle: Floats) -> Floats:
-    """Return the angles at which a function changes sign."""
-    positive = function(angle) > 0
-    at = np.flatnonzero(positive[1:] != positive[:-1])
-    good, bad = (np.where(positive[at] == side, angle[at], angle[at + 1]) for side in (True, False))
-    return np.asarray(bisect(lambda a: function(a) > 0, good, bad)[0])
-
-
-def _on_limit(loop: NormalisedLoop, alpha: float, beta: float, factors: Floats) -> np.ndarray:
-    """Return which factors put a pole on the unit circle: not changes of sign at poles of the response."""
-    usable = np.isfinite(factors) & (factors > 0)
-    poles = np.linalg.eigvals(loop.matrix(alpha * factors[usable], beta * factors[usable]))
-    result = usable.copy()
-    result[usable] = (np.abs(np.abs(poles) - 1) < 1e-6).any(axis=1)
-    return result
+def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[Floats]:
+    """Yield the s at which the loop's response is real, is of size 1, and at which the bandwidth ends."""
+    c, g = circle_condition(loop), loop.sampled
+    with many_digits(loop.digits):
+        a, b, one_more = Decimal(alpha), Decimal(beta), as_exact([1, 1])
+        crossing = positive_roots(total(a * c.twist, b * c.rise), loop.digits)
+        yield np.append(crossing.passed, [float(root) for root in c.free])
+        wall = total(a * product(one_more, g.filter), b * product(as_exact([0, 2]), g.velocity))
+        unit = total(product(squared(wall), c.size), -product(squared(g.motion), c.filter))
+        yield positive_roots(unit, loop.digits).passed
+        free, stiff, damped = characteristic_parts(loop)
+        closed = squared(total(total(free, a * stiff), b * damped))
+        rest = product(power(one_more, c.delay), c.size, c.filter)
+        level = 2 * (a + Decimal(loop.gamma)) ** 2
+        yield positive_roots(total(closed, -level * rest), loop.digits).passed
 
 
 def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:

@@ -12,8 +12,8 @@ from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.theory.boundary import boundary, first_branch, has_islands, is_inside, robust_limits, stiffness_limit
-from pipeline.theory.crossings import stable_intervals
+from pipeline.theory.boundary import boundary, has_islands, is_inside, robust_limits, stiffness_limit
+from pipeline.theory.crossings import first_branch, stable_intervals
 from pipeline.theory.poles import spectral_radius
 
 NYQUIST = math.pi**2
