@@ -34,7 +34,6 @@ SHARES = 0.5 * (NODES + 1)
 LOOKS = 4
 """Parts of a stretch with constant force in which turning points are looked for, and over which is integrated."""
 
-COSTS = tuple(name for name in POINT_COSTS if not name.startswith("energy_impulse"))
 TOLERANCE = {"settle": 1e-10, "overshoot": 1e-9, "energy": 1e-9}
 """Largest differences relative to a cost, or to 1 where it is less."""
 
@@ -59,17 +58,22 @@ class Stretch:
 
 
 class Simulation:
-    """A step response behind a wall, followed to its end."""
+    """A step or impulse response behind a wall, followed to its end; that of a step ends at 1, of an impulse at 0."""
 
-    def __init__(self, plain: Plain, K: float, B: float, samples: int):
-        self.plain, self.K, self.period = plain, K, plain.period
+    def __init__(self, plain: Plain, K: float, B: float, samples: int, signal: str = "step"):
+        self.plain, self.signal, self.period = plain, signal, plain.period
+        stiff = (K + plain.stiffness) * plain.period**2 / plain.mass
+        whole = plain.mass / plain.period  # of a unit momentum, in masses per period
+        self.final, self.weights = (1.0, (1.0, 1 / stiff)) if signal == "step" else (0.0, (stiff * whole**2, whole**2))
         wall, nothing, unit = (np.array([K]), np.array([B])), np.zeros((1, plain.size)), np.eye(plain.size)
-        *pushes, push = plain.sample(nothing, *wall, K + plain.stiffness)
+        *pushes, push = plain.sample(nothing, *wall, (K + plain.stiffness) * self.final)
         *maps, step = plain.sample(unit, *wall, 0.0)
         states = np.zeros((samples, plain.size))
+        if signal == "impulse":
+            states[0, 1] = 1 / (plain.mass - (plain.mode[0] if plain.mode else 0.0))
         for k in range(samples - 1):
             states[k + 1] = states[k] @ step + push[0]
-        self.sampled = states[:, plain.sensed] - 1
+        self.sampled = states[:, plain.sensed] - self.final
         parts, begins, lengths, begin = [], [], [], np.arange(float(samples))
         for linear, constant, (duration, _) in zip(maps, pushes, plain.holds, strict=True):
             start, length = states @ linear + constant, duration / LOOKS
@@ -116,18 +120,19 @@ class Simulation:
         return found | self.energies()
 
     def energies(self) -> dict[str, float]:
-        stiff = (self.K + self.plain.stiffness) * self.period**2 / self.plain.mass
-        k, step = np.arange(len(self.sampled)), np.diff(self.sampled, prepend=self.sampled[0])
-        discrete, sums = self.sampled**2 + step**2 / stiff, np.zeros(3)
+        k, step, (potential, kinetic) = np.arange(len(self.sampled)), np.diff(self.sampled), self.weights
+        discrete, sums = potential * self.sampled**2, np.zeros(3)
+        discrete[1:] += kinetic * step**2
         for length in np.unique(self.lengths):
             some = self.lengths == length
             for share, weight in zip(SHARES, 0.5 * WEIGHTS, strict=True):
                 states = self.states[some] @ self.moves(length * share).T
-                away = states[:, self.plain.sensed] - 1
-                energy = away**2 + (states[:, self.plain.sensed + 1] * self.period) ** 2 / stiff
+                away = states[:, self.plain.sensed] - self.final
+                energy = potential * away**2 + kinetic * (states[:, self.plain.sensed + 1] * self.period) ** 2
                 sums += [np.sum(weight * length * (self.begins[some] + length * share) ** w * energy) for w in range(3)]
-        found = {f"energy_step_w{w}": float(sums[w]) for w in range(3)}
-        return found | {f"energy_step_w{w}_discrete": float(k.astype(float) ** w @ discrete) for w in range(3)}
+        name = f"energy_{self.signal}_w"
+        found = {f"{name}{w}": float(sums[w]) for w in range(3)}
+        return found | {f"{name}{w}_discrete": float(k.astype(float) ** w @ discrete) for w in range(3)}
 
 
 def a_wall(plain: Plain, rng: np.random.Generator) -> tuple[float, float, float] | None:
@@ -147,7 +152,8 @@ def deviations(seed: int) -> dict[str, float]:
         return {}
     K, B, radius = wall
     samples = int(60 + 3 * plain.delay + 34 / -np.log(radius))
-    truth, answer = Simulation(plain, K, B, samples).costs(), loop.points(K, B, COSTS).iloc[0]
+    truth, answer = Simulation(plain, K, B, samples).costs(), loop.points(K, B, POINT_COSTS).iloc[0]
+    truth |= Simulation(plain, K, B, samples, "impulse").energies()
     return {name: abs(answer[name] - value) / max(1.0, abs(value)) for name, value in truth.items()}
 
 
@@ -162,7 +168,7 @@ def check(seeds: range) -> None:
             assert off <= TOLERANCE[name.split("_")[0]], (seed, name, off)
     print(count, {name: f"{off:.1e}" for name, off in largest.items()})
     assert count > 0.5 * len(seeds)
-    assert len(largest) == len(COSTS)
+    assert len(largest) == len(POINT_COSTS)
 
 
 def test_costs_of_random_loops_equal_a_fine_simulation():
