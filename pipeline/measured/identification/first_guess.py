@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 
 from pipeline.base.errors import ParameterError
@@ -21,6 +23,9 @@ ALIKE = 0.7
 MIRRORED = 2.0
 """Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
 wrong, below 0 where it is right."""
+
+ROUNDED = 1e-12
+"""Least eigenvalue of a scaled matrix of normal equations, relative to the largest; what is less is rounding."""
 
 SMALLEST_SHARE = 1e-6
 """Share of a column, as the square root of that of `numpy.linalg.lstsq`, below which it is rounding of the others."""
@@ -42,11 +47,12 @@ MOST_SEGMENTS = 60
 """Segments that are balanced, spread over all."""
 
 
-def first_guess(segments: Segments, names: tuple[str, ...], most_delay: float) -> Device:
-    """Return a device from which a search starts: the best integer delay for the twice integrated balance of forces.
+def first_guesses(segments: Segments, names: tuple[str, ...], most_delay: float) -> list[Device]:
+    """Return devices from which a search starts: the best integer delay for the twice integrated balance of forces.
 
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
-    from the segment's start: linear, and errors of readings enter almost undisturbed.
+    from the segment's start: linear, and errors of readings enter almost undisturbed. The second device is that
+    without a spring, where one moves along its command.
 
     Raises
     ------
@@ -55,39 +61,46 @@ def first_guess(segments: Segments, names: tuple[str, ...], most_delay: float) -
     """
     some = segments.select(spread(segments, MOST_SEGMENTS))
     known = [name for name in BALANCED if name in names]
-    noise = np.asarray(some.rows * some.white, dtype=np.float64)
-    once = _way(some)
-    tried: list[tuple[float, dict[str, float]]] = []
-    signs: list[Floats] = []
-    for delay in np.arange(0.0, most_delay + 0.5) if "delay" in names else (0.0,):
-        products = _balances(some, known, float(delay), once)
-        moved = products[:, -1, -1]
-        seen = moved > (VISIBLE * noise if (moved > VISIBLE * noise).any() else 0.0)
-        if not seen.any():
-            raise ParameterError(RESTING)
-        products, floor = products[seen], noise[seen]
-        best, left, weight = _robust(products)
-        if best[known.index("gain")] < 0:
-            # late by half a period, or over rows far apart, a motion is that of a force the other way round as well
-            fits = [_bounded(products, weight, tuple(known), sign) for sign in (1.0, -1.0, 0.0)]
-            signs.append(np.array([_left(products, each, floor) for each in fits]))
-            best, left = fits[0], _left(products, fits[0])
-            if best[known.index("gain")] == 0:
-                left = np.inf
-        else:
-            signs.append(np.array([_left(products, best, floor), np.inf, np.inf]))
-        tried.append((left, dict(zip(known, best.tolist(), strict=True)) | {"delay": delay}))
-    lefts = np.array([left for left, _ in tried])
-    along, against, unmoved = np.min(signs, axis=0).tolist()
+    noise, once = np.asarray(some.rows * some.white, dtype=np.float64), _way(some)
+    delays = np.arange(0.0, most_delay + 0.5) if "delay" in names else np.zeros(1)
+    products = np.stack([_balances(some, known, delay, once) for delay in delays.tolist()])
+    moved = products[0, :, -1, -1]
+    seen = moved > (VISIBLE * noise if (moved > VISIBLE * noise).any() else 0.0)
+    if not seen.any():
+        raise ParameterError(RESTING)
+    products, floor = products[:, seen], noise[seen]
+    guesses = [_guess(products, known, delays, floor)]
+    if "gamma" in known:
+        free = [place for place, name in enumerate([*known, "position"]) if name != "gamma"]
+        with suppress(ParameterError):
+            rigid = [name for name in known if name != "gamma"]
+            guesses.append(_guess(products[:, :, free][..., free], rigid, delays, floor))
+    start = dict.fromkeys(names, 0.0) | {"gain": 1e-3, "lag": 0.5}
+    limits = {name: LIMITS.get(name, (-np.inf, np.inf)) for name in names}
+    return [Device({name: float(np.clip((start | each)[name], *limits[name])) for name in names}) for each in guesses]
+
+
+def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) -> dict[str, float]:
+    """Return the numbers of the balance with the best delay; none where there is no motion along the command."""
+    numbers, lefts, weights = _robust(products)
+    gain = names.index("gain")
+    signs = np.stack([_left(products, numbers, floor), *np.full((2, len(delays)), np.inf)], axis=1)
+    for place in np.flatnonzero(numbers[:, gain] < 0).tolist():
+        # late by half a period, or over rows far apart, a motion is that of a force the other way round as well
+        fits = np.stack([_bounded(products[place], weights[place], names, sign) for sign in (1.0, -1.0, 0.0)])
+        signs[place] = _left(products[place], fits, floor)
+        numbers[place] = fits[0]
+        lefts[place] = _left(products[place], fits[:1])[0] if fits[0, gain] else np.inf
+    along, against, unmoved = signs.min(axis=0).tolist()
     if against < min(along, unmoved, 0.0) - MIRRORED:
         raise ParameterError(
             "the device moves against its command, so that one of the two has the wrong sign. Set the other `sign` of "
             "columns.command in the profile"
         )
     first = shortest(lefts)
-    start = tried[first][1] if np.isfinite(lefts[first]) else {}
-    start = dict.fromkeys(names, 0.0) | {"gain": 1e-3, "lag": 0.5} | start
-    return Device({name: float(np.clip(start[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
+    if not np.isfinite(lefts[first]):
+        return {}
+    return dict(zip(names, numbers[first].tolist(), strict=True)) | {"delay": float(delays[first])}
 
 
 def _way(segments: Segments) -> Floats:
@@ -146,48 +159,54 @@ def shortest(lefts: Floats) -> int:
     return first
 
 
-def _robust(products: Floats) -> tuple[Floats, float, Floats]:
+def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
     """Return least squares over segments, the logarithm of the share of the motion that is left, and the weights.
 
-    A segment of which much more is left than of most has little weight. The share is a mean over segments by how far
-    they move, up to what most of them do: one that grows without bound would decide alone.
+    Of products (D, S, k + 1, k + 1) for D delays: shapes (D, k), (D,) and (D, S). A segment of which much more is left
+    than of most has little weight. The share is a mean over segments by how far they move, up to what most of them do:
+    one that grows without bound would decide alone.
     """
-    way = _ways(products)
-    weight = np.ones(len(products))
+    way, weight = _ways(products), np.ones(products.shape[:2])
     for _ in range(ROBUST_ROUNDS):
-        total = (products * weight[:, None, None]).sum(axis=0)
+        total = np.einsum("ds,dsij->dij", weight, products)
         # columns of unit size: the integrals of long segments differ by many orders
-        scale = 1 / np.sqrt(np.maximum(np.diagonal(total)[:-1], 1e-300))
-        scaled = total[:-1, :-1] * scale[:, None] * scale[None, :]
-        found = scale * np.linalg.lstsq(scaled, scale * total[:-1, -1], rcond=1e-12)[0]
-        whole = np.append(-found, 1.0)
-        left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), 1e-300)
-        order = np.argsort(left)
-        reached = int(np.searchsorted(np.cumsum(way[order]), 0.5))
-        middle = float(left[order[min(reached, len(left) - 1)]])
+        scale = 1 / np.sqrt(np.maximum(np.einsum("dii->di", total)[:, :-1], 1e-300))
+        values, vectors = np.linalg.eigh(total[:, :-1, :-1] * scale[:, :, None] * scale[:, None, :])
+        known = values > ROUNDED * values.max(axis=1, keepdims=True)
+        along = np.einsum("dij,di->dj", vectors, scale * total[:, :-1, -1]) / np.where(known, values, np.inf)
+        found = scale * np.einsum("dij,dj->di", vectors, along)
+        left = _rest(products, found)
+        order = np.argsort(left, axis=1)
+        reached = (np.cumsum(np.take_along_axis(way, order, axis=1), axis=1) < 0.5).sum(axis=1, keepdims=True)
+        place = np.take_along_axis(order, np.minimum(reached, left.shape[1] - 1), axis=1)
+        middle = np.take_along_axis(left, place, axis=1)
         weight = middle / (middle + left)
     return found, _left(products, found), weight
 
 
+def _rest(products: Floats, found: Floats) -> Floats:
+    """Return the squares that numbers (..., k) leave of each segment, (..., S)."""
+    whole = np.concatenate([-found, np.ones((*found.shape[:-1], 1))], axis=-1)
+    return np.asarray(np.maximum(np.einsum("...i,...tij,...j->...t", whole, products, whole), 1e-300))
+
+
 def _ways(products: Floats) -> Floats:
     """Return the weight of each segment in a mean: how far it moves, up to the median, with a sum of 1."""
-    way = np.sqrt(products[:, -1, -1])
-    way = np.minimum(way, np.median(way))
-    return np.asarray(way / max(float(way.sum()), 1e-300))
+    way = np.sqrt(products[..., -1, -1])
+    way = np.minimum(way, np.median(way, axis=-1, keepdims=True))
+    return np.asarray(way / np.maximum(way.sum(axis=-1, keepdims=True), 1e-300))
 
 
-def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> float:
-    """Return the mean logarithm of the share of the motion of segments that a balance of forces leaves.
+def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> Floats:
+    """Return the mean logarithm of the share of the motion of segments that each balance of forces leaves.
 
     ``floor`` is what the noise of readings leaves at least of each.
     """
-    whole = np.append(-found, 1.0)
-    left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), floor)
-    moved = np.maximum(products[:, -1, -1], floor)
-    return float(_ways(products) @ np.log(np.maximum(left, 1e-300) / np.maximum(moved, 1e-300)))
+    left, moved = np.maximum(_rest(products, found), floor), np.maximum(products[..., -1, -1], floor)
+    return np.asarray((_ways(products) * np.log(left / np.maximum(moved, 1e-300))).sum(axis=-1))
 
 
-def _bounded(products: Floats, weight: Floats, names: tuple[str, ...], sign: float) -> Floats:
+def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) -> Floats:
     """Return least squares over segments for a gain of one sign, or of 0, and no negative friction.
 
     Damping, stiffness and Coulomb friction are not negative: with all of them reversed a device would follow its

@@ -294,7 +294,7 @@ def _replay(recordings: list[Recording], choice: Choice) -> list[tuple[str, floa
         segments = segments_of(before, choice.units, lead, choice.moving)
         device = replace(choice.fit.device, effects=None)
         if len(segments):
-            device = refined(segments, device, steps=8, far=False).device
+            device = refined(segments, device, steps=8, far=False, noisy=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
         replay(last, replace(device, effects=None))
         return fits

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +24,9 @@ equally likely whole delays it is 1.5."""
 
 FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
 """Jitters [samples], and random forces relative to that without a jitter, from which the likeliest are looked for."""
+
+FORCE_ROUNDS = 2
+"""Rounds of random forces over their range: behind the likeliest near one, a far smaller one may be likelier."""
 
 READINGS = (1e-6, 10.0)
 """Least and largest variance of a reading that is looked for with a jitter, in that by third differences: where
@@ -126,6 +129,13 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
     A random force is looked for, and a jitter of the delay if asked for; from the device's own noise on.
     """
     cost, former = NoiseCost.of(segments, device), device.noise
+
+    def lowest(numbers: list[float]) -> tuple[list[float], float]:
+        if numbers[0]:
+            return _minimum(cost.likelihood, numbers, (MEMORIES, JITTERS, READINGS))
+        found, lost = _minimum(lambda *near: cost.likelihood(0.0, *near), numbers[1:], (JITTERS, READINGS))
+        return [0.0, *found], lost
+
     none = cost(0.0)
     if none >= IMPOSSIBLE:
         return WHITE
@@ -136,12 +146,18 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
         return still
     near = former.jitter or min(FIRST_JITTERS, key=lambda jitter: cost(0.0, jitter))
     reading = device.numbers["gain"] ** 2 / (former.late * cost.white) if former.late else 1.0
-    numbers, lost = _minimum(lambda *numbers: cost.likelihood(0.0, *numbers), (near, reading), (JITTERS, READINGS))
-    strength = 0.0
-    more, beside = min((cost(share * force, *numbers), share * force) for share in FIRST_FORCES)
-    if more < lost - WORTH:
-        (strength, *numbers), lost = _minimum(cost.likelihood, (beside, *numbers), (MEMORIES, JITTERS, READINGS))
-    jitter, reading = numbers
+    numbers, lost = lowest([former.force if former.jitter else 0.0, near, reading])
+    for _ in range(FORCE_ROUNDS if numbers[0] or not former.jitter else 0):
+        tried = {
+            strength: cost(strength, *numbers[1:]) for strength in (0.0, *(share * force for share in FIRST_FORCES))
+        }
+        strength = min(tried, key=lambda each: tried[each])
+        if numbers[0] and tried[0.0] < lost + WORTH:
+            strength = 0.0
+        elif tried[strength] >= lost - WORTH:
+            break
+        numbers, lost = lowest([strength, *numbers[1:]])
+    strength, jitter, reading = numbers
     return still if lost >= least - WORTH or jitter < LEAST_JITTER else cost.noise(strength, jitter, reading)
 
 
@@ -173,7 +189,7 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 
 
 def _minimum(
-    likelihood: Callable[..., NoiseLikelihood], near: tuple[float, ...], limits: tuple[tuple[float, float], ...]
+    likelihood: Callable[..., NoiseLikelihood], near: Sequence[float], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
     """Return the positive numbers within limits that cost least, from some near them on, and that cost.
 

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.measured.identification.first_guess import first_guess
+from pipeline.measured.identification.first_guess import first_guesses
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     BEFORE,
@@ -25,7 +25,7 @@ from pipeline.measured.identification.likelihood import (
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
-from pipeline.measured.identification.search import LAST_STEPS, climbed, ended, refined
+from pipeline.measured.identification.search import climbed, ended, refined
 from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Integers
 
@@ -319,8 +319,7 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
         for delay in np.unique(np.linspace(0, max(lead - 3, 1), DELAYS).round())
         for share in FRICTIONS
     ]
-    climbs = (climbed(segments, device, SOME_STEPS) for device in starts)
-    fits = [fit, *(refined(segments, each, LAST_STEPS, far=False, noisy=False) for each in climbs)]
+    fits = [fit, *(climbed(segments, device, SOME_STEPS) for device in starts)]
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
     # the last climb may go beyond all others
@@ -453,14 +452,8 @@ def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> lis
     Behind one wall the command is a spring and a damper of its own: but for the delay, a device with these and no gain
     moves alike, and the errors of readings decide between the two.
     """
-    found = first_guess(segments, names, lead)
-    try:
-        free = first_guess(segments, tuple(name for name in names if name != "gamma"), lead)
-    except ParameterError:
-        return [found]
-    free = replace(free, numbers={name: free.numbers.get(name, 0.0) for name in names})
     some = _some(segments)
-    return sorted((found, free), key=lambda device: -_likelihood(some, device))
+    return sorted(first_guesses(segments, names, lead), key=lambda device: -_likelihood(some, device))
 
 
 def _searched(segments: Segments, begin: list[Device]) -> Fit:
@@ -481,9 +474,14 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
         return fit
     some = _some(segments)
     climbs = [climbed(some, device) for device in begin]
+    here = climbed(some, replace(fit.device, noise=WHITE, effects=None))
+    # where these lead to the same place without a random force, none has replaced anything
+    best = max(climbs, key=lambda each: each.solved.here)
+    if best.solved.here < here.solved.here + WORTH:
+        return fit
     if segments.trials >= FEWEST:
-        climbs = [max(climbs, key=lambda device: _likelihood(some, device))]
-    other = max((refined(some, each, far=False) for each in climbs), key=lambda each: each.likelihood)
+        climbs = [best]
+    other = max((refined(some, each.device, far=False) for each in climbs), key=lambda each: each.likelihood)
     if some is not segments:
         whole = refined(some, replace(fit.device, effects=None), far=False)
         if other.likelihood <= whole.likelihood + WORTH:
@@ -541,22 +539,21 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
     rounds = 0
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
-        plain = refined(some, alone, far=False)
+        plain = fit if some is segments else refined(some, alone, far=False)
         # where the noise of readings alone is left, most parts are seen to be none from where a search starts
-        least = ROUNDED_ROW * float(some.rows.sum()) if plain.device.noise == WHITE else -np.inf
-        # a part leaves no jitter where there was none without it
-        jitters = plain.device.noise.jitter > 0
+        least = ROUNDED_ROW * float(some.rows.sum())
+        white = plain if plain.device.noise == WHITE else climbed(some, replace(alone, noise=WHITE))
         for number, (name, size) in enumerate(left.items()):
             report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
             if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
                 continue
             start = _having(some, alone, name)
             enough = min(least, CLOSER) if name == "load damping" else least
-            if _promise(some, start, name) - _promise(some, plain.device, name) < enough:
+            if white is plain and _promise(some, start, name) - _promise(some, plain.device, name) < enough:
                 continue
-            other = refined(some, start, SOME_STEPS, jitters=jitters)
+            other = _candidate(some, start, plain, white)
             worth = WORTH + CLOSER * (len(NUMBERS[name]) - 1)
-            if not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= worth:
+            if other and not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= worth:
                 tried[name] = other
         if not tried:
             break
@@ -573,6 +570,23 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
         # a jitter may have stood for what was left before the part was found to the end
         fit = refined(segments, replace(fit.device, effects=None), far=False)
     return fit, parts
+
+
+def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | None:
+    """Return the fit from a device with one part more; None where that is no better than ``plain``, the fit without.
+
+    A part of a device makes its motion likelier without any other noise than that of readings, as in ``white``, and in
+    the noise that is left without it.
+    """
+    climb = climbed(some, start, SOME_STEPS)
+    if climb.solved.here < white.solved.here + WORTH:
+        return None
+    noise = plain.device.noise
+    within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
+    if within.likelihood < plain.likelihood + BESIDE:
+        return None
+    # a part leaves no jitter where there was none without it
+    return refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
 
 
 def _some(segments: Segments) -> Segments:

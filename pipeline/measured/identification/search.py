@@ -7,11 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.progress import approach
-from pipeline.measured.identification.likelihood import DONE, SCATTERED, WORTH, Device, Fit, fitted, phases_of
+from pipeline.measured.identification.likelihood import (
+    DONE,
+    LIMITS,
+    SCATTERED,
+    WORTH,
+    Device,
+    Fit,
+    fitted,
+    phases_of,
+)
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.noise_search import noise_and_jitter, with_jitter_error
-from pipeline.measured.identification.scatter import FEWEST
+from pipeline.measured.identification.scatter import FEWEST, inverse
 from pipeline.measured.identification.segments import Segments
+from pipeline.records.trials import Floats
 
 FIXED_STEPS = 2
 """Steps at first without such scatter, before each search for noise."""
@@ -66,8 +76,9 @@ def refined(
         device = replace(device, noise=noise_and_jitter(segments, device, jitters=jitters))
     start = fitted(segments, device, places)
     found = _climbed(start, segments, steps)
-    for _ in range(NOISE_ROUNDS if noisy else 0):
-        if found.likelihood - start.likelihood < WORTH:
+    for number in range(NOISE_ROUNDS if noisy else 0):
+        # noise is found with the numbers as they are, and far from the solution some of these are not
+        if found.likelihood - start.likelihood < WORTH and not (far and number == 0):
             break
         # what was noise where the search began may be motion where it ends
         device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
@@ -85,9 +96,9 @@ def refined(
     return found
 
 
-def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Device:
+def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
     """Return the local optimum of the likelihood near a device, with its noise fixed and no scatter between trials."""
-    return _climbed(fitted(segments, device, np.empty(0, dtype=np.int64)), segments, steps).device
+    return _climbed(fitted(segments, device, np.empty(0, dtype=np.int64)), segments, steps)
 
 
 def ended(segments: Segments, device: Device) -> Fit:
@@ -106,8 +117,9 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
     """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
     for _ in range(steps):
         approach(STEP_SHARE)
+        step = _inner_step(fit)
         for cut in CUTS:
-            device = fit.device.stepped(cut * fit.solved.step)
+            device = fit.device.stepped(cut * step)
             change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
             if float(change @ fit.solved.total @ change) < DONE:
                 return fit
@@ -121,3 +133,16 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
         if gain < 0.5 * DONE:
             break
     return fit
+
+
+def _inner_step(fit: Fit) -> Floats:
+    """Return Newton's step along the numbers that do not stand at a limit beyond which the likelihood rises."""
+    step, total = fit.solved.step, fit.solved.total
+    values = np.array(list(fit.device.numbers.values()))
+    low, high = np.array([LIMITS.get(name, (-np.inf, np.inf)) for name in fit.device.names]).T
+    slope, free = total @ step, np.ones(len(step), dtype=bool)
+    while (beyond := free & np.where(step < 0, values <= low, (step > 0) & (values >= high))).any():
+        free &= ~beyond
+        step = np.zeros(len(step))
+        step[free] = inverse(total[np.ix_(free, free)]) @ slope[free]
+    return step

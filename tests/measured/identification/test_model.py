@@ -301,7 +301,7 @@ def test_lost_rows_are_left_out():
 def test_free_runs_follow_held_out_logs():
     rng = np.random.default_rng(14)
     found = identified(moved(rng, steps(TEN)))
-    assert np.nanmedian(found.replay.fit) > 99
+    assert found.fit_percent > 99
 
 
 def test_no_motion_and_no_command_are_named():
