@@ -51,8 +51,8 @@ FARTHEST = 3.0
 ENOUGH = 1e-6
 """Gain of log-likelihood that a step of the search for variances must promise."""
 
-SWEEPS = 30
-"""Most sweeps of rotations for eigenvalues; six are usual."""
+SWEEPS, NOTHING = 30, 1e-150
+"""Most sweeps of rotations for eigenvalues, of which six are usual; number that is rotated away already."""
 
 
 @part
@@ -75,7 +75,7 @@ def spectrum(matrix: Floats, values: Floats, vectors: Floats) -> None:
             break
         for i in range(n - 1):
             for j in range(i + 1, n):
-                if matrix[i, j] == 0.0:
+                if abs(matrix[i, j]) < NOTHING:
                     continue
                 ratio = (matrix[j, j] - matrix[i, i]) / (2 * matrix[i, j])
                 tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(ratio * ratio + 1.0))
