@@ -12,7 +12,6 @@ from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.first_guess import first_guesses
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
-    BEFORE,
     DONE,
     LIMITS,
     ROUNDED_ROW,
@@ -23,6 +22,7 @@ from pipeline.measured.identification.likelihood import (
     spread,
 )
 from pipeline.measured.identification.noise import WHITE, Noise
+from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Part
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.identification.search import climbed, ended, refined
@@ -31,17 +31,6 @@ from pipeline.records.trials import Integers
 
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
-
-NUMBERS = {
-    "friction": ("coulomb",),
-    "stiffness": ("gamma",),
-    "saturation": ("limit",),
-    "lag": ("lag",),
-    "mode": ("mode_frequency", "mode_damping_ratio", "load_mass_fraction"),
-    "mode at the load": ("mode_frequency", "mode_damping_ratio", "spring_damping_fraction"),
-    "load damping": ("load_damping",),
-}
-"""Numbers of each part."""
 
 SHORTER = (150,)
 """Rows of the short segments by which a search starts, too: about ten time constants of a fast motor at 1 kHz."""
@@ -57,19 +46,6 @@ MOST_TRIALS = 100
 LONGEST_DELAY = 48
 """Longest delay [samples] that is looked for."""
 
-LOAD_FRACTIONS = (0.05, 0.2)
-"""Loads, as fractions of the mass, from which a mode is looked for."""
-
-MODE_FREQUENCIES = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
-"""Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
-
-
-LOAD_DAMPINGS = (0.2, 0.5, 0.8)
-"""Fractions of the damping from which one of the load is looked for."""
-
-LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Lags [samples] from which one is looked for, each of which the next one resembles."""
-
 DELAYS, FRICTIONS = 4, (0.3, 2.0)
 """Delays over their range, and friction relative to the likeliest, from which other optima are looked for."""
 
@@ -82,16 +58,6 @@ IMITATED = 0.75
 
 BESIDE = 1.92
 """Log-likelihood below the largest at which an interval of 95 % by it ends."""
-
-CLOSER = 20.0
-"""Gain of log-likelihood that each number but the first of a part must bring, as rounding is no white noise: a mode in
-the place of a lag of half a sample gained 6 to 38 with two more, a real mode at 300 Hz 100."""
-
-CLIPPED = (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)
-"""Largest forces, relative to the largest command, from which one is looked for."""
-
-NEARBY = (0.86, 0.93, 1.0, 1.07, 1.15)
-"""Factors of the best of these by which it is looked for closer: what is clipped is often a row or two of each log."""
 
 WEIGHED = 0.1
 """Share of the random force without a part that is left to errors where a start with it is looked for."""
@@ -343,8 +309,8 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
         device = replace(alone, numbers=numbers | late)
         # from where the others are likeliest beside it: what is foretold from afar is too good
         step = np.zeros(len(device.names))
-        step[: len(numbers)] = _others(some, device, "lag", fit.places).step
-        return _others(some, device.stepped(step), "lag", fit.places).likelihood
+        step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
+        return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood
 
     most, end = likelihood(0.0), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
@@ -527,47 +493,39 @@ def _loss(fit: Fit, name: str) -> float:
 
 
 def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with largest force, lag and mode: the likeliest first, as each may stand for another."""
-    some = _some(segments)
-    left = {
-        "saturation": "",
-        "lag": "lag",
-        "mode": "load_mass_fraction",
-        "mode at the load": "",
-        "load damping": "load_damping",
-    }
-    rounds = 0
+    """Return the fit with largest force, lag and mode: the likeliest first, as each may replace another."""
+    some, left, rounds = _some(segments), dict(PARTS), 0
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = fit if some is segments else refined(some, alone, far=False)
         # where the noise of readings alone is left, most parts are seen to be none from where a search starts
         least = ROUNDED_ROW * float(some.rows.sum())
         white = plain if plain.device.noise == WHITE else climbed(some, replace(alone, noise=WHITE))
-        for number, (name, size) in enumerate(left.items()):
+        for number, (name, part) in enumerate(left.items()):
             report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
-            if NUMBERS[name][0] in alone.names or (name == "load damping" and "mode" not in parts):
+            if part.numbers[0] in alone.names or (part.needs and part.needs not in parts):
                 continue
-            start = _having(some, alone, name)
-            enough = min(least, CLOSER) if name == "load damping" else least
-            if white is plain and _promise(some, start, name) - _promise(some, plain.device, name) < enough:
+            start = _having(some, alone, part)
+            enough = min(least, CLOSER) if part.needs else least
+            if white is plain and _promise(some, start, part) - _promise(some, plain.device, part) < enough:
                 continue
             other = _candidate(some, start, plain, white)
-            worth = WORTH + CLOSER * (len(NUMBERS[name]) - 1)
-            if other and not (size and _loss(other, size) < WORTH) and other.likelihood - plain.likelihood >= worth:
+            if other is None or (part.size and _loss(other, part.size) < WORTH):
+                continue
+            if other.likelihood - plain.likelihood >= part.threshold:
                 tried[name] = other
         if not tried:
             break
         rounds += 1
-        name = max(tried, key=lambda each: tried[each].likelihood - CLOSER * len(NUMBERS[each]))
-        # far from the solution noise may stand for what is left: it is looked for anew
+        name = max(tried, key=lambda each: tried[each].likelihood - PARTS[each].threshold)
+        # far from the solution noise may replace what is left: it is looked for again
         other = refined(segments, replace(tried[name].device, effects=None), far=False)
         fit = plain if some is segments else refined(segments, alone, far=False)
-        gain = held_out(other) - held_out(fit)
-        if gain > WORTH * len(NUMBERS[name]) and _is_inside(other.device, name) and _takes_away(fit, other):
+        part, gain = left.pop(name), held_out(other) - held_out(fit)
+        if gain > WORTH * len(part.numbers) and _is_inside(other.device, part) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
-        del left[name]
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
-        # a jitter may have stood for what was left before the part was found to the end
+        # a jitter may have replaced what was left before the part was found to the end
         fit = refined(segments, replace(fit.device, effects=None), far=False)
     return fit, parts
 
@@ -595,16 +553,14 @@ def _some(segments: Segments) -> Segments:
     return segments if count >= len(segments) else segments.select(spread(segments, count))
 
 
-def _is_inside(device: Device, part: str) -> bool:
-    """Return whether no number of a part stands where its search ends, as of a largest force that nothing exceeds.
+def _is_inside(device: Device, part: Part) -> bool:
+    """Return whether no number of a part is where its search ends, as of a largest force that nothing exceeds.
 
-    Readings at the load hardly tell where a vibration is lost.
+    Readings at the load hardly show where a vibration is lost.
     """
-    return all(
-        value < LIMITS[name][1] and (value > LIMITS[name][0] or value == 0)
-        for name, value in device.numbers.items()
-        if name in NUMBERS[part] and name in LIMITS and name != "spring_damping_fraction"
-    )
+    limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
+    values = {name: device.numbers[name] for name in limits}
+    return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
 
 
 def _takes_away(fit: Fit, other: Fit) -> bool:
@@ -615,56 +571,31 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
     return (behind.force == 0 or before.jitter > 0) and behind.jitter**2 <= LEFT * before.jitter**2
 
 
-def _having(segments: Segments, device: Device, part: str) -> Device:
+def _having(segments: Segments, device: Device, part: Part) -> Device:
     """Return a device with one part more, from which a search starts: the one that leaves least as noise.
 
     A jitter, or all of a random force, would take its place; without any the slowest of what is left counts most.
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
-    delay = device.numbers["delay"]
-    tried: list[dict[str, float]]
-    if part == "saturation":
-        tried = [{"limit": limit} for limit in CLIPPED]
-    elif part == "lag":
-        tried = [{"lag": lag, "delay": max(delay - lag, 0.0)} for lag in LAGS]
-    elif part == "load damping":
-        tried = [{"load_damping": share * device.numbers["delta"]} for share in LOAD_DAMPINGS]
-    elif part == "mode":
-        tried = [
-            {"mode_frequency": turn, "mode_damping_ratio": 0.04, "load_mass_fraction": share}
-            for turn in MODE_FREQUENCIES
-            for share in LOAD_FRACTIONS
-        ]
-    else:  # where it vibrates most, the far mass is a quarter of a period late; a faster one is hardly late at all
-        tried = [
-            {
-                "mode_frequency": turn,
-                "mode_damping_ratio": 0.04,
-                "spring_damping_fraction": BEFORE["spring_damping_fraction"][0],
-            }
-            for turn in MODE_FREQUENCIES
-            if turn <= 1
-        ]
-        tried += [each | {"delay": max(delay - np.pi / 2 / each["mode_frequency"], 0.0)} for each in tried]
-    found = _best(segments, device, part, tried)
-    if (closer := NUMBERS[part][0]) in ("limit", "mode_frequency"):
-        near = [found.numbers[closer] * factor for factor in NEARBY]
-        found = _best(segments, found, part, [{closer: value} for value in near if value < LIMITS[closer][1]])
+    found = _best(segments, device, part, part.starts(device.numbers))
+    if part.near:
+        near = [found.numbers[part.near] * factor for factor in NEARBY]
+        found = _best(segments, found, part, [{part.near: value} for value in near if value < LIMITS[part.near][1]])
     return replace(found, noise=WHITE)
 
 
-def _best(segments: Segments, device: Device, part: str, some: list[dict[str, float]]) -> Device:
-    """Return the likeliest of some devices with a part as it stands, each with the best of its other numbers."""
-    devices = (replace(device, numbers=device.numbers | each) for each in some)
+def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:
+    """Return the likeliest of some devices with a part as it is, each with the best of its other numbers."""
+    devices = (replace(device, numbers=device.numbers | each) for each in starts)
     return max(devices, key=lambda each: _promise(segments, each, part))
 
 
-def _promise(segments: Segments, device: Device, part: str) -> float:
+def _promise(segments: Segments, device: Device, part: Part) -> float:
     """Return the likelihood of a device with the best of the numbers that are not a part's."""
     return _others(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
 
 
-def _others(segments: Segments, device: Device, part: str, random: Integers) -> Solved:
+def _others(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
     """Return the estimate of the numbers that are not a part's, in order, with scatter of those at some places."""
-    others = [i for i, name in enumerate(device.names) if name not in NUMBERS[part]]
+    others = [i for i, name in enumerate(device.names) if name not in part.numbers]
     return solve(moments_of(segments, device).some(others), random)

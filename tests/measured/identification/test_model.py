@@ -18,6 +18,7 @@ from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.likelihood import Device, moments_of
 from pipeline.measured.identification.motion import Ages, PlantShape, Transitions
 from pipeline.measured.identification.noise import Noise, gains_of
+from pipeline.measured.identification.part_table import PARTS
 from pipeline.measured.identification.parts import _promise, _takes_away
 from pipeline.measured.identification.recordings import LogUnits, Recording, motion_of
 from pipeline.measured.identification.scatter import Moments, solve
@@ -152,7 +153,7 @@ def test_a_lag_of_nothing_is_as_likely_as_none():
     device = replace(identified(logs).choice.fit.device, effects=None)
     late = replace(device, numbers=device.numbers | {"delay": device.numbers["delay"] - 0.02, "lag": 0.02})
     assert len(held) > 4 * len(logs)
-    assert _promise(held, late, "lag") == pytest.approx(_promise(held, device, "lag"), abs=0.5)
+    assert _promise(held, late, PARTS["lag"]) == pytest.approx(_promise(held, device, PARTS["lag"]), abs=0.5)
 
 
 def test_ages_of_commands_follow_each_other_as_newly_drawn_delays_have_it():
