@@ -192,10 +192,12 @@ def boundary_figures(
     is also drawn at the ends of its range: limits lie between these (6.1.3).
     """
     figures = []
-    # one panel a configuration (Fig. 6.4); delays belong together (Fig. 6.9)
-    groups: dict[str, list[tuple[int, ExperimentResult]]] = {}
-    for number, result in enumerate(results):
-        groups.setdefault("" if sweep else result.configuration, []).append((number, result))
+    # without an operator (Fig. 6.3) or over delay (Fig. 6.9) together; with one a panel a configuration (Fig. 6.4)
+    numbered = list(enumerate(results))
+    held = [] if sweep else [r.configuration for r in results if r.grip != "none"]
+    groups = {"no operator" if held else "": [(n, r) for n, r in numbered if not held or r.grip == "none"]}
+    groups |= {name: [(n, r) for n, r in numbered if r.configuration == name] for name in dict.fromkeys(held)}
+    groups = {title: group for title, group in groups.items() if group}
     panels = [
         limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown, len(results)), motion)
         for title, group in groups.items()

@@ -98,6 +98,17 @@ def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked
     assert [s.label for s in delays[0].panels[0].series if s.kind == "theory"] == ["theory, d = 2", "theory, d = 3"]
 
 
+def test_experiments_without_an_operator_are_together_and_configurations_with_one_apart() -> None:
+    grips = {"1": "none", "2": "none", "3": "none", "4": "comfortable"}
+    results = [experiment(name, grip) for name, grip in grips.items()]
+    figure, *_ = boundary_figures(results, {}, "translation", Shown(overlays=()), sweep=False)
+    shown = {p.title: {s.label for s in p.series if s.label.startswith("experiment")} for p in figure.panels}
+    assert shown["no operator"] == {"experiment 1", "experiment 2", "experiment 3"}
+    assert "experiment 4, comfortable grip" in shown[results[3].configuration]
+    (free, *_) = boundary_figures(results[:3], {}, "translation", Shown(overlays=()), sweep=False)
+    assert [len(p.series) >= 3 for p in free.panels] == [True]
+
+
 def test_identified_loop_is_drawn_with_its_interval_and_the_limit_for_a_harder_push() -> None:
     limits = tuple(Limit(damping=b, stiffness=900, low=800, high=1000, stiffness_large_motion=700) for b in (0, 4))
     result = experiment("1").model_copy(update={"loop_boundary": limits})
