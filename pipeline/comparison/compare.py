@@ -43,7 +43,7 @@ from pipeline.records.models import ComparisonRow, Device, Shown
 from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
-from pipeline.rendering.figures.overview import delay_figure, trend_figure
+from pipeline.rendering.figures.overview import DampedCosts, delay_figure, trend_figure
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
 from pipeline.store.objects import origin
@@ -190,7 +190,7 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
     if shown.has_figure("maps"):
         yield from map_figures(data, result.experiments, found.theories, predictions)
     if shown.has_figure("delay"):
-        yield from delay_figure(found.rows)
+        yield from delay_figure(found.rows, found.damped)
     if shown.has_figure("response"):
         yield from response_figures(data)
     if shown.has_figure("trend"):
@@ -201,11 +201,12 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
 
 @dataclass(frozen=True)
 class _Found:
-    """Results of the experiments with their scores, the theories beside them, and the rows of the tables."""
+    """Results of the experiments with their scores, the theories beside them, rows of the tables, costs over delay."""
 
     results: Sequence[ExperimentResult]
     theories: dict[str, Theory]
     rows: tuple[ComparisonRow, ...]
+    damped: DampedCosts
 
 
 def _compute(
@@ -235,10 +236,11 @@ def _compute(
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
         with part_of_work("theory: optima", THEORY_BEGINS, 1.0):
             predictions.finish()
+            damped = builder.damped(predictions, results) if data.scene.shown.has_figure("delay") else {}
     rows = builder.rows(predictions, results)
     scored = add_scores(data, results, theories)
     known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]
-    return _Found(known, theories, rows)
+    return _Found(known, theories, rows, damped)
 
 
 def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
@@ -253,6 +255,7 @@ def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str,
         known_device=data.device is not None,
         simulated=data.simulated,
         criteria=data.scene.criteria,
+        measuring=data.scene.shown.measuring,
         experiments=tuple(results),
         tables=found.rows,
         answer=answers[told_most(results)],

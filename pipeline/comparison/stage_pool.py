@@ -30,6 +30,7 @@ from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.stages.measured_trial import MeasuredTrial, MeasuredTrials
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
+from pipeline.records.models import Measuring
 from pipeline.records.trials import Trials
 from pipeline.store.objects import is_url, opened, origin, publish, renewed
 
@@ -95,7 +96,7 @@ class StageJob:
     place : str
         Folder or URL of its trials.
     device, experiment : str
-    spring : float
+    spring, measuring : float, Measuring
         As for `ExperimentStages`.
     wanted : tuple of str
         Stages, in the order in which they are computed.
@@ -107,6 +108,7 @@ class StageJob:
     device: str
     experiment: str
     spring: float
+    measuring: Measuring
     wanted: tuple[str, ...]
     code: str
 
@@ -116,7 +118,8 @@ def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
     place = origin(experiment.processed)
     place = place if is_url(place) else str(Path(place).absolute())
     wanted = tuple(sorted(needed, key=list(NEEDS).index))
-    return StageJob(place, experiment.device, experiment.experiment, experiment.spring, wanted, _code())
+    e = experiment
+    return StageJob(place, e.device, e.experiment, e.spring, e.measuring, wanted, _code())
 
 
 def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
@@ -144,7 +147,7 @@ def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
             "object store (--processed s3://BUCKET/PREFIX)."
         )
     with opened(job.place, job.device, job.experiment) as processed:
-        stages = ExperimentStages.stored(processed, job.device, job.experiment, job.spring)
+        stages = ExperimentStages.stored(processed, job.device, job.experiment, job.spring, job.measuring)
         tables = {stage: stages.table(stage) for stage in job.wanted}
         with if_writable():
             publish(processed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import Any
@@ -12,9 +12,10 @@ from pipeline.comparison.scene.scene import SceneData, layouts
 from pipeline.comparison.scores.deviation import deviation_of
 from pipeline.device_data.published import find, published_deviation
 from pipeline.records.criteria import DISCRETE, criterion_of
-from pipeline.records.findings import Optimum
+from pipeline.records.findings import Optimum, holds
 from pipeline.records.models import ComparisonRow, Deviation, TableLayout
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.rendering.figures.overview import DampedCosts
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
 _NUMBERS = ("stiffness", "damping", "cost")
@@ -81,6 +82,25 @@ class TableBuilder:
                         parts = made_of(experiment, leader, criterion)
                         rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
         return tuple(rows)
+
+    def damped(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> DampedCosts:
+        """Return theory's costs over delay with the measured damping, where it is not that of the device file."""
+        measured = {result.experiment: result.estimates["damping"] for result in results}
+        wanted: dict[tuple[str, str, float], tuple[Theory, str]] = {}
+        for table in layouts(self.data):
+            for name in table.experiments if table.kind == "delay" else ():
+                theory, b = self.theories.get(name), measured[name]
+                if theory is None or b.value is None or b.low is None or b.high is None:
+                    continue
+                if holds(b.low, theory.loop.damping, b.high):
+                    continue
+                loop = replace(theory.loop, damping=max(b.value, 0.0))
+                other = Theory(SourcedLoop(loop=loop, source="measured damping"))
+                for criterion in table.criteria:
+                    wanted[table.name, criterion, loop.delay_samples] = other, f"{criterion}{DISCRETE}"
+        predictions.start((theory.normalised, name) for theory, name in wanted.values())
+        predictions.finish()
+        return {place: best.cost for place, asked in wanted.items() if (best := predictions.get(*asked)) is not None}
 
     def _theory_row(
         self, table: TableLayout, criterion: str, theory: Theory, kind: str, predictions: Predictions

@@ -15,6 +15,7 @@ from pipeline.measured.signal.response import NO_ROW, Response
 from pipeline.measured.student import CONFIDENCE, SIGMAS
 from pipeline.recording.timing import EVEN
 from pipeline.records.findings import Estimate
+from pipeline.records.models import MOMENTUM_WINDOW_S
 from pipeline.records.trials import Floats, Integers, Trial
 
 QUANTA = 1.5
@@ -26,9 +27,6 @@ QUANTA_AT_REST = 0.5
 RISE_ROWS, RISE = 2, 3.0
 """Rows after the first change, and the multiple of the threshold passed by then: more than a flicker of one
 quantum, and what constant acceleration does unless it needs more than 2.7 rows for the threshold."""
-
-WINDOW_S = 0.015
-"""Time from the command edge that is used (6.1.2): later the velocity saturates real drives."""
 
 SMALLEST_SIGNAL = 20.0
 """Velocity change in standard errors of the sensor: at 20 the sensor alone makes an error of 5 %."""
@@ -152,8 +150,10 @@ class MomentumMass:
     reason: str = ""
 
 
-def by_momentum(trial: Trial, response: Response, delay_samples: int, *, window_s: float = WINDOW_S) -> MomentumMass:
-    """Return the mass of a trial from impulse over change of velocity, over a window from the command edge.
+def by_momentum(
+    trial: Trial, response: Response, delay_samples: int, *, window_s: float = MOMENTUM_WINDOW_S, after_s: float = 0.0
+) -> MomentumMass:
+    """Return the mass of a trial from impulse over change of velocity, over a window behind the command edge.
 
     Parameters
     ----------
@@ -163,7 +163,9 @@ def by_momentum(trial: Trial, response: Response, delay_samples: int, *, window_
     delay_samples : int
         Integer delay factor by which the command is shifted.
     window_s : float
-        Time from the command edge to t_2 [s]; t_1 is the rest before the first movement.
+        Time from the command edge to t_2 [s].
+    after_s : float
+        Time from the command edge to t_1 [s]; where the device has not moved by then, t_1 is its rest.
 
     Notes
     -----
@@ -185,12 +187,14 @@ def by_momentum(trial: Trial, response: Response, delay_samples: int, *, window_
     if irregular > EVEN:
         return MomentumMass(reason=f"time steps in the window differ from T by {percent(irregular, 1)}")
     # the command before the edge is noise on a device at rest
-    acting = trial.command[edge : last + 1 - delay_samples]
-    impulse = float(acting.sum() - 0.5 * acting[-1]) * T
-    displacement = trial.displacement
-    velocity = float(displacement[last + 1] - displacement[last]) / T
+    first = edge + round(after_s / T)
+    moving = after_s > 0 and first >= edge + delay_samples
+    acting = trial.command[first - delay_samples if moving else edge : last + 1 - delay_samples]
+    impulse = float(acting.sum() - 0.5 * acting[-1] - (0.5 * acting[0] if moving else 0.0)) * T
+    steps = np.diff(trial.displacement[[first, first + 1, last, last + 1]])[::2] / T
+    velocity = float(steps[1] - (steps[0] if moving else 0.0))
     noise = math.hypot(_noise(response), response.sensor_quantum / math.sqrt(12))
-    least = SMALLEST_SIGNAL * math.sqrt(2) * noise / T
+    least = SMALLEST_SIGNAL * math.sqrt(2 + 2 * moving) * noise / T
     if not abs(velocity) > least:
         reason = f"velocity change {abs(velocity):.3g} is not above the noise threshold {least:.3g}"
         return MomentumMass(reason=reason)

@@ -80,7 +80,7 @@ class Criterion:
         Stored column of the measured cost, and what it means; empty where no log can be judged by it.
     band : float, optional
         Half width of the settling band relative to the final displacement.
-    weight : int
+    weight : float
         Exponent w of the weighting by time.
     signal : str
         Response it is about: ``step``, ``impulse``; empty for a criterion of the poles, which have no sampled response.
@@ -98,7 +98,7 @@ class Criterion:
     column: str = ""
     meaning: str = ""
     band: float | None = None
-    weight: int = 0
+    weight: float = 0
     signal: str = "step"
     reported: bool = False
     tabled: bool = False
@@ -207,7 +207,8 @@ REPORTED = tuple(c.name for c in _ALL if c.reported)
 FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
 """Families of `MEASURED` by name, which is that of their stage, in the order in which they are computed."""
 
-_BAND = re.compile(r"settle_(\d+(?:\.\d+)?)pct")
+_ANY = re.compile(r"settle_(?P<percent>\d+(?:\.\d+)?)pct|energy_(?P<signal>step|impulse)_w(?P<w>\d+(?:\.\d+)?)")
+"""Names of criteria with a number of the caller's: a settling band, an exponent w, which is real in (5.13)."""
 
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
 """Half width of the settling band relative to the final displacement, by criterion."""
@@ -216,9 +217,12 @@ SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
 WIDEST = 50.0
 """Half width of the widest settling band [%]: a wider one begins inside."""
 
+STEEPEST = 8.0
+"""Largest exponent w: with more the last samples above the noise decide alone."""
+
 
 def criterion_of(name: str) -> Criterion:
-    """Return the criterion of a name, also with `DISCRETE` appended, or of a settling time for any band.
+    """Return the criterion of a name, also with `DISCRETE` appended, or of any settling band or exponent w.
 
     Raises
     ------
@@ -227,36 +231,52 @@ def criterion_of(name: str) -> Criterion:
 
     Examples
     --------
-    >>> criterion_of("settle_3pct").band, criterion_of("energy_step_w1_discrete").weight
-    (0.03, 1)
+    >>> criterion_of("settle_3pct").band, criterion_of("energy_step_w0.5_discrete").weight
+    (0.03, 0.5)
     """
     base = name.removesuffix(DISCRETE)
-    return CRITERIA[base] if base in CRITERIA else _of_band(base)
+    return CRITERIA[base] if base in CRITERIA else _of_any(base)
 
 
 @cache
-def _of_band(name: str) -> Criterion:
-    """Return the settling time for a band of any width, which theory knows and no log is judged by."""
-    found = _BAND.fullmatch(name)
-    percent = float(found[1]) if found else 0.0
-    if not 0 < percent <= WIDEST or name != f"settle_{percent:g}pct":
+def _of_any(name: str) -> Criterion:
+    """Return the settling time for a band of any width, or the energy with any exponent."""
+    found = _ANY.fullmatch(name)
+    percent, w = (float(found[part] or 0) if found else 0.0 for part in ("percent", "w"))
+    if 0 < percent <= WIDEST and name == f"settle_{percent:g}pct":
+        return Criterion(name, f"settling time, {percent:g} % band", SETTLING, name, band=percent / 100)
+    if found is None or not found["w"] or w > STEEPEST or name != f"energy_{found['signal']}_w{w:g}":
         raise KeyError(name)
-    return Criterion(name, f"settling time, {percent:g} % band", SETTLING, band=percent / 100)
+    words, column = ("", f"energy_w{w:g}") if found["signal"] == "step" else (" of the impulse", "")
+    return Criterion(name, f"energy cost{words}, w = {w:g}", ENERGY, column, weight=w, signal=found["signal"])
 
 
 def is_criterion(name: str, names: Iterable[str]) -> bool:
-    """Return whether a name is one of some criteria, with or without `DISCRETE`; settling times may have any band.
+    """Return whether a name is one of some criteria, with or without `DISCRETE`, or with another band or exponent.
 
     >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
+    (True, False)
+    >>> is_criterion("energy_step_w0.5", MEASURED), is_criterion("energy_impulse_w0.5", MEASURED)
     (True, False)
     """
     names = tuple(names)
     if name in with_discrete(names):
         return True
     try:
-        return criterion_of(name).family is SETTLING and any(CRITERIA[each].family is SETTLING for each in names)
+        found = criterion_of(name)
     except KeyError:
         return False
+    others = {(other.family, other.signal) for other in map(criterion_of, names)}
+    return found.family in (SETTLING, ENERGY) and (found.family, found.signal) in others
+
+
+def is_measured(name: str) -> bool:
+    """Tell whether logs can be judged by a criterion: one of `MEASURED`, or with another band or exponent.
+
+    >>> is_measured("energy_step_w0.5"), is_measured("settle_2pct_discrete"), is_measured("pole_radius")
+    (True, False, False)
+    """
+    return is_criterion(name, MEASURED) and not name.endswith(DISCRETE)
 
 
 def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:

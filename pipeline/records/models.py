@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, model_validator
 from pipeline.base.errors import ParameterError
 from pipeline.device.loop import Loop
 from pipeline.device.parts import LoopTable, NonNegative, Number, Positive, Sensor, SimulationParts
-from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
+from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS, is_measured
 from pipeline.records.findings import BoundaryPoint, Estimate, Record
 from pipeline.records.findings import Grip as Grip
 from pipeline.records.findings import Motion as Motion
@@ -98,7 +98,7 @@ class TableLayout(Record):
 
     @model_validator(mode="after")
     def _criteria_are_known(self) -> Self:
-        unknown = [c for c in self.criteria if c not in MEASURED]
+        unknown = [c for c in self.criteria if not is_measured(c)]
         if unknown:
             raise ValueError(f"unknown criteria {unknown}; known are {list(MEASURED)}")
         return self
@@ -244,8 +244,30 @@ condition (3.25), the passive region (4.12), with friction the limit for a harde
 every spring (4.3.3), drawn only where they are asked for."""
 
 
+MOMENTUM_WINDOW_S = 0.015
+"""Time from the command edge that the momentum balance uses (6.1.2): later the velocity saturates real drives."""
+
+
+class Measuring(Record):
+    """Choices of the thesis in what is measured.
+
+    Parameters
+    ----------
+    final : {"expected", "measured"}
+        Position about which costs count: x_0 + F_0/K (6.1), or the mean of the last tenth of the log.
+    momentum_delay : int, optional
+        Delay [samples] of the momentum balance (6.1.2: 5), in place of that by the first change.
+    momentum_window_s : float
+        Its window from the command edge [s].
+    """
+
+    final: Literal["expected", "measured"] = "expected"
+    momentum_delay: int | None = Field(default=None, ge=0)
+    momentum_window_s: float = Field(default=MOMENTUM_WINDOW_S, gt=0, allow_inf_nan=False)
+
+
 class Shown(Record):
-    """What a report shows; None means all that there is data for.
+    """What a report shows, and how it is measured; None means all that there is data for.
 
     ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are the delays
     [samples] of the theoretical curves drawn with boundaries without operator, instead of those of the device file.
@@ -255,6 +277,7 @@ class Shown(Record):
     tables: tuple[Name, ...] | None = None
     overlays: tuple[Overlay, ...] | None = None
     delays: tuple[NonNegative, ...] | None = None
+    measuring: Measuring = Measuring()
 
     def has_figure(self, kind: FigureKind) -> bool:
         """Return whether a figure is requested."""
@@ -303,7 +326,7 @@ class SceneFile(Record):
     criteria : tuple of str, optional
     bands : tuple of int
         Settling bands [%] of the criterion ``settle``.
-    delays, overlays, figures, tables : optional
+    delays, overlays, figures, tables, measuring : optional
         As in `Shown`.
     report : str, optional
         HTML file, relative to the folder in which the command is called.
@@ -317,6 +340,7 @@ class SceneFile(Record):
     overlays: tuple[Overlay, ...] | None = None
     figures: tuple[FigureKind, ...] | None = None
     tables: tuple[Name, ...] | None = None
+    measuring: Measuring = Measuring()
     report: Name | None = None
 
     @property
@@ -329,7 +353,7 @@ class SceneFile(Record):
     @property
     def shown(self) -> Shown:
         """What of the comparison is shown."""
-        return Shown(figures=self.figures, tables=self.tables, overlays=self.overlays, delays=self.delays)
+        return Shown(**{name: getattr(self, name) for name in Shown.model_fields})
 
 
 SCHEMA_MODELS: dict[str, type[Record]] = {

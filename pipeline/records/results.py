@@ -25,7 +25,7 @@ from pipeline.records.findings import (
     Record,
     Severity,
 )
-from pipeline.records.models import ComparisonRow, Motion
+from pipeline.records.models import ComparisonRow, Measuring, Motion
 
 
 class SourcedLoop(Record):
@@ -642,6 +642,7 @@ class ComparisonResult(Record):
     known_device: bool
     simulated: bool
     criteria: tuple[str, ...]
+    measuring: Measuring = Measuring()
     experiments: tuple[ExperimentResult, ...]
     tables: tuple[ComparisonRow, ...]
     answer: Answer | None = None

@@ -138,9 +138,11 @@ class DelayRow:
 
 @dataclass(frozen=True)
 class MassRow:
-    """Mass of a trial by the momentum balance."""
+    """Mass of a trial by the momentum balance: over its window, twice that window, and the second half of it."""
 
     mass_momentum: float
+    mass_momentum_longer: float
+    mass_momentum_later: float
     reason: str
 
 
@@ -205,6 +207,16 @@ class EnergyRow:
 
 
 @dataclass(frozen=True)
+class OtherCostRow:
+    """Cost of a trial with its interval, by a criterion that no column stores."""
+
+    cost: float
+    cost_low: float
+    cost_high: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class BoundaryRow:
     """The measured limit at one damping; a `BoundaryPoint` as it is stored."""
 
@@ -219,7 +231,7 @@ class BoundaryRow:
     undecided: int
 
 
-CostRow = OvershootRow | SettlingRow | EnergyRow | RiseRow
+CostRow = OvershootRow | SettlingRow | EnergyRow | RiseRow | OtherCostRow
 TrialRow = ResponseRow | WallLawRow | OutcomeRow | DelayRow | MassRow | CostRow
 ExperimentRow = PartsRow | DeviceRow | ModelRow | BoundaryRow
 
@@ -244,8 +256,8 @@ ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
 def columns_of(stage: str) -> tuple[str, ...]:
     """Return the columns of the table of a stage, in order.
 
-    >>> columns_of("mass")
-    ('trial_id', 'samples_sha256', 'stiffness', 'damping', 'mass_momentum', 'reason')
+    >>> columns_of("delay")
+    ('trial_id', 'samples_sha256', 'stiffness', 'damping', 'first_change_samples', 'reason')
     """
     own = tuple(field.name for field in fields(ROWS[stage]))
     return own if stage in ("parts", "device", "model", "boundary") else OF_TRIAL + own

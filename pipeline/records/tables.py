@@ -146,6 +146,8 @@ COLUMNS: dict[str, Column] = {
     "model_delay": _same(_F, "samples", "mean delay of the applied command in the same way", True),
     "model_delay_error": _same(_F, "samples", "its standard error", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
+    "mass_momentum_longer": Column(_F, "kg", "kg m^2", "the same over twice its window", True),
+    "mass_momentum_later": Column(_F, "kg", "kg m^2", "the same over the second half of that", True),
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),

@@ -50,7 +50,7 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
     e, motion = result.experiments, result.motion
     periods = {one.experiment: one.sampling_period_s for one in e}
     stiffness = units_of(_WALL, {motion})
-    return {
+    found = {
         "tables": frame_of(_TABLES, (_of_row(row, periods) for row in result.tables), units_of_tables(motion)),
         "estimates": estimates_frame(e, all_methods=True),
         "boundary": boundary_frame(e, motion),
@@ -68,6 +68,9 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
         ),
         "trend": frame_of("experiment line quantity unit value low high bound", _trend(e, motion), {}),
     }
+    for name in ("tables", "optima", "use") if result.measuring.final == "measured" else ():
+        found[name]["final_position"] = result.measuring.final
+    return found
 
 
 _PLAIN = {"loops": "loop", "replay": "replay", "causes": "causes", "model": "model_check", "passive": "passive"}

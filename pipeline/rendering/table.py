@@ -186,9 +186,10 @@ def word_table(name: str, caption: str, heads: Sequence[str], rows: Iterable[Seq
     return table_of(name, caption, columns, [dict(zip(heads, row, strict=True)) for row in rows], lambda r: r[heads[0]])
 
 
-def marked(table: Table, *, simulated: bool) -> Table:
-    """Return a table whose caption says that its numbers are those of simulated logs, where they are."""
-    return replace(table, caption=f"{table.caption} (simulated)") if simulated else table
+def marked(table: Table, *, simulated: bool, more: str = "") -> Table:
+    """Return a table whose caption says that its numbers are those of simulated logs, where they are, and more."""
+    words = "; ".join(filter(None, ["simulated" if simulated else "", more]))
+    return replace(table, caption=f"{table.caption} ({words})") if words else table
 
 
 def footnote(index: int) -> str:

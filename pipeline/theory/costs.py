@@ -80,8 +80,10 @@ def point_costs_by_name(
             "continuous": not all(name.endswith(DISCRETE) for name in transient),
         }
         found |= transient_costs(loop, alpha, beta, bands, longest=longest, **whether)
-    for signal in dict.fromkeys(criterion.signal for criterion in of.values() if criterion.family is ENERGY):
-        found |= energy_costs(loop, alpha, beta, signal)
+    energies = [criterion for criterion in of.values() if criterion.family is ENERGY]
+    for signal in dict.fromkeys(criterion.signal for criterion in energies):
+        weights = sorted({criterion.weight for criterion in energies if criterion.signal == signal})
+        found |= energy_costs(loop, alpha, beta, signal, weights)
     if any(criterion.family is RISE for criterion in of.values()):
         levels = [share - 1.0 for share in RISE_LEVELS]
         exact, sampled = first_reached(loop, alpha, beta, levels, longest, "rise_time" in of)
@@ -98,7 +100,8 @@ def check_criteria(names: Sequence[str]) -> None:
     if unknown:
         raise ParameterError(
             f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-            "those of a response also with _discrete appended, and settling times for any band, such as settle_3pct."
+            "those of a response also with _discrete appended, and any band or weighting, such as settle_3pct or "
+            "energy_step_w0.5."
         )
 
 

@@ -8,6 +8,7 @@ sequences by Astroem's recursion: in doubles, and where rounding has a share in 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any
@@ -19,7 +20,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats
-from pipeline.theory.motion import WEIGHTS, energy_forms
+from pipeline.theory.motion import WEIGHTS, energy_forms, forms_at_nodes
 from pipeline.theory.poles import characteristic_parts
 
 Arrays = tuple[Any, ...]
@@ -41,11 +42,19 @@ _TOGETHER = 1 << 17
 _LONG = 64
 """Delay from which on polynomials in z keep more digits than those in w: their binomials of the delay are left out."""
 
+LONGEST_SUM = 1 << 18
+"""Samples after which a sum with a weighting that is no whole number is given up: spectral radius about 1 - 1e-4."""
+
+_BLOCK_SAMPLES, _NOTHING = 64, 1e-17
+"""Samples of a block of such a sum, and the share of the sum below which a block adds nothing."""
+
 _ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
 """Share that rounding may have in a sum by its estimate, mostly right within a factor of three."""
 
 
-def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
+def energy_costs(
+    loop: NormalisedLoop, alpha: object, beta: object, signal: str = "step", weights: Sequence[float] = WEIGHTS
+) -> dict[str, Floats]:
     """Return the continuous and discrete energy costs of stable points.
 
     Parameters
@@ -54,12 +63,14 @@ def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str 
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; every point must be stable, with alpha + gamma > 0.
     signal : {"step", "impulse"}
+    weights : sequence of float
+        Exponents w >= 0.
 
     Returns
     -------
     dict of float64, shape (n,)
-        ``energy_<signal>_w0`` to ``_w2`` and the same with ``_discrete`` appended; dimensionless. NaN of a point that
-        is not stable.
+        ``energy_<signal>_w<w>`` and the same with ``_discrete`` appended; dimensionless. NaN of a point that is not
+        stable, and with another w than 0, 1 and 2 of one that still moves after `LONGEST_SUM` samples.
 
     Raises
     ------
@@ -78,13 +89,66 @@ def energy_costs(loop: NormalisedLoop, alpha: object, beta: object, signal: str 
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    sums, stiffness, one = _sums(loop, a, b, signal), a + loop.gamma, np.ones_like(a)
+    stiffness, one = a + loop.gamma, np.ones_like(a)
     # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
     shares = np.array([one, 1 / stiffness] if signal == "step" else [stiffness, one])
-    summed = np.tensordot(_weights(loop), sums, 2)
-    names = [f"energy_{signal}_w{w}{suffix}" for suffix in ("", "_discrete") for w in WEIGHTS]
-    costs = (shares[:, None, None] * summed).sum(axis=0).reshape(len(names), len(a))
-    return dict(zip(names, costs, strict=True))
+    some = max(1, _TOGETHER // (_BLOCK_SAMPLES * loop.states))
+    parts = [(a[first : first + some], b[first : first + some]) for first in range(0, len(a), some)]
+    summed = {
+        w: np.concatenate([_summed(loop, *part, signal, w) for part in parts], axis=2)
+        for w in weights
+        if w not in WEIGHTS and parts
+    }
+    if len(summed) < len(weights):
+        exact = np.tensordot(_weights(loop), _sums(loop, a, b, signal), 2)
+        summed |= {w: exact[:, :, int(w)] for w in weights if w in WEIGHTS}
+    costs = {w: (shares[:, None] * each).sum(axis=0) for w, each in summed.items()}
+    suffixes = enumerate(("", "_discrete"))
+    return {f"energy_{signal}_w{w:g}{suffix}": costs[w][kind] for kind, suffix in suffixes for w in weights}
+
+
+def _summed(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, w: float) -> Floats:
+    """Return sums with any weighting, potential and kinetic energy, continuous and discrete, shape (2, 2, n).
+
+    Sample by sample, in blocks, until nothing is added: no transform of k^w is rational where w is no whole number.
+    """
+    law, turn, state = loop.law(alpha, beta), loop.matrix(alpha, beta), loop.starts(alpha, signal)
+    rows = [loop.seen(law, np.broadcast_to(np.eye(loop.states), turn.shape))]
+    for _ in range(_BLOCK_SAMPLES - 1):
+        rows.append(rows[-1] @ turn)
+    ahead, left = np.stack(rows, axis=1), np.arange(len(alpha))
+    leap = np.linalg.matrix_power(turn, _BLOCK_SAMPLES)
+    result, quiet = np.zeros((len(alpha), 4)), np.zeros(len(alpha), np.int64)
+    upper = np.triu_indices(ahead.shape[2])
+    for first in range(0, LONGEST_SUM, _BLOCK_SAMPLES):
+        seen = np.einsum("nkqs,ns->nkq", ahead, state)
+        pairs = (seen[..., upper[0]] * seen[..., upper[1]]).reshape(len(left), -1)
+        added = pairs @ _weights_from(loop, w, first)
+        result[left] += added
+        state = np.einsum("nrs,ns->nr", leap, state)
+        quiet[left] = np.where(added.max(axis=1) <= _NOTHING * result[left].max(axis=1), quiet[left] + 1, 0)
+        going = quiet[left] * _BLOCK_SAMPLES <= loop.oldest_force + _BLOCK_SAMPLES
+        if not going.all():
+            left, ahead, leap, state = left[going], ahead[going], leap[going], state[going]
+        if not len(left):
+            break
+    result[left] = np.nan
+    return np.asarray(result.T.reshape(2, 2, len(alpha)))
+
+
+@lru_cache(maxsize=4096)
+def _weights_from(loop: NormalisedLoop, w: float, first: int) -> Floats:
+    """Return the weights of pairs in the samples of a block for `_summed`, shape (samples pairs, 4)."""
+    k, exact = first + np.arange(_BLOCK_SAMPLES, dtype=np.float64), energy_forms(loop)
+    times, at = forms_at_nodes(loop)
+    between = np.einsum("kt,etpq->ekpq", (k[:, None] + times) ** w, at)
+    if first == 0:
+        between[:, 0] = forms_at_nodes(loop, w)[1].sum(axis=1)
+    place, way = (form[:, None, None] * exact[kind, 1, 0] for kind, form in enumerate((k**w, (k + 1) ** w)))
+    forms = np.array([between[0], place, between[1], way])
+    rows, columns = np.triu_indices(forms.shape[-1])
+    both = forms[..., rows, columns] + forms[..., columns, rows] * (rows != columns)
+    return np.asarray(both.reshape(4, -1).T)
 
 
 @lru_cache(maxsize=64)

@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from scipy.special import roots_jacobi
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
@@ -83,16 +84,10 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
     Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
     sample, or the way to the next, with its weight 1^w.
     """
-    nodes, weights = leggauss(_GAUSS)
-    share, weights = 0.5 * (nodes + 1), 0.5 * weights
     p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
-    forms = np.zeros((2, 2, len(WEIGHTS), q, q))
-    for piece, given in zip(pieces(loop), starts(loop), strict=True):
-        time = piece.start + piece.duration * share
-        for form, part in zip(forms, (piece.place, piece.speed), strict=True):
-            rows = np.vander(share, len(part), increasing=True) @ part @ given
-            for w in WEIGHTS:
-                form[0, w] += (piece.duration * weights * time**w * rows.T) @ rows
+    forms, (times, at) = np.zeros((2, 2, len(WEIGHTS), q, q)), forms_at_nodes(loop)
+    for w in WEIGHTS:
+        forms[:, 0, w] = np.tensordot(times**w, at, (0, 1))
     place = np.append(loop.device.sensor, np.zeros(q - p))
     with many_digits(loop.digits):
         whole, gains = loop.pushes
@@ -100,6 +95,27 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
     forms[0, 1, 0] = np.outer(place, place)
     forms[1, 1] = np.outer(way, way)
     return forms
+
+
+@lru_cache(maxsize=64)
+def forms_at_nodes(loop: NormalisedLoop, power: float = 0.0) -> tuple[Floats, Floats]:
+    """Return nodes of an interval, shape (n,), and the forms whose sum over them is the integral of tau^power.
+
+    Shape (2, n, q, q): e^2 and v^2 as forms of `NormalisedLoop.seen`, times the weights of Gauss and Legendre; in the
+    first piece, where tau^power may have no derivative, of Gauss and Jacobi.
+    """
+    times, forms = list[Floats](), list[list[Floats]]()
+    for piece, given in zip(pieces(loop), starts(loop), strict=True):
+        begins = piece.start == 0
+        nodes, weights = roots_jacobi(_GAUSS, 0.0, power) if power and begins else leggauss(_GAUSS)
+        share, sign = 0.5 * (nodes + 1), power if begins else 0.0
+        weights = weights * (0.5 * piece.duration) * (0.5 * piece.duration) ** sign
+        time = piece.start + piece.duration * share
+        weights = weights * (1.0 if begins else time**power)
+        rows = [np.vander(share, len(part), increasing=True) @ part @ given for part in (piece.place, piece.speed)]
+        forms.append([weights[:, None, None] * each[:, :, None] * each[:, None, :] for each in rows])
+        times.append(time)
+    return np.concatenate(times), np.concatenate(forms, axis=1)
 
 
 @lru_cache(maxsize=64)

@@ -148,8 +148,8 @@ def _least_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cost:
     """Return the energy cost of a search: infinity below an alpha, where a limit stands for it."""
-    signal = criterion_of(criterion).signal
-    return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, signal)[criterion], np.inf)
+    of = criterion_of(criterion)
+    return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, of.signal, (of.weight,))[criterion], np.inf)
 
 
 def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
@@ -374,7 +374,7 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
         raise ParameterError(f"criterion {criterion!r}: its optimal cost does not depend on delay (5.4.2).")
     cost = optimal_point(NormalisedLoop.ideal(gamma, delta, reference), criterion).cost
     cost = float(pole_settling_time(cost)[0]) if criterion == "pole_radius" else cost
-    return cost / (reference + 1) ** (criterion_of(criterion).weight + 1)
+    return float(cost / (reference + 1) ** (criterion_of(criterion).weight + 1))
 
 
 _FAINT = 1e-60

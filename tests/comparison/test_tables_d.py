@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+from types import SimpleNamespace
 
 import pytest
 from labs import make_lab
@@ -11,8 +12,10 @@ from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import layouts, open_scene
 from pipeline.comparison.tables_d import TableBuilder, condition_of
 from pipeline.device_data.devices import load_device
-from pipeline.records.findings import Optimum
+from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.models import ComparisonRow
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.predictions import Predictions
 
 CENTRES = 0.002
@@ -210,3 +213,22 @@ def test_ties_are_counted_in_a_note(falcon, falcon_outcome, tmp_path):
     (row,) = TableBuilder(data, {}).rows(Predictions(tmp_path), [result])
     assert row.note.startswith("3 trials share this cost")
     assert row.censored
+
+
+def test_theory_with_the_measured_damping_is_drawn_where_the_file_has_another(sweep, one_process):
+    data = open_scene("lwr", sweep.processed, None, ["energy_step_w0"])
+    theories = nominal_theories(data)
+    builder = TableBuilder(data, theories)
+    damping = Estimate(value=6.0, low=5.0, high=7.0, unit="Nms/rad", method="test")
+    results = [SimpleNamespace(experiment=e.experiment, estimates={"damping": damping}) for e in data.experiments]
+    predictions = Predictions(sweep.raw.parent / "theory-damped")
+    with predictions:
+        found = builder.damped(predictions, results)
+        assert len(found) == 7
+        for (table, criterion, delay), cost in found.items():
+            loop = NormalisedLoop.ideal(0.0, 6.0 * 1e-3 / 0.19, delay)
+            assert cost == pytest.approx(optimal_point(loop, f"{criterion}_discrete").cost, rel=1e-9)
+            assert table == "D.6"
+        same = damping.model_copy(update={"value": 0.0, "low": 0.0, "high": 1e-3})
+        results = [SimpleNamespace(experiment=e.experiment, estimates={"damping": same}) for e in data.experiments]
+        assert builder.damped(predictions, results) == {}

@@ -203,6 +203,15 @@ def test_mass_is_the_true_one_but_for_damping_over_the_whole_region(dev, top):
     assert (found.mass_momentum / dev["mass"] <= 1 + most + 1e-5).all()
 
 
+@pytest.mark.parametrize("after_s", [0.002, 0.01, 0.03])
+def test_a_later_window_gives_the_mass_of_an_undamped_device(after_s):
+    dev = {**FALCON, "b": 0.0}
+    trials = simulate([800.0, 3000.0], [10.0, 50.0], **dev)
+    for trial in trials:
+        found = by_momentum(trial, find_response(trial), 4, window_s=after_s + 0.015, after_s=after_s)
+        assert found.mass_momentum == pytest.approx(0.58, rel=1e-9)
+
+
 def limit_course(dev, step):
     """B = 0, -step, ... until past -b, then a fifth of it, as the procedure of the experiments does."""
     coarse = -np.arange(0, dev["b"] + 1.5 * step, step)

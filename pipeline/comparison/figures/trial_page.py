@@ -21,7 +21,6 @@ from pipeline.device.loop import Loop
 from pipeline.device.parameters import unit_of
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, simulate_behind
 from pipeline.records.criteria import CRITERIA, criterion_of
@@ -75,7 +74,7 @@ def trial_page(
         _Experiment(number, stages, result, theories.get(stages.experiment), criteria, modelled)
         for number, (stages, result) in enumerate(zip(data.experiments, results, strict=True))
     ]
-    first = next((c for c in criteria if CRITERIA[c].tabled), criteria[0])
+    first = next((c for c in criteria if criterion_of(c).tabled), criteria[0])
     experiments = [e.content(share) for e in gathered]
     content = {
         "units": {"stiffness": data.units.stiffness, "damping": data.units.damping},
@@ -125,7 +124,7 @@ class _Experiment:
         self.damping = self.stages.column("response", "damping")
         self.verdict = self.stages.verdicts.verdict
         self.ids = self.stages.texts("response", "trial_id")
-        self.costs = {c: self.stages.column(*cost_column(c)) for c in self.criteria}
+        self.costs = {c: self.stages.cost(c)[0] for c in self.criteria}
         nothing = np.full(len(self.ids), np.nan)
         self.model = {
             name: self.stages.column("model", f"model_{name}") if self.modelled else nothing
@@ -242,7 +241,7 @@ class _Experiment:
     def _cost_text(self, criterion: str, row: int) -> str:
         cost = float(self.costs[criterion][row])
         if np.isnan(cost):
-            reasons = self.stages.text(cost_column(criterion)[0], "reason", row)
+            reasons = self.stages.cost_reasons(criterion)[row]
             return f"none: {reason_of(criterion, reasons) or 'only stable trials have one'}"
         ends = [float(end[row]) for end in self.stages.cost_interval(criterion)]
         told = "" if np.isnan(ends).any() else f" ({' to '.join(cost_text(criterion, end) for end in ends)})"

@@ -20,7 +20,7 @@ from pipeline.measured.identification.identified import FOLDS
 from pipeline.measured.signal.release import find_release
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.measured_trial import MeasuredTrial, about
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.findings import MATTERS, Limit
@@ -135,7 +135,8 @@ def wall_replay(
             same = all(judge(other).verdict == judged.verdict for other in others)
             said[i] = judged.verdict if same else "undecided"
             fits[i] = _fit(logged[i], simulated)
-            costs[i] = settling(simulated, response, judged, int(loop.delay_samples))["settle_2pct"].value
+            counted_about = about(response, stages.measuring.final)
+            costs[i] = settling(simulated, counted_about, judged, int(loop.delay_samples))["settle_2pct"].value
     stable = (verdict[chosen] == "stable") & (said == "stable")
     decided = said != "undecided"
     off, known, outside = _limit_errors(result, limits)

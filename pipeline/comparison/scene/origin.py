@@ -18,6 +18,7 @@ from pipeline.device_data.devices import digest_of
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
+from pipeline.records.models import MOMENTUM_WINDOW_S
 from pipeline.records.results import HeaderLine, LogList
 from pipeline.rendering.labels import criterion_name, shortened
 from pipeline.store.storage import natural_key
@@ -143,6 +144,11 @@ def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
     words = ["pipeline", "compare", "--device", scene.device]
     words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
     words += [] if scene.criteria == REPORTED else ["--criteria", ",".join(scene.criteria)]
+    chosen = scene.shown.measuring
+    words += ["--final", chosen.final] if chosen.final != "expected" else []
+    words += [] if chosen.momentum_delay is None else ["--momentum-delay", str(chosen.momentum_delay)]
+    if chosen.momentum_window_s != MOMENTUM_WINDOW_S:
+        words += ["--momentum-window", f"{chosen.momentum_window_s} s"]
     # names come from logs and may hold anything
     return shlex.join([*words, "--processed", processed, *output])
 

@@ -12,7 +12,15 @@ from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stage_needs import NEEDS, required
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.criteria import CRITERIA, FAMILIES, MEASURED, REPORTED, criterion_of, members
+from pipeline.records.criteria import (
+    CRITERIA,
+    FAMILIES,
+    MEASURED,
+    REPORTED,
+    criterion_of,
+    is_measured,
+    members,
+)
 from pipeline.records.models import Device, Motion, Scene, Shown, TableLayout
 from pipeline.records.results import Truth
 from pipeline.rendering.labels import UNITS, Units
@@ -80,9 +88,10 @@ def open_scene(
     known = device if isinstance(device, Device) else known_devices().get(device)
     device = device.name if isinstance(device, Device) else device
     chosen = tuple(dict.fromkeys(criteria or REPORTED))
-    unknown = [c for c in chosen if c not in MEASURED]
+    unknown = [c for c in chosen if not is_measured(c)]
     if unknown:
-        raise UsageError(f"unknown criterion {unknown[0]!r}; expected some of {', '.join(MEASURED)}.")
+        others = "and any band or exponent, such as settle_3pct or energy_step_w0.5"
+        raise UsageError(f"unknown criterion {unknown[0]!r}; expected some of {', '.join(MEASURED)}, {others}.")
     stored = list_experiments(processed, device)
     if not stored:
         devices = list_devices(processed)
@@ -96,7 +105,10 @@ def open_scene(
     if missing:
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
-    every = [ExperimentStages.stored(processed, device, e, declared_spring(known, e)) for e in chosen_names]
+    asked = shown or Shown()
+    every = [
+        ExperimentStages.stored(processed, device, e, declared_spring(known, e), asked.measuring) for e in chosen_names
+    ]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
     if left_out:
@@ -113,7 +125,6 @@ def open_scene(
             f"device {device!r}: its logs mix {' and '.join(motions)}; expected one kind of motion for one device. "
             "Compare the experiments apart (--experiment), or name the devices apart in the logs' headers."
         )
-    asked = shown or Shown()
     scene = Scene(
         device=device,
         experiments=names,

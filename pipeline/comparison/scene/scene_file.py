@@ -14,7 +14,7 @@ from pipeline.base.errors import SceneError
 from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData, layouts, open_scene
 from pipeline.profiles.profile_files import Mistake, Place, key_lines
 from pipeline.records.criteria import REPORTED, SETTLING_BANDS
-from pipeline.records.models import FigureKind, SceneFile
+from pipeline.records.models import MOMENTUM_WINDOW_S, FigureKind, SceneFile
 from pipeline.rendering.labels import criterion_name
 from pipeline.store.names import report_of
 
@@ -171,6 +171,11 @@ def draft_scene(device: str, processed: Path) -> str:
         f"tables = {_list([*(t.name for t in layouts(data)), *REPORT_TABLES])}",
         "",
         f"report = {_quoted(report_of(Path('reports'), device).as_posix())}",
+        "",
+        "# costs about the expected (x_0 + F_0/K) or the measured final position; window of the momentum balance (6.4)",
+        "[measuring]",
+        'final = "expected"',
+        f"momentum_window_s = {MOMENTUM_WINDOW_S}",
     ]
     return "\n".join(lines) + "\n"
 

@@ -109,7 +109,7 @@ def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[floa
     return list(found.items())
 
 
-def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[tuple[str, int, float]]:
+def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[tuple[str, float, float]]:
     """Yield experiment, weight and share of the optimal energy costs that lie beyond the end of what was recorded."""
     for result, stages in zip(results, data.experiments, strict=False):
         for criterion in members(ENERGY):

@@ -18,8 +18,8 @@ from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.signal.response import SETTLED_SAMPLES, Response, reach
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.student import CONFIDENCE, NORMAL_95
-from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS
-from pipeline.records.stage_records import CostRow, OvershootRow, RiseRow, SettlingRow
+from pipeline.records.criteria import OVERSHOOT, RISE_LEVELS, SETTLING_BANDS, Criterion
+from pipeline.records.stage_records import CostRow, OtherCostRow, OvershootRow, RiseRow, SettlingRow
 from pipeline.records.trials import Floats, Trial
 
 TAIL = 0.5 * (1 - CONFIDENCE)
@@ -132,6 +132,7 @@ def settling(
     error: ReadingError | None = None,
     *,
     delay_range: tuple[int, int] | None = None,
+    bands: Mapping[str, float] = SETTLING_BANDS,
 ) -> dict[str, Cost]:
     """Return the discrete settling time by criterion: the smallest k from which on all samples are inside the band.
 
@@ -146,6 +147,8 @@ def settling(
         Of this trial; without it there is no interval.
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor that the experiment leaves open.
+    bands : mapping of str to float
+        Half widths of the bands relative to the final displacement, by criterion.
 
     Raises
     ------
@@ -164,11 +167,11 @@ def settling(
     low, high = delay_bounds(delay_samples, delay_range)
     readings = _readings(trial, response, verdict, delay_samples, error)
     if isinstance(readings, Cost):
-        return dict.fromkeys(SETTLING_BANDS, readings)
+        return dict.fromkeys(bands, readings)
     rows, size, deviation = len(readings.offset), np.abs(readings.offset), readings.deviation
     growth = verdict.growth_per_s * trial.sampling_period_s
     costs = {}
-    for name, band in SETTLING_BANDS.items():
+    for name, band in bands.items():
         width = band * abs(readings.travel)
         settled = _settled(size, width)
         text = ""
@@ -301,12 +304,15 @@ class ReadingInputs:
         `usual_gain` of the trials.
     spring : float
         Stiffness k [N/m, Nm/rad] that acts on the device.
+    final : {"expected", "measured"}
+        As in `Measuring`.
     """
 
     delay: int
     sensor: float | None
     gain: float
     spring: float
+    final: str = "expected"
 
 
 @dataclass(frozen=True)
@@ -347,6 +353,21 @@ def settling_row(
     """Return the settling times of a trial as they are stored."""
     costs = settling(trial, response, verdict, inputs.readings.delay, error, delay_range=inputs.delay_range)
     return SettlingRow(**_columns(costs), reason=joined(*(cost.reason for cost in costs.values())))
+
+
+def other_settling(
+    trial: Trial,
+    response: Response,
+    verdict: Verdict,
+    error: ReadingError,
+    inputs: CostInputs,
+    *,
+    criterion: Criterion,
+) -> OtherCostRow:
+    """Return the settling time of a trial for a band that no column stores."""
+    bands, d = {criterion.name: criterion.band or 0.0}, inputs.readings.delay
+    (cost,) = settling(trial, response, verdict, d, error, delay_range=inputs.delay_range, bands=bands).values()
+    return OtherCostRow(cost.value, cost.low, cost.high, cost.reason)
 
 
 def overshoot_row(

@@ -16,9 +16,9 @@ from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.sensor import AT_REST
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.student import NORMAL_95
-from pipeline.records.criteria import ENERGY, members
+from pipeline.records.criteria import ENERGY, Criterion, members
 from pipeline.records.findings import ROUNDING
-from pipeline.records.stage_records import EnergyRow
+from pipeline.records.stage_records import EnergyRow, OtherCostRow
 from pipeline.records.trials import Floats, Trial
 
 WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
@@ -45,6 +45,9 @@ LARGEST_TAIL = 0.25
 SHORTEST_HORIZON = 40
 """Samples of the shortest horizon that tells a decay: half of them hold a swing of the fastest walls."""
 
+FIRST_TERMS = 4096
+"""Terms that are summed one by one of a decay with an exponent that is no whole number: what follows is smooth."""
+
 LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
 """Beyond twice that exp overflows."""
 
@@ -61,12 +64,15 @@ class EnergyInputs:
         Mass or inertia that the wall feels, and its standard error [kg, kg m^2].
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor that the experiment leaves open.
+    weights : tuple of float
+        Exponents w.
     """
 
     delay_samples: int
     mass: float
     mass_error: float = 0.0
     delay_range: tuple[int, int] | None = None
+    weights: tuple[float, ...] = WEIGHTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +104,12 @@ class EnergyTerms:
     inertia: float = np.nan
     reason: str = ""
 
-    def summed(self, mass: float) -> Floats:
-        """Return the plain sums of k^w E_k/E_0 up to the horizon for w = 0, 1, 2; NaN where there can be no cost."""
+    def summed(self, mass: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
+        """Return the plain sums of k^w E_k/E_0 up to the horizon by w; NaN where there can be no cost."""
         if self.reason:
-            return np.full(len(WEIGHTS), np.nan)
-        exact = np.zeros(len(self.error))
-        _, sums = _sums(self.error, self.change, exact, exact, self.spring, mass * self.inertia)
-        return np.asarray(sums[0])
+            return np.full(len(weights), np.nan)
+        energy = self.spring * self.error**2 + mass * self.inertia * self.change**2
+        return np.array([np.arange(len(energy), dtype=np.float64) ** w @ energy for w in weights])
 
 
 def energy_terms(
@@ -154,15 +159,15 @@ def energy_terms(
 
 @dataclass(frozen=True, eq=False)
 class EnergyInterval:
-    """Discrete energy cost for w = 0, 1, 2 with its 95 % interval; NaN where there is no value.
+    """Discrete energy cost by exponent w with its 95 % interval; NaN where there is no value.
 
     Parameters
     ----------
-    value, low, high : float64, shape (3,)
+    value, low, high : float64, shape (w,)
         Sum over the horizon, less the bias by noise, plus the tail beyond the horizon, and its interval [1].
-    bias : float64, shape (3,)
+    bias : float64, shape (w,)
         What noise and quantum add to the sum on average [1]; it is taken off in ``value``.
-    tail : float64, shape (3,)
+    tail : float64, shape (w,)
         Part of ``value`` that lies beyond the horizon [1], extrapolated.
     horizon_samples : int
         Number of samples summed.
@@ -211,36 +216,43 @@ def energy_interval(
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
-    mass, mass_error, delay = inputs.mass, inputs.mass_error, inputs.delay_samples
+    mass, mass_error, delay, weights = inputs.mass, inputs.mass_error, inputs.delay_samples, inputs.weights
     if not (mass > 0 and mass_error >= 0):
         raise ParameterError(f"mass {mass:g} +- {mass_error:g}: expected a positive mass and an error >= 0.")
     shortest, longest = delay_bounds(delay, inputs.delay_range)
     level = 0.0 if error.reason else LEVEL_SIGMAS * float(error.deviation[-1])
     terms = energy_terms(trial, response, verdict, delay, level)
-    nothing, horizon = np.full(len(WEIGHTS), np.nan), terms.stop - terms.first
+    nothing, horizon = np.full(len(weights), np.nan), terms.stop - terms.first
     if reason := terms.reason or error.reason:
         return EnergyInterval(nothing, nothing, nothing, nothing, nothing, horizon, reason)
     inside, inertia = slice(terms.first, terms.stop), mass * terms.inertia
     deviations = error.deviation[inside], error.change[inside]
-    slopes, sums = _sums(terms.error, terms.change, *deviations, terms.spring, inertia)
+    slopes, sums, at_end = _sums(terms.error, terms.change, *deviations, np.array([terms.spring, inertia, *weights]))
     growth = verdict.growth_per_s * trial.sampling_period_s
-    tail, tail_low, tail_high = _tail(sums[4:], horizon, growth, sunk=terms.stop < trial.rows)
+    tail, tail_low, tail_high = _tail(at_end, (horizon, weights), growth, sunk=terms.stop < trial.rows)
     bias = sums[1]
-    value, rest = sums[0] - bias + tail, _at_rest(trial, response, terms)
+    value, rest = sums[0] - bias + tail, _at_rest(trial, response, terms, weights)
     of_sensor = _sensor_variance(terms, error, inertia, slopes, sums[3])
     random = NORMAL_95**2 * (of_sensor + (mass_error * terms.inertia * sums[2]) ** 2)
     low = value - np.sqrt(random + (tail_low - tail) ** 2)
     high = value + np.sqrt(random + (tail_high - tail) ** 2)
-    low = np.maximum(low + _shifted(value, longest - delay) - value, 0.0)
-    high = high + _shifted(value, shortest - delay) - value + rest
+    if weights == WEIGHTS:
+        later, sooner = (_shifted(value, end - delay) - value for end in (longest, shortest))
+    else:
+        others = [energy_terms(trial, response, verdict, end, level) for end in (longest, shortest)]
+        later, sooner = (other.summed(mass, weights) - terms.summed(mass, weights) for other in others)
+    low = np.maximum(low + later, 0.0)
+    high = high + sooner + rest
     trusted = (high - low <= 2 * LARGEST_HALF_WIDTH * value) & (tail_high + rest <= LARGEST_TAIL * value)
     size, reason = abs(trial.step) / trial.stiffness, ""
     if level > LARGEST_LEVEL * size:
         trusted[:] = False
         reason = f"noise and quantum leave {level:.3g} open, too much for a final displacement of {size:.3g}"
     elif not trusted.all():
-        ends = [f": {low[w]:.3g} to {high[w]:.3g}" if np.isfinite(high[w]) else " without an end" for w in WEIGHTS]
-        open_ = ", ".join(f"w = {w}{ends[w]}" for w in WEIGHTS if not trusted[w])
+        between = zip(low, high, strict=True)
+        ends = [f": {a:.3g} to {b:.3g}" if np.isfinite(b) else " without an end" for a, b in between]
+        both = zip(weights, ends, trusted.tolist(), strict=True)
+        open_ = ", ".join(f"w = {w:g}{end}" for w, end, known in both if not known)
         remedy = "; it rests beside its final position" if rest.any() else "; record longer" if horizon else ""
         reason = f"noise, mass, delay and what follows {horizon} samples leave open {open_}{remedy}"
     value, low, high, bias, tail = (np.where(trusted, part, np.nan) for part in (value, low, high, bias, tail))
@@ -255,64 +267,87 @@ def energy_row(
     cost = energy_interval(trial, response, verdict, error, known)
     parts = {"": cost.value, "_low": cost.low, "_high": cost.high, "_bias": cost.bias, "_tail": cost.tail}
     return EnergyRow(
-        **{f"{c.column}{part}": float(values[c.weight]) for c in members(ENERGY) for part, values in parts.items()},
+        **{
+            f"{c.column}{part}": float(values[int(c.weight)]) for c in members(ENERGY) for part, values in parts.items()
+        },
         horizon_samples=cost.horizon_samples or np.nan,
         reason=cost.reason,
     )
 
 
-@compiled("Tuple((f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8, f8)")
-def _sums(x: Floats, v: Floats, s: Floats, z: Floats, a: float, c: float) -> tuple[Floats, Floats]:
-    """Return the slopes of sum k^w E_k to each x_k for w = 0, 1, 2, shape (3, h), and sums over k, shape (6, 3).
+def other_energy(
+    trial: Trial,
+    response: Response,
+    verdict: Verdict,
+    error: ReadingError,
+    inputs: CostInputs,
+    *,
+    criterion: Criterion,
+) -> OtherCostRow:
+    """Return the energy of a trial for an exponent that no column stores."""
+    weights, d = (criterion.weight,), inputs.readings.delay
+    known = EnergyInputs(d, inputs.mass, inputs.mass_error, inputs.delay_range, weights)
+    cost = energy_interval(trial, response, verdict, error, known)
+    return OtherCostRow(float(cost.value[0]), float(cost.low[0]), float(cost.high[0]), cost.reason)
+
+
+@compiled("Tuple((f8[:, ::1], f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])")
+def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the slopes of sum k^w E_k to each x_k, shape (w, h), sums over k, shape (4, w), and at the end, (2, 3).
 
     E_k = a x_k^2 + c v_k^2, where v_k = x_k - x_{k-1} and v_0 = 0. Standard errors s_k of x_k and z_k of v_k add
-    n_k = a s_k^2 + c z_k^2 to it on average. Rows of the sums: k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2 for each w;
-    E_k - n_k in both halves of the last half, and n_k in the second; n_k^2 in the last half, the largest E_k and its k.
+    n_k = a s_k^2 + c z_k^2 to it on average. Rows of the sums: k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2 for each w.
+    At the end: E_k - n_k in both halves of the last half, and n_k in the second; n_k^2 in the last half, the largest
+    E_k and its k.
 
     Parameters
     ----------
     x, v, s, z : float64, shape (h,)
         In [m, rad].
-    a, c : float
-        In [1/m^2, 1/rad^2].
+    given : float64, shape (2 + w,)
+        a and c [1/m^2, 1/rad^2], and the exponents.
     """
-    h = len(x)
-    slopes, sums, half = np.zeros((3, h)), np.zeros((6, 3)), max(h // 2, 1)
+    h, a, c, w = len(x), given[0], given[1], given[2:]
+    slopes, sums, half = np.zeros((len(w), h)), np.zeros((4, len(w))), max(h // 2, 1)
+    end = np.zeros((2, 3))
     for k in range(h):
         energy, noise = a * x[k] ** 2 + c * v[k] ** 2, a * s[k] ** 2
         if k > 0:  # the first sample has no change
             noise += c * z[k] ** 2
-        weight = 1.0
-        for w in range(3):
-            sums[0, w] += weight * energy
-            sums[1, w] += weight * noise
-            sums[2, w] += weight * v[k] ** 2
-            sums[3, w] += (weight * noise) ** 2
-            slopes[w, k] += 2 * weight * (a * x[k] + c * v[k])
+        for i in range(len(w)):
+            weight = float(k) ** w[i]
+            sums[0, i] += weight * energy
+            sums[1, i] += weight * noise
+            sums[2, i] += weight * v[k] ** 2
+            sums[3, i] += (weight * noise) ** 2
+            slopes[i, k] += 2 * weight * (a * x[k] + c * v[k])
             if k > 0:
-                slopes[w, k - 1] -= 2 * weight * c * v[k]
-            weight *= k
+                slopes[i, k - 1] -= 2 * weight * c * v[k]
         if k >= h - half // 2:
-            sums[4, 1] += energy - noise
-            sums[4, 2] += noise
+            end[0, 1] += energy - noise
+            end[0, 2] += noise
         elif k >= h - half:
-            sums[4, 0] += energy - noise
+            end[0, 0] += energy - noise
         if k >= h - half:
-            sums[5, 0] += noise**2
-        if energy > sums[5, 1]:
-            sums[5, 1], sums[5, 2] = energy, k
-    return slopes, sums
+            end[1, 0] += noise**2
+        if energy > end[1, 1]:
+            end[1, 1], end[1, 2] = energy, k
+    return slopes, sums, end
 
 
-def _tail(at_end: Floats, horizon: int, growth: float, *, sunk: bool) -> tuple[Floats, Floats, Floats]:
-    """Return the energies beyond the horizon, sum k^w E_k/E_0, and both ends of their interval, shape (3,) each.
+def _tail(
+    at_end: Floats, beyond: tuple[int, tuple[float, ...]], growth: float, *, sunk: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Return the energies beyond the horizon, sum k^w E_k/E_0, and both ends of their interval, shape (w,) each.
 
-    ``at_end`` are the last two rows of the sums of `_sums`. A stable response is its slowest mode there, whose energy
-    falls by a constant factor a sample: by its growth rate, else by the halves of the last half of the horizon, else,
-    where it has sunk into the noise, by its mean decay since the peak of its energy. It is carried on from the sum over
-    that last half.
+    ``at_end`` as of `_sums`, ``beyond`` are the horizon and the exponents.
+
+    A stable response is its slowest mode there, whose energy falls by a constant factor a sample: by its growth
+    rate, else by the halves of the last half of the horizon, else, where it has sunk into the noise, by its mean
+    decay since the peak of its energy. It is carried on from the sum over that last half.
     """
-    nothing, endless = np.zeros(len(WEIGHTS)), np.full(len(WEIGHTS), np.inf)
+    horizon, weights = beyond
+    nothing, endless = np.zeros(len(weights)), np.full(len(weights), np.inf)
     (before, after, late_noise), (squares, peak, at) = at_end.tolist()
     width = max(horizon // 2, 1)
     total, unsure = before + after, math.sqrt(squares)
@@ -349,7 +384,7 @@ def _tail(at_end: Floats, horizon: int, growth: float, *, sunk: bool) -> tuple[F
         if rate > 0:
             # sum of exp(2 rate j) for j = 1 to the width
             grown = math.expm1(min(2 * rate * width, LARGEST_EXPONENT)) / -math.expm1(-2 * rate)
-            ends.append(min(max(level, 0.0) / max(grown, 1.0) * factor, bound) * _moments(horizon, rate))
+            ends.append(min(max(level, 0.0) / max(grown, 1.0) * factor, bound) * _moments(horizon, rate, weights))
         else:
             ends.append(endless)
     value, low, high = ends
@@ -358,15 +393,32 @@ def _tail(at_end: Floats, horizon: int, growth: float, *, sunk: bool) -> tuple[F
     return value, np.where(np.isfinite(low), low, 0.0), np.maximum(high, value)
 
 
-def _moments(horizon: int, decay: float) -> Floats:
-    """Sum over j >= 0 of (h + j)^w exp(-2 decay j) for w = 0, 1, 2."""
+def _moments(horizon: int, decay: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
+    """Sum over j >= 0 of (h + j)^w exp(-2 decay j) by w."""
+    if weights != WEIGHTS:
+        return np.array([_moment(horizon, 2 * decay, w) for w in weights])
     h, ratio, rest = float(horizon), math.exp(-2 * decay), -math.expm1(-2 * decay)
     plain, once, twice = 1 / rest, ratio / rest**2, ratio * (1 + ratio) / rest**3
     return np.array([plain, h * plain + once, h * h * plain + 2 * h * once + twice])
 
 
-def _at_rest(trial: Trial, response: Response, terms: EnergyTerms) -> Floats:
-    """Return the energies behind the horizon of a response that rests off its final position, shape (3,).
+def _moment(horizon: int, rate: float, w: float) -> float:
+    """Sum over j >= 0 of (h + j)^w exp(-rate j): its first terms, and behind them Euler's and Maclaurin's formula."""
+    from scipy.special import gamma, gammaincc
+
+    j = np.arange(FIRST_TERMS + 1, dtype=np.float64)
+    terms = (horizon + j) ** w * np.exp(-rate * j)
+    start, last = rate * (horizon + FIRST_TERMS), float(terms[-1])
+    if start > LARGEST_EXPONENT:  # (1 + u/start)^w is as good as its first powers
+        integral = last / rate * (1 + w / start + w * (w - 1) / start**2 + w * (w - 1) * (w - 2) / start**3)
+    else:
+        integral = math.exp(rate * horizon) * float(gammaincc(w + 1, start) * gamma(w + 1)) / rate ** (w + 1)
+    slope = last * (w / (horizon + FIRST_TERMS) - rate)
+    return float(terms[:-1].sum()) + integral + last / 2 - slope / 12
+
+
+def _at_rest(trial: Trial, response: Response, terms: EnergyTerms, weights: tuple[float, ...]) -> Floats:
+    """Return the energies behind the horizon of a response that rests off its final position, shape (w,).
 
     Friction keeps it there: the plain sum grows by them as long as the log lasts. An offset below the sensor floor
     counts as none.
@@ -374,15 +426,15 @@ def _at_rest(trial: Trial, response: Response, terms: EnergyTerms) -> Floats:
     first, stop = terms.first, terms.stop
     offset = float((trial.position[stop:] - response.position_final_expected).sum()) / max(trial.rows - stop, 1)
     if abs(offset) <= response.floor:
-        return np.zeros(len(WEIGHTS))
+        return np.zeros(len(weights))
     index = np.arange(stop - first, trial.rows - first, dtype=np.float64)
-    return terms.spring * offset**2 * np.array([(index**w).sum() for w in WEIGHTS])
+    return terms.spring * offset**2 * np.array([(index**w).sum() for w in weights])
 
 
 def _sensor_variance(
     terms: EnergyTerms, error: ReadingError, inertia: float, slopes: Floats, noise_squares: Floats
 ) -> Floats:
-    """Variance of the sum by noise and quantum, shape (3,).
+    """Variance of the sum by noise and quantum, shape (w,).
 
     The slope of the sum to each reading, correlated with the wall's answer to an error, is the slope to each error.
     """
@@ -391,7 +443,7 @@ def _sensor_variance(
     weight = math.sqrt(error.gain) * error.weight
     weight[:1] = 1.0
     answer = np.fft.rfft(weight, length).conj()
-    slope = np.zeros((len(WEIGHTS), length))
+    slope = np.zeros((len(slopes), length))
     slope[:, first : terms.stop] = slopes
     slopes = np.fft.irfft(np.fft.rfft(slope) * answer, length)
     start = max(first, 1)

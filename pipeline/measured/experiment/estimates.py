@@ -23,6 +23,9 @@ LARGEST_OFFSET = 0.05
 LEAST_OFFSET = 0.01
 """Distance [samples] from a whole number up to which a delay is one: a fit is not known to be less biased."""
 
+MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over the second half of that"}
+"""Windows of the momentum balance by the end of their columns, and in words: later ones are irregular (6.1.2)."""
+
 BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "model_delay"}
 """Parameters that are identified by trial, and their columns."""
 
@@ -135,13 +138,15 @@ def delay_estimate(of: Stored) -> Estimate:
 def mass_estimate(of: Stored) -> Estimate:
     """Return the mass of an experiment, beside that of the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
-    plain = thesis.estimate_median(
-        of.column("mass", "mass_momentum"),
-        unit,
-        "momentum balance (6.4), median of trials",
-        f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}",
-    )
-    return model.model_copy(update={"by_method": {"model": model, "thesis_momentum_balance": plain}})
+    reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
+    methods = {"model": model}
+    for name, over in MOMENTUM_WINDOWS.items():
+        values = of.column("mass", f"mass_momentum{name}")
+        known = values[np.isfinite(values)]
+        found = thesis.estimate_median(values, unit, f"momentum balance (6.4){over}, median of trials", reason)
+        scatter = float(np.median(np.abs(known - np.median(known)))) / NORMAL_QUARTILE if len(known) > 1 else None
+        methods[f"thesis_momentum_balance{name}"] = found.model_copy(update={"spread": scatter})
+    return model.model_copy(update={"by_method": methods})
 
 
 def damping_estimate(of: Stored) -> Estimate:

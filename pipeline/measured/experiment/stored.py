@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.device.parameters import Motion
+from pipeline.records.models import Measuring
 from pipeline.records.trials import Floats, Trials
 
 Result = TypeVar("Result")
@@ -62,6 +63,10 @@ class Experiment(Stored, Protocol):
     @property
     def spring(self) -> float:
         """Stiffness k of the device that its file declares [N/m, Nm/rad], 0 for none."""
+
+    @property
+    def measuring(self) -> Measuring:
+        """Choices of the thesis in what is measured."""
 
     @property
     def samples(self) -> Trials:

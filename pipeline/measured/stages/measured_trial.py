@@ -117,7 +117,8 @@ class MeasuredTrial:
     def _read(self, trial: Trial, response: Response, inputs: ReadingInputs) -> Readings:
         trial, response = self.with_spring(trial, response, inputs.spring)
         sensor = np.nan if inputs.sensor is None else inputs.sensor
-        return Readings(trial, response, reading_error(trial, response, inputs.delay, sensor=sensor, gain=inputs.gain))
+        error = reading_error(trial, response, inputs.delay, sensor=sensor, gain=inputs.gain)
+        return Readings(trial, about(response, inputs.final), error)
 
     def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
         """Return this trial, perhaps on its grid, as costs see it where a spring k acts on the device.
@@ -130,6 +131,13 @@ class MeasuredTrial:
             final = response.position_start + trial.step / trial.stiffness
             response = replace(response, position_final_expected=final)
         return trial, replace(response, edge_row=NO_ROW, edge_reason=self.unsafe) if self.unsafe else response
+
+
+def about(response: Response, final: str) -> Response:
+    """Return a response whose costs count about its expected or its measured final position, see `Measuring`."""
+    if final == "measured" and np.isfinite(response.position_final_expected):
+        return replace(response, position_final_expected=response.position_final_measured)
+    return response
 
 
 class MapTrials(Protocol):

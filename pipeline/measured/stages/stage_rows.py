@@ -124,24 +124,29 @@ def delay(of: MeasuredTrial, _: NoInputs) -> DelayRow:
 
 @dataclass(frozen=True)
 class MassInputs:
-    """What the momentum balance takes from the whole experiment: the delay that the thesis would take [samples]."""
+    """What the momentum balance takes from the whole experiment: delay [samples] and length of its window [s]."""
 
     delay: int
+    window_s: float
 
 
 def mass_inputs(of: Experiment) -> MassInputs | Missing:
     """Return what the momentum balance takes from the whole experiment."""
-    value = of.once(first_change).value
-    return Missing(NO_DELAY) if value is None else MassInputs(int(value))
+    value = of.once(first_change).value if of.measuring.momentum_delay is None else of.measuring.momentum_delay
+    return Missing(NO_DELAY) if value is None else MassInputs(int(value), of.measuring.momentum_window_s)
 
 
 NO_DELAY = "needs the delay, which is not known"
 
 
 def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
-    """Return the mass of a trial by the momentum balance."""
-    found = thesis.by_momentum(of.trial, of.response, inputs.delay)
-    return MassRow(found.mass_momentum, found.reason)
+    """Return the mass of a trial by the momentum balance: over its window, a longer one and the one after it."""
+    window = inputs.window_s
+    first, longer, later = (
+        thesis.by_momentum(of.trial, of.response, inputs.delay, window_s=end, after_s=begin)
+        for begin, end in ((0.0, window), (0.0, 2 * window), (window, 2 * window))
+    )
+    return MassRow(first.mass_momentum, longer.mass_momentum, later.mass_momentum, first.reason)
 
 
 def cost_inputs(of: Experiment) -> CostInputs:
@@ -173,11 +178,11 @@ def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInput
     """What the error of a reading takes from all trials: a spring, the sensor, the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
-    sensor = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64))
+    sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
     if not np.isfinite(sensor):
-        return ReadingInputs(samples, None, 1.0, spring)
+        return ReadingInputs(samples, None, 1.0, spring, final)
     gain = np.array(of.map_trials(partial(_gain_at_rest, delay=samples, sensor=sensor, spring=spring)))
-    return ReadingInputs(samples, sensor, usual_gain(gain), spring)
+    return ReadingInputs(samples, sensor, usual_gain(gain), spring, final)
 
 
 def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -> float:

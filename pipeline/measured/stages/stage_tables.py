@@ -30,6 +30,7 @@ from pipeline.measured.experiment.stored import Verdicts
 from pipeline.measured.stages.stage_needs import NEEDS, SPRUNG, cost_column
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, Optimum
+from pipeline.records.models import Measuring
 from pipeline.records.stage_records import OF_TRIAL
 from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
 from pipeline.records.tables import COLUMNS, TABLES, arrow_schema, to_arrow
@@ -88,6 +89,8 @@ class ExperimentStages:
         Its trials that are not.
     spring : float
         Stiffness k [N/m, Nm/rad] of the device that its file declares, 0 for none; see `declared_spring`.
+    measuring : Measuring
+        Choices of the thesis in what is measured.
     """
 
     processed: Path
@@ -96,15 +99,19 @@ class ExperimentStages:
     trials: pa.Table
     excluded: tuple[Exclusion, ...] = ()
     spring: float = 0.0
+    measuring: Measuring = field(default_factory=Measuring)
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _keys: dict[str, str] = field(default_factory=dict, init=False)
+    _other_costs: dict[str, tuple[Floats, Floats, Floats, list[str]]] = field(default_factory=dict, init=False)
 
     @classmethod
-    def stored(cls, processed: Path, device: str, experiment: str, spring: float = 0.0) -> Self:
+    def stored(
+        cls, processed: Path, device: str, experiment: str, spring: float = 0.0, measuring: Measuring | None = None
+    ) -> Self:
         """Return the stages of a stored experiment; the table of trials has no row where all are excluded."""
         trials, excluded = split_trials(read_trials(processed, device, experiment), read_exclusions(processed))
-        return cls(processed, device, experiment, trials, excluded, spring)
+        return cls(processed, device, experiment, trials, excluded, spring, measuring or Measuring())
 
     @cached_property
     def motion(self) -> Motion:
@@ -165,9 +172,10 @@ class ExperimentStages:
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
         if stage not in self._keys:
-            spring = [self.spring] if stage in SPRUNG else []
+            chosen: list[object] = [self.spring, self.measuring.final] if stage in SPRUNG else []
+            chosen += [self.measuring.model_dump(exclude={"final"})] if stage == "mass" else []
             needs = [self.key(need) for need in NEEDS[stage]]
-            self._keys[stage] = digest([stage, self.inputs_digest, code_digest("stages"), *spring, *needs])
+            self._keys[stage] = digest([stage, self.inputs_digest, code_digest("stages"), *chosen, *needs])
         return self._keys[stage]
 
     def is_stored(self, stage: str) -> bool:
@@ -347,8 +355,33 @@ class ExperimentStages:
 
     def cost(self, criterion: str) -> tuple[Floats, str]:
         """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
+        return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
+
+    def cost_reasons(self, criterion: str) -> list[str]:
+        """Return why each trial has no cost by a criterion, or a doubtful one; empty where there is no reason."""
+        return self._costs(criterion)[3]
+
+    def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
+        """Return costs, both ends of their intervals, and reasons of trials; computed where no column stores them."""
         stage, column = cost_column(criterion)
-        return self.column(stage, column), commonest(self.texts(stage, "reason"))
+        if column in TABLES[stage]:
+            value, low, high = (self.column(stage, f"{column}{end}") for end in ("", "_low", "_high"))
+            return value, low, high, self.texts(stage, "reason")
+        if criterion not in self._other_costs:
+            from pipeline.measured.stages.stage import Missing
+            from pipeline.measured.stages.stages import other_cost
+
+            computation, nothing = other_cost(criterion_of(criterion)), np.full(len(self.samples), np.nan)
+            inputs = self.once(computation.inputs)
+            if isinstance(inputs, Missing):
+                found = nothing, nothing, nothing, [inputs.reason] * len(nothing)
+            else:
+                rows = self.map_trials(partial(stage_row, measure=computation.measure, inputs=inputs))
+                names = ("cost", "cost_low", "cost_high")
+                value, low, high = (np.array([vars(row)[name] for row in rows]) for name in names)
+                found = value, low, high, [vars(row)["reason"] for row in rows]
+            self._other_costs[criterion] = found
+        return self._other_costs[criterion]
 
     def floor(self, criterion: str) -> Floats | None:
         """Return the cost of each trial that sensor and chatter alone can cause; None where they cause none."""
@@ -357,13 +390,12 @@ class ExperimentStages:
 
     def sure_cost(self, criterion: str) -> Floats:
         """Return the cost of each trial as `cost`, zero where it counts as none."""
-        cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
+        cost, floor = self._costs(criterion)[0], self.floor(criterion)
         return cost if floor is None else np.where(without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
-        stage, column = cost_column(criterion)
-        return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
+        return self._costs(criterion)[1:3]
 
     def optimum(self, criterion: str, limits: Sequence[BoundaryPoint] = ()) -> Optimum | None:
         """Return the best trial by a criterion, or None where no trial has that cost; its margin to measured limits."""

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from pipeline.measured.cost.costs import CostInputs, Measure, overshoot_row, rise_row, settling_row
-from pipeline.measured.cost.energy import energy_row
+from pipeline.measured.cost.costs import CostInputs, Measure, other_settling, overshoot_row, rise_row, settling_row
+from pipeline.measured.cost.energy import energy_row, other_energy
 from pipeline.measured.stages import stage_device, stage_rows
 from pipeline.measured.stages.stage import ExperimentStage, TrialStage, no_inputs
-from pipeline.records.criteria import ENERGY, FAMILIES, Family, members
+from pipeline.records.criteria import ENERGY, FAMILIES, Criterion, Family, members
 from pipeline.records.stage_records import CostRow
 
 MEASURES: Mapping[str, Measure] = {
@@ -20,6 +20,14 @@ MEASURES: Mapping[str, Measure] = {
     "energy": energy_row,
 }
 """What computes the costs of each family of criteria."""
+
+
+def other_cost(criterion: Criterion) -> TrialStage[CostInputs, CostRow]:
+    """Return what computes the cost by a criterion that no column stores: another settling band or exponent."""
+    energies = criterion.family is ENERGY
+    measure = partial(other_energy if energies else other_settling, criterion=criterion)
+    inputs = stage_rows.energy_inputs if energies else stage_rows.timed_inputs
+    return TrialStage(partial(stage_rows.costs, measure=measure, names=("cost",)), inputs)
 
 
 def _cost_stage(family: Family) -> TrialStage[CostInputs, CostRow]:

@@ -5,7 +5,7 @@ Source: Hulin 2017, Fig. 6.12 (costs over delay).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,7 +45,11 @@ def trend_figure(result: ComparisonResult) -> list[Figure]:
     return [Figure("trend", "trend", title, caption, tuple(panels), size=(350.0, 250.0))]
 
 
-def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
+DampedCosts = Mapping[tuple[str, str, float], float]
+"""Optimal costs by theory with the measured damping, by table, criterion and delay [samples]."""
+
+
+def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Figure]:
     """Return optimal costs over total delay, theory and experiment, of each table that is a sweep."""
     figures: list[Figure] = []
     for table in dict.fromkeys(row.table for row in rows):
@@ -56,7 +60,8 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
         for criterion in dict.fromkeys(row.criterion for row in own):
             of = sorted((row for row in own if row.criterion == criterion), key=lambda row: row.delay_samples or 0.0)
             scale, series = printed_scale(criterion), []
-            for label, kind, points in _over_delay(of):
+            with_damping = [(d, cost) for (name, c, d), cost in damped.items() if (name, c) == (table, criterion)]
+            for label, kind, points in (*_over_delay(of), ("theory, measured damping", "theory", with_damping)):
                 x, y = np.array(points, dtype=np.float64).T if points else (np.empty(0), np.empty(0))
                 series += [Series(label, kind, x, y * scale)] if points else []
             told = "; ".join(
@@ -70,6 +75,8 @@ def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
             "Costs of the sampled response at the optimum, theory and experiment. What theory costs on the walls that "
             "were tested is no error of theory: the optimum lies between them. In the manner of Fig. 6.12."
         )
+        if any(name == table for name, *_ in damped):
+            caption += " Dashed: theory with the damping that the logs show in place of the device file's."
         name, title = f"delay{len(figures) or ''}", "Optimal costs over delay"
         figures.append(Figure("delay", name, title, caption, tuple(panels), size=(440.0, 300.0)))
     return figures

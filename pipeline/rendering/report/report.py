@@ -36,6 +36,11 @@ SEVERAL = ("optima", "delay_tables")
 ALWAYS = ("missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
+OF_COSTS = ("optima", "delay_tables", "delay_form", "measured_optima", "use")
+"""Tables with measured costs."""
+
+ABOUT_MEASURED = "costs about the measured final position"
+
 _DIGEST_SLOT, _PARTS_SLOT = "digest-of-cells", "digests-of-parts"
 
 
@@ -145,9 +150,12 @@ def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
 
 
 def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
-    """Return all tables of a comparison as printed, by the names of `tables_of`; those of simulated logs marked so."""
-    found = tables_of(result, trials)
-    return {name: [marked(table, simulated=result.simulated) for table in found[name]] for name in found}
+    """Return all tables of a comparison as printed, by the names of `tables_of`: simulated and measured ones marked."""
+    about = ABOUT_MEASURED if result.measuring.final == "measured" else ""
+    return {
+        name: [marked(table, simulated=result.simulated, more=about * (name in OF_COSTS)) for table in tables]
+        for name, tables in tables_of(result, trials).items()
+    }
 
 
 def _tables(data: ReportData) -> dict[str, Any]:

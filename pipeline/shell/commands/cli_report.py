@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -31,6 +31,7 @@ from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.comparison.compare import Outcome
+    from pipeline.records.models import Shown
     from pipeline.rendering.report.report_against import AgainstPage
     from pipeline.shell.watch import Event
 
@@ -48,6 +49,15 @@ def compare(
     save_scene: Annotated[Path | None, option("--save-scene", "Write a scene file of what is stored; stop.")] = None,
     dry_run: Annotated[bool, option("--dry-run", "Say what would be done and why; do nothing.")] = False,
     full: Annotated[bool, option("--full", "Show the response of every trial, whatever the size.")] = False,
+    final: Annotated[
+        Literal["expected", "measured"] | None, option("--final", "Final position of costs: x_0 + F_0/K, or as logged.")
+    ] = None,
+    momentum_delay: Annotated[
+        int | None, option("--momentum-delay", "Delay of the momentum balance (6.4) [samples].", min=0)
+    ] = None,
+    momentum_window: Annotated[
+        str | None, option("--momentum-window", "Window of the momentum balance (default: '15 ms').")
+    ] = None,
 ) -> None:
     """Estimate, judge and compare with theory; write the report.
 
@@ -62,7 +72,9 @@ def compare(
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
-    without = {"--export": export} if earlier else {"--export": export, "--dry-run": dry_run, "--full": full}
+    alone = {"--dry-run": dry_run, "--full": full, "--final": final, "--momentum-window": momentum_window}
+    alone["--momentum-delay"] = None if momentum_delay is None else str(momentum_delay)
+    without = {"--export": export} | ({} if earlier else alone)
     if against is not None and (other := next((name for name, given in without.items() if given), None)):
         raise UsageError(
             f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave one of "
@@ -86,11 +98,24 @@ def compare(
     how: dict[str, Any] = {"experiments": names, "criteria": wanted, "dry_run": dry_run, "full": full}
     how |= {
         "device": of_file or name,
-        "shown": asked.shown if asked else None,
+        "shown": _shown(asked.shown if asked else None, final, momentum_delay, momentum_window),
         "scene_file": scene,
         "executor": executor_of(executor),
     }
     _write_report(name, processed, target, how, earlier, export)
+
+
+def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
+    """Return what a scene shows, measured as the options say."""
+    from pipeline.records.models import Shown
+
+    shown = shown or Shown()
+    window = None if momentum_window is None else quantity("--momentum-window", momentum_window, "time")
+    given = {"final": final, "momentum_delay": momentum_delay, "momentum_window_s": window}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    if window is not None and window <= 0:
+        raise UsageError(f"--momentum-window {momentum_window}: expected a time above 0, such as '15 ms'.")
+    return shown.model_copy(update={"measuring": shown.measuring.model_copy(update=chosen)})
 
 
 def _write_report(

@@ -69,7 +69,7 @@ def test_nothing_is_shown_where_no_line_differs(result: ComparisonResult) -> Non
 
 
 def test_costs_over_delay_are_drawn_of_sweeps_alone(result: ComparisonResult) -> None:
-    (figure,) = delay_figure(result.tables)
+    (figure,) = delay_figure(result.tables, {})
     panel = figure.panels[0]
     rows = [r for r in result.tables if r.table == "D.6" and r.criterion == "settle_2pct"]
     of = {s.label: s for s in panel.series}
