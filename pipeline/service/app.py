@@ -19,7 +19,7 @@ from starlette.types import ASGIApp
 
 from pipeline.base.errors import PipelineError, UsageError
 from pipeline.base.provenance import __version__
-from pipeline.service import connections
+from pipeline.service import connections, device_files
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.pages import frame, pages
@@ -116,4 +116,5 @@ def serve(settings: Settings, say: Callable[[str], None]) -> None:
     """Serve until a signal asks for an end; the address is said once it can be reached."""
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
+    device_files.use_folder(settings)
     connections.serve(create_app(settings), settings, say)

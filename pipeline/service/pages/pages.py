@@ -17,6 +17,8 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
 from pydantic import field_validator, model_validator
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
 from starlette.types import Message
 
 from pipeline.device_data.devices import known_devices
@@ -25,13 +27,14 @@ from pipeline.explorer.entries import device_entries
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
-from pipeline.records.results import Answer
+from pipeline.records.results import Answer, ComparisonResult
 from pipeline.rendering.labels import UNITS
-from pipeline.service import profiles
+from pipeline.service import device_files, profiles
 from pipeline.service.catalogue import SORTED, WORDS, Selection
 from pipeline.service.database import NEWEST
 from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
+from pipeline.service.profiles import LONGEST
 from pipeline.service.rest import api, lab
 from pipeline.service.rest.answers import refuse_unknown
 from pipeline.service.rest.api import Segment
@@ -99,6 +102,50 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
     places = [(device, e["experiment"]) for e in own[:OVERLAID]]
     shown = kept(service, lambda: service.drawn("limits", places, plane="physical"))
     return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED, **shown)
+
+
+@pages.get("/devices/{device}/file")
+def one_device_file(service: Shared, request: Request, device: Segment, download: bool = False) -> Response:
+    """Show the file of a device to be edited, or a draft of one by the logs; or give it as a file."""
+    try:
+        text, problem = device_files.text_of(device), ""
+    except Problem as none:
+        own = [e["experiment"] for e in service.catalogue.experiments if e["device"] == device]
+        document = service.peek(device, own[0]) if own else None
+        if not own or download:
+            raise
+        plain = {name: part for name, part in (document or {}).items() if name not in ("causes", "figures", "told")}
+        text = device_files.draft(device, ComparisonResult.model_validate(plain) if plain else None)
+        problem = f"{none} Below: a draft by its logs."
+    if download:
+        name = {"content-disposition": f"attachment; filename*=UTF-8''{quote(device, safe='')}.toml"}
+        return Response(text, media_type="application/toml", headers=name)
+    return _device_file(service, request, device, text, problem)
+
+
+def _device_file(
+    service: Service, request: Request, device: str, text: str, problem: str, status: int = 200
+) -> Response:
+    own = device_files.is_of_the_lab(device)
+    return page_of(service, request, "device_file.html.j2", status, device=device, text=text, problem=problem, own=own,
+                   known=device in known_devices())  # fmt: skip
+
+
+@pages.post("/devices/{device}/file")
+async def keep_device_file(service: Shared, request: Request, who: Who, device: Segment) -> Response:
+    """Keep the file of a device, as edited or as uploaded; a wrong one is shown with its mistakes."""
+    form = await request.form()
+    check(service, request, str(form.get("form", "")))
+    sent, text = form.get("upload"), str(form.get("file", "")).replace("\r\n", "\n")
+    if isinstance(sent, UploadFile) and sent.filename:
+        text = (await sent.read(LONGEST + 1)).decode("utf-8", "replace")
+    try:
+        if request.state.role == "viewer" or service.settings.read_only or len(text) > LONGEST:
+            raise Problem(403 if len(text) <= LONGEST else 413, "This file cannot be kept here.", where="file")
+        await run_in_threadpool(lab.put_device, service, who, device, lab.DeviceText(file=text))
+    except Problem as error:
+        return _device_file(service, request, device, text, str(error), error.status)
+    return RedirectResponse(f"/devices/{segment(device)}/file", 303)
 
 
 @pages.get("/devices/{device}/experiments/{experiment}")

@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import list_quarantine, record_id, remove_from_quarantine
 from pipeline.records.criteria import CRITERIA, with_discrete
-from pipeline.service import profiles
+from pipeline.service import device_files, profiles
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import FiniteNumber, Name, Segment, awaited, files_of
@@ -54,6 +54,12 @@ class NamedProfile(Form):
     """The name of a profile of the lab."""
 
     name: Annotated[str, Field(pattern=profiles.NAME)]
+
+
+class DeviceText(Form):
+    """A device file as TOML."""
+
+    file: Toml
 
 
 class Retry(Form):
@@ -99,6 +105,28 @@ def _contradictions(service: Service, asked: KeptProfile) -> list[profiles.Contr
         if not asked.confirmation.strip():
             raise
         return [profiles.Contradiction("sample", "", f"The profile was not tried: {problem}")]
+
+
+@lab.get("/devices/{device}/file", response_model=DeviceText, responses=answers.NAMED)
+def device_text(device: Segment) -> dict[str, str]:
+    """Return the TOML of a device."""
+    return {"file": device_files.text_of(device)}
+
+
+@lab.put("/devices/{device}/file", response_model=DeviceText, responses=answers.problems(404, 409, 422))
+def put_device(service: Shared, who: Who, device: Segment, asked: DeviceText) -> dict[str, str]:
+    """Keep the file of a device; the next comparison, theory and plan use it."""
+    device_files.keep(device, asked.file)
+    service.database.note(who, "kept a device file", {"device": device})
+    return {"file": asked.file}
+
+
+@lab.delete("/devices/{device}/file", status_code=204, response_class=Response, responses=answers.NAMED)
+def remove_device(service: Shared, who: Who, device: Segment) -> Response:
+    """Remove the lab's file of a device; a shipped one is used again."""
+    device_files.remove(device)
+    service.database.note(who, "removed a device file", {"device": device})
+    return Response(status_code=204)
 
 
 @lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra=files_of(),
