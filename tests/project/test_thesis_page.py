@@ -1,5 +1,6 @@
 """docs/thesis.md: every line of output is what its commands print, and every key is one of a comparison's document."""
 
+import json
 import re
 import shlex
 
@@ -13,6 +14,7 @@ from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import Answer, ExperimentResult, Prediction, Scores
 from pipeline.shell.cli import run
+from pipeline.shell.demo import run_demo
 from pipeline.theory.curves import best_damping
 from pipeline.theory.optimum import optimal_point, scaling_factor
 
@@ -50,7 +52,8 @@ def test_the_page_has_a_command_for_each_chapter():
 
 def test_the_keys_that_the_table_names_are_those_of_the_document():
     # behind the head
-    rows = [line.split("|")[3] for line in PAGE.split("## Errata")[0].splitlines() if line.startswith("| ")][1:]
+    table = PAGE.split("### The same in the demo")[0]
+    rows = [line.split("|")[3] for line in table.splitlines() if line.startswith("| ")][1:]
     assert len(rows) == 14
     for cell in rows:
         for name in re.findall(r"`([a-z_.0-9]+)`", cell):
@@ -105,3 +108,62 @@ def test_errata_of_experiments_are_those_of_the_printed_tables():
     wrong = [100 * (getattr(theory, name) / getattr(measured, name) - 1) for name in ("damping", "stiffness")]
     assert wrong == [pytest.approx(129.6, abs=0.1), pytest.approx(121.5, abs=0.1)]
     assert f"−{-published_deviation(find('D.6', 'settle_2pct', 'experiment', 6)):.1f} % (32 for 35" in table
+
+
+@pytest.fixture(scope="module")
+def demo_documents(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    run_demo(folder)
+    names = ("falcon", "falcon-real", "lwr")
+    return {name: json.loads((folder / "reports" / f"{name}.json").read_text()) for name in names}
+
+
+@pytest.mark.slow
+def test_the_conclusions_have_the_numbers_of_the_demo(demo_documents):
+    """Each number of the last column, as a reader of the reports' documents finds it."""
+    table = PAGE.split("### The same in the demo")[1].split("## Errata")[0]
+    rows = [line.split("|")[1:5] for line in table.splitlines() if line.startswith("| ")]
+    cells = {row[0].strip(): row[3].strip().replace("−", "-").replace("\N{MINUS SIGN}", "-") for row in rows[1:]}
+    assert len(cells) == 14
+    of = {name: {e["experiment"]: e for e in each["experiments"]} for name, each in demo_documents.items()}
+    first, hand, real = of["falcon"]["1"], of["falcon"]["6"], of["falcon-real"]["1"]
+    tables = {
+        (name, row["table"], row["criterion"], row["condition"], row["delay_samples"]): row
+        for name, each in demo_documents.items()
+        for row in each["tables"]
+    }
+    settling = tables["falcon", "D.1", "settle_2pct", "experiment_1", 4.0]
+    over_delay = [tables["lwr", "D.6", "energy_step_w0", "experiment", d]["deviation_percent"] for d in (2.0, 4.0)]
+    predicts, reach = first["answer"]["predicts"], first["answer"]["reachable"]
+    delay = next(each["value"] for each in real["answer"]["estimates"] if each["name"] == "delay_samples")
+    near = [hand["optimum"][f"energy_step_w{w}"]["near"] for w in (0, 2)]
+    line, implied = real["straight_bound"], real["implied_delay"]
+    scatter = [e["optimum"]["energy_step_w2"]["scatter_percent"] for e in (first, hand)]
+    damping = next(s["damping"]["deviation_percent"] for s in hand["scores"])
+    expected = {
+        "optimal costs, not the boundary's course": f"costs {predicts['optimal_costs']} "
+        f"({predicts['costs_percent']:.1f} %), "
+        f"boundary {predicts['boundary']}: {predicts['above']} of {predicts['bounded']} limits",
+        "not the optimum's place": f"{settling['stiffness_deviation_percent']:.0f} %, "
+        f"{settling['damping_deviation_percent']:.0f} %",
+        "settling follows from the delay": f"{reach['best']:.1f} samples, tested walls reach {reach['reached']:.0f}",
+        "smallest delay near the origin": f"{implied['origin']['value']:.2f} near the origin, "
+        f"{implied['whole']['value']:.2f} as a whole, logs {delay:.2f}",
+        "straight upper part": f"K ≤ {line['stiffness']:,.0f} - {-line['slope']:.0f} B "
+        f"(slope {line['slope_low']:.0f} to {line['slope_high']:.0f})",
+        "with a hand close to the border": f"≥ {hand['optimum']['energy_step_w0']['margin']:.1f}",
+        "larger w, sharper optimum": f"K {near[0]['stiffness_low']:,.0f} to {near[0]['stiffness_high']:,.0f}; "
+        f"{near[1]['stiffness_low']:,.0f} alone",
+        "noisier with a hand": f"{scatter[0]:.0f} %, {scatter[1]:.0f} %",
+        "a region without overshoot": f"{real['optimum']['overshoot']['stiffness']:,.0f} N/m",
+        "smaller range of damping": f"{damping:.0f} %",
+        "costs converge over delay": f"+{over_delay[0]:.1f} %, +{over_delay[1]:.1f} %",
+        "apparent inertia": f"{first['loop']['mass']['value']:.3f} kg",
+        "settling needs no inertia": "left out",
+        "optima are not passive": "no",
+    }
+    assert cells.keys() == expected.keys()
+    for name, text in expected.items():
+        assert text in cells[name], (name, text, cells[name])
+    assert near[1]["stiffness_low"] == near[1]["stiffness_high"]
+    assert not any(best["passive"] for e in of["lwr"].values() for best in e["optimum"].values())

@@ -47,6 +47,7 @@ PARTS = (
     "Grid: it lies between the tested walls. Model (95 %): measured against theory on the tested walls, without the "
     "scatter of single trials. Selection: the best of many trials is lucky."
 )
+PRINTED = "a row of theory, or no printed measurement"
 DRIFT = "Drifts with the wall: one model does not hold for all trials."
 OUTCOMES = {
     "settled": "settled",
@@ -446,7 +447,7 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
             Column("published_stiffness", "K", "", "published", _published, why="not published", optional=True),
             Column("published_damping", "B", "", "published", _published, why="not published", optional=True),
             Column("published_cost", "cost", "", "published", _published_cost, why="not published", optional=True),
-            Column("published_deviation_percent", "deviation", "%", "published", _percent, why="-", optional=True),
+            Column("published_deviation_percent", "deviation", "%", "published", _percent, why=PRINTED, optional=True),
         )
         criteria = "; ".join(dict.fromkeys(criterion_name(row["criterion"]) for row in own))
         label = table_label(name)
