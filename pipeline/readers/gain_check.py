@@ -151,7 +151,10 @@ class WallGains(NamedTuple):
 
 
 def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | None:
-    """Return the law that a command obeys, as `followed_gains` knows it; None where none explains it.
+    """Return the gains that a command follows, or None where no wall law explains it.
+
+    A step of the force is a step or a release, a pulse of it a hit. Where no wall law explains all rows, the gains are
+    those of the rows behind the pulse.
 
     Parameters
     ----------
@@ -159,17 +162,6 @@ def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | N
         Seconds.
     command, position : float64, shape (rows,)
         In any unit.
-    """
-    if not _may_follow(time, command, position):
-        return None
-    fitted = _fitted(_best_terms(time, command, position), command)
-    return None if fitted is None else fitted[0]
-
-
-def wall_gains_of_motion(time: Floats, command: Floats, position: Floats) -> WallGains | None:
-    """Return the law of a released or hit device: a step of the force is the release, a pulse of it the hit.
-
-    Parameters as of `wall_gains`. Where no law explains all rows, it is that of those behind the pulse.
     """
     fitted = _free_fit(time, command, position)
     return None if fitted is None else fitted[0]

@@ -24,7 +24,7 @@ from pipeline.intake.sources import find_sources
 from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, Profile
-from pipeline.readers.gain_check import WallGains, common_remedy, wall_gains_of_motion
+from pipeline.readers.gain_check import WallGains, common_remedy, wall_gains
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
@@ -419,7 +419,7 @@ class _Maker:
             stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
             if len({len(column) for column in (stamps, *found)}) != 1:
                 continue
-            law = wall_gains_of_motion(stamps * _time_factor(clock), *found)
+            law = wall_gains(stamps * _time_factor(clock), *found)
             if law is not None and law.stiffness and (law.step or values.get("kind")):
                 yield sample.name, law
 

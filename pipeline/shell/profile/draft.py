@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from pipeline.base.errors import LogError, ProfileError
@@ -125,14 +125,3 @@ def file_pattern(name: str) -> str:
 
 def _toml(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
-
-
-def open_samples(paths: Sequence[Path]) -> list[Sample]:
-    """Return the samples that can be opened."""
-    opened = []
-    for path in paths:
-        try:
-            opened.append(open_sample(path))
-        except (LogError, ProfileError):
-            continue
-    return opened

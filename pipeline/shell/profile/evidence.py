@@ -30,7 +30,7 @@ from pipeline.profiles.profile_model import (
     quantity,
     si_unit,
 )
-from pipeline.readers.gain_check import WallGains, wall_gains_of_motion
+from pipeline.readers.gain_check import WallGains, wall_gains
 from pipeline.readers.mapping import changes_of, is_staircase
 from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
@@ -237,7 +237,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
         if not all(units.values()) or counters:
             continue
         factor = UNITS[units["time"][0]].factor
-        law = wall_gains_of_motion(stamps * factor, force, place)
+        law = wall_gains(stamps * factor, force, place)
         # a column that is a multiple of another one obeys a law without damping and step
         sure = law is not None and (law.step or (law.stiffness * law.damping > 0 and (len(tried) == 2 or pair == own)))
         kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
