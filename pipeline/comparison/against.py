@@ -1,4 +1,4 @@
-"""Two results against each other: experiments, devices or versions, as a join of what their documents hold."""
+"""Comparison of two results (experiments, devices or versions) as a join of their documents."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from pipeline.rendering.report.report_against import AgainstPage, sentences_of
 from pipeline.theory.predictions import Theory
 
 FEWEST_POINTS = 6
-"""Points that a median needs for an interval of 95 % by its ranks: with five, smallest to largest hold 94 %."""
+"""Points that a median needs for a 95 % interval by its ranks: with five, smallest to largest cover 94 %."""
 
 Document = Mapping[str, Any]
 """An experiment as `compare --json` has it."""
@@ -80,7 +80,7 @@ def compare_pair(
     ----------
     sides : (Side, Side)
     documents : (mapping, mapping)
-        The experiments as their documents hold them; those of other versions may lack what is new.
+        The experiments as in their documents; those of other versions may lack new keys.
     motion : Motion
     scales : ((K, B), (K, B)), optional
         With them walls are compared in the plane of alpha and beta (Table 3.1), as devices must be.
@@ -412,11 +412,11 @@ def read_document(path: Path, device: str) -> Document:
             [_point(p) for p in each["boundary"]]
         _side(found | {"provenance": found.setdefault("provenance", {})}, {"experiment": ""})
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document beside a report.") from error
+        raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document of a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
             f"{path}: is no result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the JSON "
-            "document beside a report."
+            "document of a report."
         ) from error
     if found["device"] != device:
         raise UsageError(f"{path}: is of device {found['device']!r}; expected one of {device!r}.")
@@ -426,7 +426,7 @@ def read_document(path: Path, device: str) -> Document:
 def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, str]:
     """Return device and experiment that ``--against`` means: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
 
-    Names of ``experiments``, those stored of the first device, may hold a colon.
+    Names of ``experiments``, those stored of the first device, may contain a colon.
     """
     if words in experiments or ":" not in words:
         return device, words

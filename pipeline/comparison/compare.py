@@ -94,12 +94,12 @@ def compare(
     experiments, criteria : sequence of str, optional
         What to compare; by default everything that is stored, and all criteria of `models.CRITERIA`.
     report : Path, optional
-        HTML file to write, with the result as JSON beside it (same name, ``.json``); without it nothing is written
+        HTML file to write, with the result as JSON next to it (same name, ``.json``); without it nothing is written
         but the stages below ``processed``.
     dry_run : bool
         Whether only the plan is made.
     full : bool
-        Whether the report holds the response of every trial, whatever its size.
+        Whether the report includes the response of every trial, whatever its size.
     shown : Shown, optional
         Which figures, tables and overlays the report has; by default all that there is data for.
     scene_file : Path, optional
@@ -111,7 +111,7 @@ def compare(
     executor : Executor
         What computes the stages; by default the processes of this machine.
     figures : Path, optional
-        Folder that gets the report's figures as SVG, PDF and CSV; made anew also where the report is unchanged.
+        Folder for the report's figures as SVG, PDF and CSV; written again even if the report is unchanged.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def compare(
     key = _report_key(data, report, accuracy.measured if accuracy else "", full, notes)
     stored = _stored_result(report, key)
     if stored is not None and figures is None and all(p.action != RUN for p in plan):
-        unchanged = "the report and all that it rests on are unchanged"
+        unchanged = "the report and all its inputs are unchanged"
         plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
         return Outcome(None if dry_run else stored, tuple(plan), report)
     early = nominal_theories(data)
@@ -215,7 +215,7 @@ def _compute(
     predictions: Predictions,
     executor: Executor,
 ) -> _Found:
-    """Estimate and judge; theory is computed beside that, or behind it where the device is not known."""
+    """Estimate and judge; theory is computed at the same time, or afterwards where the device is unknown."""
     builder = TableBuilder(data, theories)
     with predictions:
         if data.device is not None:
@@ -244,7 +244,7 @@ def _compute(
 
 
 def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
-    """Return the document; ``more`` is what it has beside the numbers, ``lost`` what is damaged in the store."""
+    """Return the document; ``more`` are its entries that are no numbers, ``lost`` damaged parts of the store."""
     both = zip(data.experiments, found.results, strict=True)
     answers = [answer(data, stages, result, found.rows) for stages, result in both]
     results = [r.model_copy(update={"answer": told}) for r, told in zip(found.results, answers, strict=True)]
@@ -274,7 +274,7 @@ def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Pred
         return [PlannedStage("theory", RUN, "the device is not known: its parameters are estimated first")]
     wanted = TableBuilder(data, theories).requests()
     missing = predictions.missing(wanted)
-    plan = [PlannedStage("theory: boundaries and maps", RUN, "closed form, drawn anew with every report")]
+    plan = [PlannedStage("theory: boundaries and maps", RUN, "closed form, drawn again with every report")]
     if not wanted:
         plan.append(PlannedStage("theory: optima", LEAVE_OUT, "no table asks for one"))
     elif missing:
@@ -304,11 +304,11 @@ def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool, n
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
-    """Return the result of an earlier run if report and result are there and rest on the same key."""
+    """Return the result of an earlier run if report and result exist and have the same key."""
     if path is None or not path.is_file():
         return None
     try:
         result = ComparisonResult.model_validate_json(path.with_suffix(".json").read_bytes())
     except (FileNotFoundError, ValidationError):
-        return None  # not there, or not in this form: it is written anew
+        return None  # missing, or in another form: it is written again
     return result if result.provenance.get("key") == key else None

@@ -43,7 +43,7 @@ from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
 
 FINDINGS = "loop"
-"""Begin of the name of the file with the findings on a loop, beside the stages that they rest on."""
+"""Beginning of the name of the file with the findings on a loop, in the folder of the stages."""
 
 
 LOOP_BEGINS = 0.65
@@ -141,7 +141,7 @@ def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
-"""Estimates that hold as far as their loop does."""
+"""Estimates that are valid as far as their loop is."""
 
 
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
@@ -165,7 +165,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
 
 
 def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> LoopFindings:
-    """Return the loop and what follows from it: the stored one where all that it rests on is as it was.
+    """Return the loop and its consequences: the stored ones if all inputs are unchanged.
 
     Simulating the found device behind the tested walls takes longer than reading all stages.
     """

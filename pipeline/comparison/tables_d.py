@@ -34,7 +34,7 @@ class TableBuilder:
     ----------
     data : SceneData
     theories : mapping of experiment to Theory
-        Theory for each experiment (and for those whose parameters a table names); missing where none can be had.
+        Theory for each experiment (and for those whose parameters a table names); missing where unavailable.
     """
 
     data: SceneData
@@ -153,7 +153,7 @@ class TableBuilder:
         device = self.data.device
         own = device.published_as if device is not None and device.published_as else self.data.scene.device
         if published is not None and published.device != own:
-            published = None  # a table of another device may bear the same name
+            published = None  # a table of another device may have the same name
         values = {name: getattr(point, name) if point else None for name in _NUMBERS}
         stated = {f"published_{name}": getattr(published, name) if published else None for name in _NUMBERS}
         stated["published_deviation_percent"] = published_deviation(published) if published else None

@@ -1,6 +1,6 @@
-"""What was true of simulated experiments, beside what their logs said: for estimates and for limits.
+"""Ground truth of simulated experiments, to compare with estimates and limits.
 
-The simulator writes ``truth.json`` beside its logs. Nothing here enters a number that is estimated.
+The simulator writes ``truth.json`` next to its logs. Nothing here enters an estimate.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def truths(stages: tuple[ExperimentStages, ...], given: Mapping[str, Truth]) -> 
 
 
 def _truth(stages: ExperimentStages) -> Truth | None:
-    """Return the truth beside the logs of an experiment; None where it does not list all of them."""
+    """Return the truth in the folder of an experiment's logs; None where it does not list all of them."""
     if not all(stages.trials.column("simulated").to_pylist()):
         return None
     paths = stages.trials.column("source_path").to_pylist()
@@ -49,7 +49,7 @@ def _truth(stages: ExperimentStages) -> Truth | None:
         known = {os.path.basename(path) for path in paths} <= set(document["logs"])
         return truth_of(document) if known else None
     except (OSError, ValueError, KeyError, TypeError, ValidationError):
-        return None  # another program's file, or one that was cut: nothing rests on it
+        return None  # another program's file, or an incomplete one: it is not needed
 
 
 def truth_of(document: Mapping[str, Any]) -> Truth:
@@ -84,7 +84,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
 
 
 def with_truth(result: ExperimentResult, truth: Truth | None) -> ExperimentResult:
-    """Return a result with the truth beside its estimates and limits, and how many of their intervals hold it."""
+    """Return a result with the truth of its estimates and limits, and the number of intervals that contain it."""
     if truth is None:
         return result
     values = truth.values
@@ -112,7 +112,7 @@ def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:
-    """Tell whether a 95 % interval holds the truth; None where there is none, or no truth."""
+    """Return whether a 95 % interval contains the truth; None where there is none, or no truth."""
     value = found.estimate if isinstance(found, BoundaryPoint) else found.value
     if value is None or found.truth is None or found.low is None or found.high is None:
         return None

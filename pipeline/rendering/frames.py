@@ -1,7 +1,7 @@
 """Every table of a comparison as one pandas data frame with units in ``attrs``, for page, files and Python.
 
 Values are SI, costs as in the JSON document: settling in samples (and seconds), overshoot as a fraction. Missing
-numbers are NaN, with their reason beside.
+numbers are NaN, with their reason in another column.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TEXTS = """
     table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence
     evidence source adequate key text tags log since kind what line theory name device title motion grip verdict
 """
-"""Columns of words, which hold None where others hold NaN."""
+"""Columns of texts, with None where others have NaN."""
 
 FORCED: tuple[Motion, ...] = ("translation", "rotation")
 """Kinds of motion whose commands are forces or torques."""
@@ -46,7 +46,7 @@ _WALL = ("stiffness", "damping", "stable", "unstable", "low", "high")
 
 
 def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
-    """Return the tables of a comparison by name, in the order in which files hold them; empty ones too."""
+    """Return the tables of a comparison by name, in the order of files; empty ones too."""
     e, motion = result.experiments, result.motion
     periods = {one.experiment: one.sampling_period_s for one in e}
     stiffness = units_of(_WALL, {motion})
@@ -155,7 +155,7 @@ def in_seconds(criterion: str, cost: float | None, period: float | None) -> floa
 
 
 def flat(record: Record) -> Row:
-    """Return the numbers and words of a record; a parameter's interval beside it, lists left out."""
+    """Return the numbers and texts of a record; a parameter is followed by its interval, lists are left out."""
     row: Row = {}
     for name, value in record:
         if isinstance(value, Record):
@@ -168,7 +168,7 @@ def flat(record: Record) -> Row:
 
 
 def _records(results: Sequence[ExperimentResult], field: str, units: Mapping[str, str]) -> pd.DataFrame:
-    """Return a field of all experiments that holds a record, or several."""
+    """Return a field of all experiments that is a record, or several."""
     rows = []
     for e in results:
         found = getattr(e, field) or ()
@@ -187,7 +187,7 @@ def _of_row(row: ComparisonRow, periods: Mapping[str, float | None]) -> Row:
 
 
 def _scores(results: Iterable[ExperimentResult]) -> Iterator[Row]:
-    """Yield the numbers of all scores; those called ``x_low`` and ``x_high`` beside an x are its interval."""
+    """Yield the numbers of all scores; ``x_low`` and ``x_high`` are the interval of an ``x``."""
     for e, scores in ((each, scores) for each in results for scores in each.scores):
         about = {"experiment": e.experiment, "basis": scores.basis}
         for name, found in scores:
@@ -221,7 +221,7 @@ def _missing(results: Iterable[ExperimentResult]) -> Iterator[Row]:
 
 
 def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]:
-    """Yield limits and estimates by experiment, beside the header lines by which these differ; nothing without any."""
+    """Yield limits and estimates by experiment, with the header lines by which these differ; nothing without any."""
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
         about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}
@@ -267,5 +267,5 @@ def _date(text: str) -> str:
 
 
 def limit_of(point: BoundaryPoint) -> float | None:
-    """Return the limit at a damping: by the growth rates where they tell it, else the largest stable stiffness."""
+    """Return the limit at a damping: by the growth rates where they determine it, else the largest stable stiffness."""
     return point.stable if point.censored or point.estimate is None else point.estimate

@@ -19,10 +19,10 @@ DIGITS = 3
 """Least digits of an estimate; a narrow interval asks for more."""
 
 MOST_DIGITS = 9
-"""Most digits of an estimate: simulated logs without noise tell masses to 1e-9."""
+"""Most digits of an estimate: masses from simulated logs without noise are known to 1e-9."""
 
 BEYOND = 1000.0
-"""Deviation in percent from which on its digits tell nothing: the two numbers have nothing to do with each other."""
+"""Deviation in percent from which on its digits are meaningless: the two numbers are unrelated."""
 
 ALL_BUT_ROUNDING = 1e-9
 """Distance from 1 up to which a share is all, and from 0 up to which a cost is none: sums of 1e4 round by 1e-12."""
@@ -84,7 +84,7 @@ def condition_label(condition: str) -> str:
 
 
 def table_label(name: str) -> str:
-    """Return what a table of optima is called: those of the thesis are numbered, the others bear an experiment."""
+    """Return the name of a table of optima: those of the thesis are numbered, the others have an experiment's name."""
     return f"Table {name}" if name[:1].isupper() and name[1:2] == "." else name
 
 
@@ -104,7 +104,7 @@ def span(show: Callable[[float], str], low: float | None, high: float | None) ->
 
 
 def range_text(show: Callable[[float], str], low: float, high: float) -> str:
-    """Return a range as ``low to high``, one number where both ends print alike."""
+    """Return a range as ``low to high``, one number where both ends print the same."""
     return show(low) if show(low) == show(high) else f"{show(low)} to {show(high)}"
 
 
@@ -186,7 +186,7 @@ def cost_text(criterion: str, value: float) -> str:
 
 
 def cost_range_text(criterion: str, low: float, high: float) -> str:
-    """Return costs as ``low to high unit``, three digits each; one number where both print alike.
+    """Return costs as ``low to high unit``, three digits each; one number where both print the same.
 
     >>> cost_range_text("overshoot", 1.85e-16, 0.0212)
     '0 to 2.12 %'
@@ -249,7 +249,7 @@ def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
         texts[2] = significant(_towards(estimate.high, digits, math.ceil), digits)
     if estimate.high is None and estimate.low is not None:
         texts[1] = significant(_towards(estimate.low, digits, math.floor), digits)
-    if any("." in text for text in texts):  # beside decimals, a whole number shows that it has as many digits
+    if any("." in text for text in texts):  # next to decimals, a whole number gets zeros to show its digits
         texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]
     value, low, high = texts
     return value, low, high

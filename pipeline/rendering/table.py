@@ -52,7 +52,7 @@ class Column:
     ends : (str, str), optional
         Columns with the ends of its interval.
     aside : callable, optional
-        Prints what stands beside it.
+        Prints the text next to it.
     why : str
         Why a value is missing, where the row has no ``reason``.
     notes : callable, optional
@@ -103,7 +103,7 @@ class Column:
 
 @dataclass
 class Table:
-    """A table; each block of rows may have a heading of its own, and each row has a name."""
+    """A table; each block of rows may have a separate heading, and each row has a name."""
 
     name: str
     caption: str
@@ -198,6 +198,6 @@ def footnote(index: int) -> str:
 
 
 def is_sweep(rows: Sequence[Row]) -> bool:
-    """Tell whether rows of one table are over delay: its measured ones differ in their experiment only."""
+    """Return whether rows of one table are over delay: its measured ones differ in their experiment only."""
     measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
     return len(set(measured)) < len(measured)

@@ -187,6 +187,6 @@ def _latex(text: str) -> str:
 
 
 def _file_name(name: str) -> str:
-    """Return a file name for a table: names of experiments may hold anything; long ones are cut."""
+    """Return a file name for a table: names of experiments may contain any character; long ones are cut."""
     safe = quote(name, safe=" +=,@")
     return ("%2E" + safe[1:] if safe.startswith(".") else safe)[:200]

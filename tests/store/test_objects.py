@@ -243,7 +243,7 @@ def test_a_store_that_may_only_be_read(s3, tmp_path, monkeypatch):
 
 def test_a_device_that_is_not_there_is_told_with_those_that_are(s3, tmp_path):
     store(s3, write_logs(tmp_path / "logs", [1]))
-    words = f"^{s3}: holds no logs of device 'x'; found bench. .*--processed {s3}$"
+    words = f"^{s3}: contains no logs of device 'x'; found bench. .*--processed {s3}$"
     with pytest.raises(DeviceError, match=words), opened(s3, "x") as processed:
         open_scene("x", processed, None, None)
 

@@ -1,4 +1,4 @@
-"""Cost maps of an experiment beside theory, and where measured costs depart from theory.
+"""Cost maps of an experiment and of theory, and the deviation of measured costs from theory.
 
 Source: Hulin 2017, Figs. 6.5 to 6.7, 6.10 and 6.11.
 """
@@ -50,7 +50,7 @@ FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
 lie where few others have one."""
 
 LINES_PER_DOUBLING, DOUBLINGS = 2, 5
-"""Contour lines of costs without levels of their own, from the least cost to 32 times as much: beyond, they merge with
+"""Contour lines of costs without stated levels, from the least cost to 32 times as much: beyond, they merge with
 the stability boundary."""
 
 OFTEN = 0.5
@@ -69,8 +69,8 @@ LONGEST_EDGE = 2.3
 """Longest side, in grid steps, of a triangle that contours cross: spans one missing trial at most."""
 
 CELLS = (20, 14)
-"""Cells along both axes in which departures from theory are gathered: each is wider than the largest mark, and holds
-ten trials or more of a course of 2,500, so that its median says more than their scatter."""
+"""Cells along both axes in which deviations from theory are gathered: each is wider than the largest mark, and contains
+at least ten of 2,500 trials, so that its median is clearer than their scatter."""
 
 RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
 """Departures from which marks grow: ratios of costs, one way or the other, and differences of overshoot, of which one

@@ -1,4 +1,4 @@
-"""Responses of single trials: the first step response of a report, and a trial beside the loops that may explain it.
+"""Responses of single trials: the first step response of a report, and a trial with the loops that may explain it.
 
 Source: Hulin 2017, Fig. 6.2.
 """
@@ -169,12 +169,12 @@ def _response_figure(
 
 
 def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str, motion: Motion) -> Figure:
-    """Return a trial beside theory and fitted loops, and the residual of the wall law.
+    """Return a trial with theory and fitted loops, and the residual of the wall law.
 
     Parameters
     ----------
     stages : ExperimentStages
-        Of its experiment. What these do not hold of the trial, as of one that is excluded, is left out.
+        Of its experiment. Results that these lack, as of an excluded trial, are left out.
     result : ExperimentResult
     trial : str
         Its id.
@@ -272,10 +272,10 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 def _beside(
     stages: ExperimentStages, result: ExperimentResult, of: MeasuredTrial, measured: Floats
 ) -> tuple[list[tuple[str, str, Floats]], list[str]]:
-    """Return label, kind and displacement of the responses beside a log, and how far off they are or why missing."""
+    """Return label, kind and displacement of the responses to compare with a log, and their errors or reasons."""
     trial, edge, rows = of.trial, of.response.edge_row, len(measured)
     if edge < 0:
-        return [], ["No step was found in this log, so that no loop can be held against it"]
+        return [], ["No step was found in this log, so that no loop can be compared with it"]
     force = np.where(np.arange(rows) >= edge, trial.step, 0.0)
     fitted = adequate_theory(result, stages)
     loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []

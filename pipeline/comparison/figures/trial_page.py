@@ -1,6 +1,6 @@
 """The trials of a comparison for the interactive part of its report: all as points, the most telling with response.
 
-A page that held every response of 11,000 trials would have 8 MB. So all trials come with stiffness, damping, verdict,
+A page with every response of 11,000 trials would have 8 MB. So all trials come with stiffness, damping, verdict,
 outcome and costs, and responses up to a number of samples: first the optima, then by turns the trials at the stability
 boundary and a grid over the plane that gets finer. What coding loses cannot be seen: rounding moves a line by a quarter
 of a pixel, and rows are left out only where several fall into one column of pixels.
@@ -34,7 +34,7 @@ from pipeline.rendering.report.tables import TrialPage
 from pipeline.theory.predictions import Theory
 
 SAMPLES = 200_000
-"""Samples of responses that a report holds, some 280 kB: one of thesis size stays below 2 MB."""
+"""Samples of responses in a report, about 280 kB: a report of thesis size stays below 2 MB."""
 
 PORTION = 64
 """Responses that are prepared at once: the simulated loop takes about as long for one as for these."""
@@ -46,7 +46,7 @@ EDGE_TURNS = 3
 """Trials at the boundary for each one of the grid: the tables name all of the former."""
 
 FINEST_GRID = 64
-"""Cells along each axis of the finest grid over the plane: a course has fewer dampings."""
+"""Cells along each axis of the finest grid over the plane: experiments have fewer dampings."""
 
 VERDICTS = ("stable", "unstable", "undecided")
 
@@ -132,7 +132,7 @@ class _Experiment:
         }
 
     def content(self, share: int | None) -> dict[str, Any]:
-        """What the page holds of the experiment, with responses of so many samples."""
+        """Contents of the page for the experiment, with responses of that many samples."""
         limits = {s.kind: s for s in measured(self.result.boundary, "", None)}
         line, bound = limits["measured"], limits.get("bound")
         known = np.isfinite(line.x).any()
@@ -225,7 +225,7 @@ class _Experiment:
         }
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
-        """What is said of a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
+        """Texts on a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
         units = UNITS[self.stages.motion]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)

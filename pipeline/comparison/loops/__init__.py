@@ -1,1 +1,1 @@
-"""The loop that an experiment's logs allow to speak of: its parameters, whether it is adequate, and what follows."""
+"""The identified loop of an experiment: its parameters, whether it is adequate, and the conclusions from it."""

@@ -21,7 +21,7 @@ from pipeline.records.results import ExperimentResult, ImpliedDelay, StraightBou
 from pipeline.records.trials import Floats
 
 NEAR = 0.5
-"""Dampings near the origin, up to this share of that of the stiffest wall: the thesis speaks of 50 of 94 Ns/m."""
+"""Dampings near the origin, up to this share of that of the stiffest wall: in the thesis 50 of 94 Ns/m."""
 
 FEWEST = 3
 """Fewest limits by which a delay is found; a line, which has one number more, needs one limit more."""
@@ -71,7 +71,7 @@ def implied_delay(result: ExperimentResult, basis: LoopBasis | None) -> ImpliedD
     Notes
     -----
     Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), with theory's small curvature there; the least squares
-    weigh each limit by its interval. Intervals of 95 % hold the scatter of the limits about the curve, and the errors
+    weight each limit by its interval. 95 % intervals include the scatter of the limits about the curve, and the errors
     of mass and damping.
     """
     limits, reason = _limits(result), "no mass and damping are known, with which theory would have these limits"
@@ -165,11 +165,11 @@ def straight_bound(result: ExperimentResult, basis: LoopBasis | None) -> Straigh
     ----------
     result : ExperimentResult
     basis : LoopBasis or None
-        Its limits at the same dampings have the curvature that is held against that of the measured ones.
+        Its limits at the same dampings have the curvature that is compared with that of the measured ones.
 
     Notes
     -----
-    K <= stiffness + slope B (6.5), by least squares weighed by the intervals of the limits; intervals hold their
+    K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits; intervals include their
     scatter about the line. The curvature is half the second derivative of a parabola through the same limits.
     """
     limits = _limits(result)

@@ -22,7 +22,7 @@ from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
-"""Trials below which nothing that differs between trials can be told: a share of them is known to 30 % at best."""
+"""Trials below which differences between trials cannot be reported: a share of them is known to 30 % at best."""
 
 ALONG = np.linspace(0.0, 1.0, 6)
 """Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
@@ -31,7 +31,7 @@ falls so steeply that any change is large."""
 
 @dataclass(frozen=True)
 class Candidate:
-    """A cause that may be told: ``effect`` is the largest change of a result by it, or its share of the logs."""
+    """A possible cause: ``effect`` is the largest change of a result by it, or its share of the logs."""
 
     code: CauseCode
     effect: float
@@ -63,7 +63,7 @@ class Shown:
 
 def causes_of(shown: Shown) -> tuple[Cause, ...]:
     """Return the causes that change a result by more than `MATTERS`: departures in the order of their logs, then parts
-    of the device by what they change, then what the course itself leaves open; empty for an ideal loop."""
+    of the device by what they change, then what the tested walls leave open; empty for an ideal loop."""
     first = [cause_of(each) for each in shown.result.recording if each.is_unsafe]
     first += [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
     found = [*_departures(shown), *sorted(_parts(shown), key=lambda each: -each.effect), *_course(shown)]
@@ -117,7 +117,7 @@ PARTS = {
         scale=1e3,
         unit="ms",
     ),
-    "spring": Part("operator", "stiffness", "A spring of {value} holds the device: a hand, or its own.", "wall"),
+    "spring": Part("operator", "stiffness", "A spring of {value} acts on the device: a hand, or part of it.", "wall"),
     "force": Part("constant_force", "constant_force", "A constant force of {value} acts on the device.", "step"),
     "saturation": Part("saturation", "force_limit", "The drive gives no more than {value}, whatever is commanded."),
     "mode": Part("vibration_mode", "mode.frequency_hz", "The device vibrates at {value}, as seen by a sensor {at}."),
@@ -145,7 +145,7 @@ def _parts(shown: Shown) -> Iterator[Candidate]:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
         more = _rest_off_target(number.value, shown.trial.step) if name == "friction" else ""
         if name == "lag" and "delay_samples" in device.bounds:
-            more = ", or a fast mode vibrates and the delay is longer by as much: logs do not tell which"
+            more = ", or a fast mode vibrates and the delay is longer by as much: logs cannot decide"
         value = f"{significant(part.scale * number.value, 3)} {part.unit or PARAMETERS[part.number].unit(shown.motion)}"
         sentence = part.sentence.format(value=value, more=more, at=f"at the {device.mode_sensor}")
         ends = span(lambda value: significant(value, 4), part.scale * number.low, part.scale * number.high)
@@ -196,7 +196,7 @@ def _shared(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
             "fractional_delay",
             effect * (effect > shown.error),
             f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
-            "a sample adds to a whole one: logs do not tell which.",
+            "a sample adds to a whole one: logs cannot decide.",
             f"by the likelihood of all trials, 95 %: {_span(delay)}",
         )
     stated = shown.nominal_mass

@@ -37,13 +37,13 @@ SHORT = "the command obeys another wall than the headers state"
 SENTENCES = {
     "saturation": "The command is clipped.",
     "unilateral_wall": "The wall acts on one side only.",
-    "constant_force": "The command holds a constant force beside the wall law.",
+    "constant_force": "The command includes a constant force in addition to the wall law.",
     "missing_rows": "Rows are missing in the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
     "position_filter": "The position that the wall acts on is filtered.",
     "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
-    "decimated_rows": "The logs hold one of several samples of the control loop.",
+    "decimated_rows": "The logs contain one of several samples of the control loop.",
     "command_shifted": "The logged command is that of another row than its position.",
     "rate_limit": "The rate of the command is limited.",
     "sampling_period": "The time stamps are those of another sampling period than the header states.",
@@ -54,7 +54,7 @@ SENTENCES = {
     "other_unit": "The command obeys another wall than the header states, by a power of ten.",
     "unknown": "The logged command is not that of the wall law.",
 }
-"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
+"""Possible departures of a log from the wall law. ``other_wall``: other K, B or sign than the header's;
 ``other_unit``: K and B a power of ten off."""
 
 UNTIMED = {
@@ -67,7 +67,7 @@ UNTIMED = {
         "help: command and position of the same sample in a row"
     ),
     "sampling_period": (
-        "time stamps and header state other sampling periods, and which one is right the logs do not tell: mass, "
+        "time stamps and header state different sampling periods, and the logs do not show which one is right: mass, "
         "damping and delay depend on it; what would help: the header's sampling_period_s or the unit of the stamps, "
         "corrected in the profile"
     ),
@@ -96,7 +96,7 @@ class LawDeparture:
 
     @property
     def most(self) -> bool:
-        """Whether it is the course's."""
+        """Whether it is that of most logs."""
         return self.logs > MOST * self.of
 
     @property
@@ -188,13 +188,13 @@ def law_departures(rows: LawRows) -> list[LawDeparture]:
 
 
 def untimed(departures: Sequence[LawDeparture]) -> str:
-    """Return why nothing is told of the device, since most logs leave the time from command to motion open."""
+    """Return why the device cannot be identified: most logs leave the time from command to motion open."""
     return next((UNTIMED[each.code] for each in departures if each.most and each.code in UNTIMED), "")
 
 
 @dataclass(frozen=True)
 class CourseFilter:
-    """The velocity filter of a course, the one that single logs show each, and what it is in words."""
+    """The velocity filter of an experiment, those that single logs show, and a description."""
 
     velocity: VelocityFilter
     of_logs: Sequence[VelocityFilter]
@@ -241,12 +241,12 @@ class OtherGains:
 
     @property
     def most(self) -> bool:
-        """Whether so many logs obey another wall that nothing is told in units of K and B."""
+        """Whether so many logs follow another wall that nothing is reported in units of K and B."""
         return len(self.logs) > MOST * self.of
 
     @property
     def few(self) -> bool:
-        """Whether so few logs obey another wall that they say nothing of the course: they are left out by name."""
+        """Whether so few logs follow another wall that the others remain valid: these are left out by name."""
         return len(self.logs) < min(FEWEST_LOGS, self.of)
 
     @property
@@ -254,7 +254,7 @@ class OtherGains:
         """What they are as a cause."""
         many = f"{len(self.logs)} of {counted(self.of, 'log')}"
         names = ", ".join(self.logs[:NAMED]) + (f" and {len(self.logs) - NAMED} more" if self.logs[NAMED:] else "")
-        used = "no wall, limit or cost is told in these units" if self.most else "they are left out"
+        used = "no wall, limit or cost is given in these units" if self.most else "they are left out"
         return Cause(
             code="other_gains",
             sentence=f"The command of {many} obeys another wall than the headers state: {self.words}; {used}.",

@@ -1,4 +1,4 @@
-"""The loop of an experiment as far as its logs allow to speak of it, and what follows from it."""
+"""The loop of an experiment as far as its logs identify it, and the conclusions from it."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ OTHER_WALL = (
 )
 NOTHING = "no device was found in the logs, since mass, damping or delay are not known"
 HELD = (
-    "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
-    "is passive by that alone; a device file, or trials without it, would tell"
+    "a spring (perhaps a hand) acts on the device, so that its own damping is unknown and passivity cannot be shown. "
+    "Provide a device file, or trials without the hand"
 )
 GRIPPED = (
     "a hand was on the device (grip {}), whose damping is gone when it lets go, and how much of the damping is the "
@@ -180,7 +180,7 @@ def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: 
         return "no wall was tried (K > 0), so that the loop was compared with no verdict"
     if replay is None or replay.verdicts_same is None:
         return (
-            "no wall outside the interval of a measured limit is decided, so that the found device is held against none"
+            "no wall outside the interval of a measured limit has a verdict, so the identified device cannot be checked"
         )
     said = [replay_words(replay)]
     if refused:

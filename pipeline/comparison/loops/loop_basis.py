@@ -1,4 +1,4 @@
-"""The loop that all statements rest on: the identified one, or that of the device file where it has the same limits."""
+"""The loop behind all conclusions: the identified one, or that of the device file where its limits are the same."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ class LoopBasis:
 
     @property
     def devices(self) -> list[IdentifiedLoop]:
-        """The device that statements rest on, and the other one."""
+        """The device that conclusions use, and the other one."""
         return [device for device in (self.nominal, self.identified) if device is not None]
 
     @property
     def loop(self) -> Loop:
-        """The loop that statements rest on."""
+        """The loop that conclusions use."""
         return self.devices[0].loop
 
     @property
@@ -135,7 +135,7 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
         interval = device.interval(name)
         low, high = max(interval.low, 0.0), interval.high
         if name == "mode.mass":
-            # read at the load, with damping on both sides, any share of the mass moves it alike
+            # read at the load, with damping on both sides, the motion is the same for any share of the mass
             low, high = (0.0, np.inf) if at_load and basis.nominal is None else (low, high)
             high = min(high, device.values["mass"])
         mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), motion)
@@ -160,7 +160,7 @@ def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
     result = {}
     for name, value in numbers.items():
         low, high = np.quantile([other[name] for other in (numbers, *others)], (0.025, 0.975))
-        # half of the last digit, as far as logs tell; a device file is exact
+        # half of the last digit if by logs; a device file is exact
         digit = 10.0 ** (np.floor(np.log10(value)) + 1 - SET_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
         result[name] = Quantity(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
     return result

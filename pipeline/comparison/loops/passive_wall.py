@@ -36,9 +36,9 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
 
     Notes
     -----
-    A passive wall is named where limits were measured on both sides of it, or at it, and in no course of few trials.
+    A passive wall is named where limits were measured on both sides of it, or at it, and not from few trials.
     The device has the least damping at the lower end of b, less what an operator and the far side of a mode have of it.
-    The stiffness is rounded down and the rounded pair is held against passivity, the limits of theory over all
+    The stiffness is rounded down and the rounded pair is checked against passivity, the limits of theory over all
     intervals, and the measured limits, interpolated between the dampings: the stable region is convex there, so that a
     chord of it lies inside.
     """
@@ -61,7 +61,7 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
     wall_damping = float(f"{wall_damping:.{SET_DIGITS}g}")
     measured = _measured(result, wall_damping)
     if measured is None:
-        where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
+        where = f"near a damping of {wall_damping:g}, that of the stiffest passive wall"
         return None, f"no limit was measured {where}: record stable and unstable trials there"
     at = np.array([wall_damping])
     stable = float(basis.band([limits_of(device, at) for device in basis.devices])[0][0]) * (1 - SPARE)
@@ -72,7 +72,7 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
             break
         stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-SET_DIGITS))
     else:
-        return None, "no wall that is passive was found beside the measured limits"
+        return None, "no passive wall was found at dampings with a measured limit"
     if stiffness <= 0:
         return None, "the logs show no stable wall at the damping of the stiffest passive one"
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None

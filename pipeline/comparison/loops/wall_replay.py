@@ -101,7 +101,7 @@ def wall_replay(
 
     Notes
     -----
-    The walls of a fold are simulated with the device that the other folds tell, its friction drawn from its scatter.
+    The walls of a fold are simulated with the device of the other folds, its friction drawn from its scatter.
     Verdicts are compared where the log and the simulated one are decided. Walls within the interval of a measured limit
     are left out, and those at which the device itself gives another verdict from run to run, as jitter makes it.
     """
@@ -197,7 +197,7 @@ def replay_words(replay: WallReplay) -> str:
     if off is None:
         return text
     if known is not None and replay.limits_open:
-        return f"{text}, its limits within what the tested walls tell, {significant(known, 2)} % to either side"
+        return f"{text}, its limits within the brackets of the tested walls, {significant(known, 2)} % to either side"
     return f"{text}, its limits within {significant(off, 2)} %"
 
 
@@ -205,7 +205,7 @@ def limits_with_intervals(
     result: ExperimentResult, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
 ) -> tuple[Limit, ...]:
     """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
-    loop, these beside them."""
+    loop, with these in addition."""
     damping = np.array([each.damping for each in result.boundary])
     stiffness, linear, (low, high) = limits[0][0], linear_limits(basis.loop, damping), basis.band(limits)
     apart = not np.array_equal(stiffness, linear)
@@ -218,7 +218,7 @@ def limits_with_intervals(
 
 
 def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
-    """Return a result with causes, with limits for large motions beside those measured where its logs show friction.
+    """Return a result with causes and, where its logs show friction, with limits for large motions.
 
     Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
     large motions make unstable is none.
@@ -245,7 +245,7 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
         return result.model_copy(update={"use": use.model_copy(update={"point": point})})
     why = (
         f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
-        f"from {significant(limit, 3)} on: friction holds less of it"
+        f"from {significant(limit, 3)} on: friction dissipates a smaller part of it"
     )
     return result.model_copy(update={"use": None, "use_reason": why})
 

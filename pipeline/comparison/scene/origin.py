@@ -24,10 +24,10 @@ from pipeline.rendering.labels import criterion_name, shortened
 from pipeline.store.storage import natural_key
 
 MOST_VALUES, LONGEST_VALUE = 4, 60
-"""Values of a header line that are told, and their letters: a line with the time of recording has one a trial."""
+"""Most values of a header line that are listed, and their letters: a time of recording differs in each trial."""
 
 _OWN_LINES, _OWN_KINDS = ("step_row", "integrated", "raw_count_decimals", "warnings"), ("provenance.", "stands_for.")
-"""What readers keep beside a trial for the pipeline itself."""
+"""Texts that readers store with a trial for internal use."""
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
 """Libraries whose version can change a digit or a drawing."""
@@ -130,7 +130,7 @@ def provenance(
 
 
 def request(data: SceneData, lists: Sequence[LogList], processed: str, code: str) -> dict[str, object]:
-    """Return what the comparison was asked for and rests on, as `verify` asks for it again."""
+    """Return request and inputs of the comparison, so that `verify` can repeat it."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
     asked = {"processed": processed, "scene": data.scene.model_dump(mode="json")}
@@ -149,7 +149,7 @@ def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
     words += [] if chosen.momentum_delay is None else ["--momentum-delay", str(chosen.momentum_delay)]
     if chosen.momentum_window_s != MOMENTUM_WINDOW_S:
         words += ["--momentum-window", f"{chosen.momentum_window_s} s"]
-    # names come from logs and may hold anything
+    # names come from logs and may contain any character
     return shlex.join([*words, "--processed", processed, *output])
 
 

@@ -29,7 +29,7 @@ from pipeline.store.storage import Exclusion, list_devices, list_experiments
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
 TABLED = tuple(c.name for c in CRITERIA.values() if c.tabled)
-"""Criteria of a table for an experiment that no published table holds."""
+"""Criteria of a table for an experiment without published values."""
 
 
 class PlannedStage(NamedTuple):
@@ -99,7 +99,7 @@ def open_scene(
         first = "Name one of them, or ingest its logs" if devices else "Ingest logs first"
         advice = f"Did you mean {near[0]}?" if near else f"{first}: pipeline ingest LOGS --processed {processed}"
         raise DeviceError(
-            f"{processed}: holds no logs of device {device!r}; found {', '.join(devices) or 'none at all'}. {advice}"
+            f"{processed}: contains no logs of device {device!r}; found {', '.join(devices) or 'none at all'}. {advice}"
         )
     missing = [e for e in experiments or () if e not in stored]
     if missing:
@@ -162,7 +162,7 @@ def needed_stages(data: SceneData) -> set[str]:
     return needed
 
 
-_LEFT_OUT = {  # but for what a report holds only by name
+_LEFT_OUT = {  # except results that a report shows only on request
     "outcome": "neither the table of outcomes nor the trials are shown",
     "parts": "neither the measured boundary nor a cost that is asked for needs a device",
     "device": "neither the measured boundary nor a cost that is asked for needs delay or mass",
@@ -221,7 +221,7 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
 
 
 def _in_use(table: TableLayout, shown: Shown) -> bool:
-    """Tell whether a layout is shown as a table, or gives the figures that follow it."""
+    """Return whether a layout is shown as a table, or determines figures."""
     return shown.has_table(table.name) or shown.has_figure("delay" if table.kind == "delay" else "maps")
 
 

@@ -37,11 +37,11 @@ REPORT_TABLES = {
     "experiments": "trials, verdicts, estimates",
     "methods": "estimates by method",
     "header": "header lines that only the lab knows",
-    "trend": "limits and estimates beside header lines that differ",
+    "trend": "limits and estimates by header lines that differ",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
 }
-"""Tables that a report has beside those of optima, with what they hold."""
+"""Tables of a report in addition to those of optima, with their contents."""
 
 
 def plan_parts(data: SceneData) -> list[PlannedStage]:
@@ -106,7 +106,7 @@ def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
         for entry in error.errors():
             place = tuple(entry["loc"])
             found.setdefault(place, _words(place, dict(entry)))
-        # a list whose entries are wrong is told of its entries, not of being empty without them
+        # a list with wrong entries is reported by these, not as empty without them
         held = {place[:length] for place in found for length in range(len(place))}
         mistakes = [Mistake(_line(lines, place), place, words) for place, words in found.items() if place not in held]
         return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
@@ -131,7 +131,7 @@ def _words(place: Place, error: Mapping[str, Any]) -> str:
 
 
 def _line(lines: Mapping[Place, int], place: Place) -> int:
-    """Return the line of a key, or of what holds it."""
+    """Return the line of a key, or of the table that contains it."""
     while place not in lines:
         place = place[:-1]
     return lines[place]
@@ -149,7 +149,7 @@ def draft_scene(device: str, processed: Path) -> str:
     trials = {e.experiment: e.trials.num_rows for e in data.experiments}
     lines = [
         f"# Scene of device {_comment(device)}: what one report shows. Used by: pipeline compare --scene FILE",
-        "# Keys that are left out stand for all that there is data for; only what is asked for is computed.",
+        "# A missing key means all that there is data for; only what is requested is computed.",
         f"device = {_quoted(device)}",
         f"experiments = {_list(trials)}  # {', '.join(f'{_comment(e)}: {n} trials' for e, n in trials.items())}",
         "",
@@ -191,5 +191,5 @@ def _quoted(text: str) -> str:
 
 
 def _comment(text: str) -> str:
-    """Return a text that a comment can hold."""
+    """Return a text without characters that are not allowed in a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)

@@ -18,7 +18,7 @@ FEWEST_COMPARISONS = 5
 """Comparisons from which on their median may be a headline."""
 
 NEGLIGIBLE = 1e-3
-"""Size of a median whose sign says nothing: it is told as less than 0.1 %."""
+"""Size of a median whose sign is not significant: it is reported as less than 0.1 %."""
 
 
 def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:
@@ -33,7 +33,7 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
 
     Notes
     -----
-    A lower bound below theory tells nothing and is left out; one above it is a distance that is at least that
+    A lower bound below theory gives no information and is left out; one above it is a distance that is at least that
     large. Relative distances are taken where theory exceeds `NEAR_ZERO` of its largest limit.
     """
     known = limits.known
@@ -45,7 +45,7 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         return None
     share = (measured[relative] - limit[relative]) / limit[relative]
     low, high = limits.low[known][relative], limits.high[known][relative]
-    # an interval from zero on holds any theory
+    # an interval that begins at zero includes any theory
     bounded = (low > 0) & np.isfinite(high)
     size = np.abs(share)
     largest = int(np.argmax(np.where(bounded, size, -1.0) if bounded.any() else size))
@@ -69,7 +69,7 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
 
 
 def is_steady(values: Floats) -> bool:
-    """Tell whether the median of values may be a headline: of five or more, and no single one decides it.
+    """Return whether the median of values may be a headline: of five or more, and no single one decides it.
 
     Leaving out any of them moves it by less than half the half width of its 95 % interval (by order statistics), and
     keeps its sign.
@@ -97,7 +97,7 @@ def verdict_agreement(stiffness: Floats, verdict: NDArray[np.str_], predicted: B
     Parameters
     ----------
     stiffness : float64, shape (n,)
-        K [N/m, Nm/rad]. At K <= 0 nothing holds a position, so that stable means that the velocity decays.
+        K [N/m, Nm/rad]. At K <= 0 there is no equilibrium position, so stable means that the velocity decays.
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     predicted : bool, shape (n,)

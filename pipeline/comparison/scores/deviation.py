@@ -32,13 +32,13 @@ NO_ERROR = 1e-12
 """Error of the logarithm of a cost below which there is none."""
 
 FEWEST = 12
-"""Trials with both costs below which nothing tells noise from deviation."""
+"""Trials with both costs below which noise and deviation cannot be separated."""
 
 RESAMPLED = 200
-"""Courses drawn for the interval of the model's part."""
+"""Resampled experiments for the interval of the model's part."""
 
 LIKELY = 100
-"""Points of least smoothed cost, one of which is the best in each of these courses."""
+"""Points of least smoothed cost, one of which is the best in each resampled experiment."""
 
 SEARCH, SEARCH_WHOLE, ZOOM, ROUNDS = 41, 201, 15, 4
 """Grid points along an axis of the tested range (also for costs that are whole numbers, whose best region is small),
@@ -119,7 +119,7 @@ def deviation_of(
     theory : Theory
     criterion : str
     predictions : Predictions
-        Must hold theory's discrete optimum of the criterion.
+        Must contain theory's discrete optimum of the criterion.
     """
     best = predictions.get(theory, f"{criterion}{DISCRETE}")
     if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
@@ -156,7 +156,7 @@ def deviation(
     Notes
     -----
     Smoothed is the logarithm of M/C, which varies little where C itself is curved. For the interval the errors of
-    single trials about the smooth one change their signs at random, and the least cost is searched for anew; what that
+    single trials about the smooth one change their signs at random, and the least cost is searched again; what that
     gains from such errors widens the interval to both sides. It is ``steady`` where no single trial decides it: asked
     of those around the best point, and of theory's best.
     """
@@ -206,7 +206,7 @@ def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decis
 
 
 def _least_in_range(loop: NormalisedLoop, alpha: Floats, beta: Floats, criterion: str) -> float:
-    """Return theory's least cost within the smallest rectangle that holds the tested points, inf where it has none."""
+    """Return theory's least cost in the bounding box of the tested points, inf where it has none."""
     ends = (float(alpha.min()), float(alpha.max())), (float(beta.min()), float(beta.max()))
     least, window = np.inf, ends
     points = SEARCH_WHOLE if criterion_of(criterion).family.whole else SEARCH

@@ -20,21 +20,21 @@ PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "ene
 feels. Overshoot alone is no choice: its optimum is a limit, not a best point."""
 
 FAR = 2.0
-"""The same where no cost tells how good a wall is: a gain margin of two (6 dB) is the usual one of control."""
+"""The same where no cost shows how good a wall is: a gain margin of two (6 dB) is usual in control."""
 
 CALM = 0.25
 """Most overshoot of a wall to use, that of a damping ratio of 0.4: what swings on farther is no good wall, however
 early it happens to stay inside a band."""
 
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
-"""Outcomes of logs that tell nothing of the wall alone."""
+"""Outcomes of logs that do not characterise the wall alone."""
 
 STICKS = 2.0
-"""Force that friction holds a device at rest against, relative to that of sliding: 1 to 2 in dry contacts."""
+"""Stiction relative to sliding friction: 1 to 2 in dry contacts."""
 
 GOOD = (1.25, 1.5, 2.0)
 """Level relative to the least one up to which a wall counts as good, the first one with a region of `FEWEST` trials:
-nobody feels a quarter of a settling time, but valleys of settling time are narrower than the steps of many courses."""
+a quarter of a settling time cannot be felt, but its valleys are narrower than the steps of many experiments."""
 
 MOSTLY = 0.9
 """Share of a region's trials that must be good."""
@@ -67,10 +67,10 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Notes
     -----
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, its log came to
+    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost, its log came to
     rest undisturbed, and no softer wall of its damping is undecided.
     """
-    # a limit that nothing bounds from below is none to keep away from: those beside it are
+    # keep away from limits that have a lower bound only
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     if not limits.known.any():
@@ -140,7 +140,7 @@ def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) ->
 def _judged(result: ExperimentResult, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
     """Return which trials have a cost that is the wall's own, and which of them came to rest.
 
-    With friction a device rests elsewhere than at x_0 + F_0/K: as far off as friction holds it, that is no disturbance.
+    With friction a device comes to rest away from x_0 + F_0/K. Within the range of friction that is no disturbance.
     """
     costs = [np.isfinite(stages.sure_cost(name)) for name in result.optimum]
     known = np.any(costs, axis=0) if costs else np.zeros(len(stages.verdicts.verdict), dtype=np.bool_)
@@ -200,7 +200,7 @@ def _range(values: Floats) -> CostRange:
 class WallTrials:
     """Stiffness, damping, cost (NaN where there is none) and usability of trials, shape (n,) each.
 
-    ``level`` is what they are judged by, inf where nothing tells it. A region holds usable trials only, and begins at
+    ``level`` is what they are judged by, inf where it is unknown. A region contains usable trials only, and begins at
     one that is ``finished``: the wall to set is such a one.
     """
 
@@ -212,7 +212,7 @@ class WallTrials:
     finished: Booleans
 
     def inside(self, region: Rectangle) -> Booleans:
-        """Tell which trials lie in a rectangle, its edges included."""
+        """Return which trials lie in a rectangle, its edges included."""
         K, B = self.stiffness, self.damping
         return (region[0] <= K) & (region[1] >= K) & (region[2] <= B) & (region[3] >= B)
 

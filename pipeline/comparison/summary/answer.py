@@ -44,10 +44,10 @@ from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.reachable import reachable
 
 COARSE = 5.0
-"""Percent that the grid of the trials adds to a best cost from which on the reader is told how coarse it is."""
+"""Percent that the grid of the trials adds to a best cost from which on its coarseness is reported."""
 
 MOST_CAUSES = 2
-"""Causes that are named: with more nobody reads on, and the tables hold all."""
+"""Most causes on the first screen; the tables have all."""
 
 DRIFTING = 3
 """Parameters that drift with the wall from which on none has an interval: of six tests at 5 % one may be chance, and a
@@ -126,7 +126,7 @@ def _safest(stages: ExperimentStages) -> TestedWall | None:
 
 
 def _worth(result: ExperimentResult) -> tuple[bool, bool, bool]:
-    """What an experiment can tell: a limit beside theory, a wall to use, any limit."""
+    """Return whether an experiment has a limit to compare with theory, a wall to use, any limit."""
     return bool(result.scores and _known(result)), result.use is not None, bool(result.boundary)
 
 
@@ -197,14 +197,14 @@ def _doubt(result: ExperimentResult) -> str:
     warned = {name: result.estimates[name].warning or "" for name in NEEDED}
     drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
     if len(drifting) >= DRIFTING:
-        return f"No interval where one model does not hold for all trials: {listed(drifting)} drift with the wall."
+        return f"No interval where one model does not explain all trials: {listed(drifting)} drift with the wall."
     if all(result.estimates[name].value is None for name in NEEDED):
         why = result.estimates["mass"].reason or "no usable trial"
         return f"{why[0].upper()}{why[1:].rstrip('.')}."
     loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""
-    return f"No interval where the loop does not hold: {first_clause(loop.reason)}."
+    return f"No interval where the loop is not adequate: {first_clause(loop.reason)}."
 
 
 def _other_parameters(result: ExperimentResult, of_file: Experiment | None, units: Units) -> list[Cause]:
@@ -230,14 +230,14 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
         and found.high is not None
         and max(found.low - value, value - found.high) > MATTERS * abs(value)
     ]
-    sentence = "The logs tell other parameters than the device file."
+    sentence = "The logs give other parameters than the device file."
     return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
 
 
 def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
     """Does theory predict the device: limits of an experiment, costs of all.
 
-    ``misled`` is why the logs tell no limit, empty where they do.
+    ``misled`` is why the logs give no limit, empty where they do.
     """
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
@@ -313,7 +313,7 @@ def _reachable(result: ExperimentResult) -> ReachableCost | None:
 def _with_friction(result: ExperimentResult) -> DistanceScore | None:
     """Return how far limits are off the found device with its friction, None where that predicts them neither.
 
-    Where the sign of so small a distance rests on one limit, all intervals must hold those of the device, or it must be
+    Where the sign of so small a distance depends on one limit, all intervals must include the device's, or it must be
     right behind unseen walls.
     """
     if all(cause.code != "coulomb_friction" for cause in result.causes) or not result.loop_boundary:

@@ -39,7 +39,7 @@ EXTRAPOLATED = 0.05
 """Share of an optimal energy cost beyond the horizon of the log from which on it is named."""
 
 _ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
-"""What tells equal warnings of several experiments apart."""
+"""Parts in which equal warnings of several experiments differ."""
 
 
 def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
@@ -88,7 +88,7 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
 
 
 def _cure(stages: ExperimentStages, gains: OtherGains) -> str:
-    """Return what was said of the first log that obeys another wall when it was stored."""
+    """Return the warning on the first log that follows another wall."""
     for text, path in zip(*(stages.trials.column(name).to_pylist() for name in ("extra", "source_path")), strict=True):
         if PurePath(path).name == gains.logs[0]:
             return str(json.loads(text or "{}").get("other_gains", ""))
@@ -122,7 +122,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Itera
 
 
 def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
-    """Yield where the logs of a known device do not fit its device file, so that theory speaks of something else."""
+    """Yield warnings where the logs of a known device do not fit its device file, so that theory does not apply."""
     device = data.device
     if device is None:
         yield {"code": "no_file", "theory": any(r.theory is not None for r in results)}
@@ -162,7 +162,7 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any
         if any(fault.is_unsafe for fault in result.recording) and all(
             each.value is None for each in result.estimates.values()
         ):
-            continue  # the fault is a warning of its own
+            continue  # the fault is a separate warning
         for name, estimate in result.estimates.items():
             quantity, reason = quantity_name(name), estimate.reason or ""
             if estimate.value is None and name in NEEDED and "left out" not in reason:

@@ -1,8 +1,8 @@
 """Settling time, overshoot and rise time of recorded step responses, each with what its readings leave open.
 
 Cost index 0 is sample k0 + d: the response starts at the command edge k0, and its first d samples pass before the
-command reaches the device. Each cost asks for no more than it needs; its interval holds the costs of the readings as
-far as their errors may have moved them.
+command reaches the device. Each cost uses only the quantities it needs; its interval covers the effect of reading
+errors.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tup
     Raises
     ------
     ParameterError
-        If the range does not hold the delay, or is negative.
+        If the range does not contain the delay, or is negative.
     """
     low, high = (delay_samples, delay_samples) if delay_range is None else delay_range
     if not 0 <= low <= delay_samples <= high:

@@ -30,7 +30,7 @@ bias is taken off the sum, so that it can go further down than a plain sum."""
 
 LARGEST_LEVEL = 0.1
 """Level of the horizon relative to the final displacement, from which on the error is not small, as first order
-supposes: beyond it the intervals hold fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
+supposes: beyond it the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
 
 LARGEST_HALF_WIDTH = 0.5
 """Half width of the interval, relative to the value, from which on nothing is known but the order of magnitude."""
@@ -40,10 +40,10 @@ GROWTH_ERROR, MEAN_ERROR = 0.2, 0.5
 logs stay within it), and of the mean decay since the peak of the energy, where there is none."""
 
 LARGEST_TAIL = 0.25
-"""Part of the cost that may lie beyond the horizon: with more it tells more of the extrapolation than of the log."""
+"""Part of the cost that may lie beyond the horizon: with more it depends on the extrapolation more than on the log."""
 
 SHORTEST_HORIZON = 40
-"""Samples of the shortest horizon that tells a decay: half of them hold a swing of the fastest walls."""
+"""Samples of the shortest horizon that shows a decay: half of them contain a swing of the fastest walls."""
 
 FIRST_TERMS = 4096
 """Terms that are summed one by one of a decay with an exponent that is no whole number: what follows is smooth."""
@@ -199,7 +199,7 @@ def energy_interval(
     Raises
     ------
     ParameterError
-        If the mass is not positive, its error negative, or the range of the delay does not hold the delay.
+        If the mass is not positive, its error negative, or the range of the delay does not contain the delay.
 
     Notes
     -----
@@ -253,7 +253,8 @@ def energy_interval(
         ends = [f": {a:.3g} to {b:.3g}" if np.isfinite(b) else " without an end" for a, b in between]
         both = zip(weights, ends, trusted.tolist(), strict=True)
         open_ = ", ".join(f"w = {w:g}{end}" for w, end, known in both if not known)
-        remedy = "; it rests beside its final position" if rest.any() else "; record longer" if horizon else ""
+        away = "; it comes to rest away from its final position"
+        remedy = away if rest.any() else "; record longer" if horizon else ""
         reason = f"noise, mass, delay and what follows {horizon} samples leave open {open_}{remedy}"
     value, low, high, bias, tail = (np.where(trusted, part, np.nan) for part in (value, low, high, bias, tail))
     return EnergyInterval(value, low, high, bias, tail, horizon, reason)

@@ -59,7 +59,7 @@ STAYS = 0.7
 sensor floors also relative to the fifth before that, since a slow mode may keep 0.7 a fifth (LWR, d = 7)."""
 
 EXCESS = 2.0
-"""Motion at rest relative to what sensor and weights tell, from which on the loop answers by more: without jitter that
+"""Motion at rest relative to that by sensor and weights, from which on the loop answers by more: without jitter that
 of a slow response, which has two independent values in a fifth, is larger by chance in 2 % of the trials."""
 
 LARGEST_REST = max(SETTLING_BANDS.values())
@@ -125,7 +125,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
 
 
 def usual_gain(gain: Floats) -> float:
-    """Return the gain of trials without any of their own: the median of the others; 1 without any."""
+    """Return the gain for trials whose gain is unknown: the median of the others; 1 without any."""
     finite = gain[np.isfinite(gain)]
     return as_known(float(np.median(finite))) if len(finite) else 1.0
 
@@ -195,11 +195,11 @@ def reading_error(
     reading; a motion of less than a quantum a sample makes them dependent. Where the quantum is a tenth of the
     final displacement the weights are mostly noise.
 
-    The loop may answer by more than its step response tells: where the delay jitters, the forces of two successive
+    The loop may answer by more than its step response shows: where the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). That is seen in the motion at
     rest at the end of the log, where it neither decays (`STAYS`) nor is as large as `LARGEST_REST`; the fed back
     part is scaled to it, where it is `EXCESS` times the expected one. Trials that have not come to rest take the median
-    gain of the others. Two standard errors then hold 94 to 99 % of the readings of simulated Falcon trials
+    gain of the others. Two standard errors then cover 94 to 99 % of the readings of simulated Falcon trials
     (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
 
     What jitter itself does to the response, friction and force limits are not included: the truth is the same trial.

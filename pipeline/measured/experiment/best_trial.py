@@ -15,7 +15,7 @@ lines in the published maps (10 percentage points)."""
 
 
 def without_overshoot(overshoot: Floats, floor: Floats) -> Booleans:
-    """Return which trials count as free of overshoot: none above what their sensor can tell, if it can tell 1 %.
+    """Return which trials count as free of overshoot: none above their sensor's resolution, if that is below 1 %.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def choose_optimum(
         K [N/m, Nm/rad] and B [Ns/m, Nms/rad].
     trial_id : tuple of str
     unstable : bool, shape (n,)
-        Trials that are unstable: beside them the tested range has not ended.
+        Trials that are unstable: next to them the tested range has not ended.
     floor : float64, shape (n,), optional
         Given for the overshoot: overshoot that sensor and chatter can feign. Then the stiffest trial without
         overshoot is chosen, and only where there is none the smallest overshoot. A trial whose floor exceeds

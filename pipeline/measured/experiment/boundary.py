@@ -1,7 +1,7 @@
 """Measured stability boundary: verdicts at each damping, the limit with its 95 % interval, and the area below.
 
-The growth rate of a trial passes smoothly through zero at the limit. It tells where the limit lies between the last
-stable and the first unstable trial, and how well that is known; the verdicts tell what is possible at all.
+The growth rate of a trial passes smoothly through zero at the limit. It locates the limit between the last stable and
+the first unstable trial, with an interval; the verdicts bound it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAREST = 10
-"""Trials next to the limit that are fitted: two coarse and the fine steps of a course (6.1.1), and some more."""
+"""Trials next to the limit that are fitted: two coarse and the fine steps of the sweep (6.1.1), and some more."""
 
 FEWEST_FOR_CURVATURE = 6
-"""Trials from which on a parabola is fitted: its three coefficients and as many again to tell its error."""
+"""Trials from which on a parabola is fitted: its three coefficients and as many again to estimate its error."""
 
 SEEN = 8.0
 """Growth with which a mode is surely seen, relative to the slowest that was: one that begins a thousand times smaller
@@ -44,7 +44,7 @@ of limits are covered instead of 95 %, with it 97.7 % (93 to 100 % by device, se
 
 ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
-can lie beside the limit by more than its width."""
+can miss the limit by more than its width."""
 
 LINE_REACH = 3.0
 """Distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, up to which a
@@ -71,7 +71,7 @@ class _Columns:
 
 @dataclass(frozen=True, eq=False)
 class _Crossing:
-    """Zero of the growth rate over K of each damping, shape (dampings,), NaN where it is not told.
+    """Zero of the growth rate over K of each damping, shape (dampings,), NaN where it is unknown.
 
     ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K, ``bend``
     what a line misses of a rate that bends [N/m, Nm/rad].
@@ -115,14 +115,14 @@ def boundary_band(
     -----
     The growth rate of up to `NEAREST` trials is fitted over K by a parabola (a line with fewer than
     `FEWEST_FOR_CURVATURE`); its zero is the value. Three errors add in squares: that of the fit, with Student's factor,
-    `SHARED` of that of a single rate, since the sensor shifts the rates of one damping alike, which more trials do
-    not average out, and what a line misses of a rate that bends.
+    `SHARED` of that of a single rate, since the sensor shifts the rates of one damping together, which more trials do
+    not average out, and the error of a straight line where the rate bends.
 
     The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
     that `WITNESSES` stiffer ones do not outvote. Verdicts within `SIGMAS` standard errors of zero growth that
     fewer than `WITNESSES` share, and those that the sign of the growth contradicts, are not counted. Where the scatter
-    of the rates cannot be told, as with two of them, the allowed range is the interval and the interpolation of two
+    of the rates is unknown, as with two of them, the allowed range is the interval and the interpolation of two
     rates, or the middle of what verdicts bracket, the value; a zero outside of it widens it. The limit can therefore
     lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
@@ -149,7 +149,7 @@ def boundary_band(
     scatter = _pooled(found.scatter)
     low, high = _allowed(columns, np.where(np.isnan(found.zero), nothing, scatter))
     single = NORMAL_95 * scatter / found.slope
-    # two rates leave nothing to tell an error from: the verdicts alone speak then (error is NaN)
+    # two rates leave no degree of freedom for an error: only the verdicts count then (error is NaN)
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     # what may grow below the zero is another mode than the one that grows there
@@ -158,7 +158,7 @@ def boundary_band(
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
     # of more rates than two an interpolation would pick any two; a range that begins at 0 has no middle
     interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
-    # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
+    # rates that contradict the verdicts: a mode that grows below the sensor's floor next to one that decays
     apart = ~told & ~interpolated
     low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
     value = np.where(told | interpolated, np.clip(found.zero, low, high), _middle(columns, low, high))
@@ -237,7 +237,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     """Trials that are not decided and rather grow, unless outvoted, and stable ones behind a peak of the growth rate.
 
     The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
-    that had been rising may go on, below the floor beside another one.
+    that had been rising may go on, below the floor of another one.
     """
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
@@ -260,7 +260,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
 
 
 def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
-    """Tell of each rate from the third to the last but one whether the mode that rises there may go on below the floor.
+    """Return of each rate from the third to the last but one whether its rising mode may go on below the floor.
 
     By its last two rises it would grow at the stiffest stable trial no faster than `SEEN` times the slowest growth that
     was seen; with a faster one the peak is a rate that is off.
@@ -279,14 +279,14 @@ def _outvoted(c: _Columns, sure: Booleans) -> Floats:
 
 
 def _witnessed(stiffness: Floats, said: Booleans) -> Booleans:
-    """Tell of each trial whether `WITNESSES` that say the same stand at its stiffness or beyond, itself one."""
+    """Return of each trial whether `WITNESSES` of its verdict, itself included, are at its stiffness or beyond."""
     far = np.sort(np.where(said, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
     found: Booleans = said & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
     return found
 
 
 def _pooled(scatter: Floats) -> Floats:
-    """Scatter of single rates, at least the median of neighbouring dampings: few trials tell their own badly.
+    """Scatter of single rates, at least the median of neighbouring dampings: few trials estimate it badly.
 
     Not that of all dampings: with jitter rates scatter a hundred times more where the loop is fast.
     """
@@ -355,7 +355,7 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
 
 
 def _steadiness(growth: Floats, use: Booleans) -> Floats:
-    """Weight of each growth rate, 1 near zero: the faster a motion dies or grows, the fewer samples tell its rate."""
+    """Weight of each growth rate, 1 near zero: the faster a motion decays or grows, the fewer samples show its rate."""
     size = np.sort(np.where(use, np.abs(growth), np.inf), axis=1)
     typical = np.take_along_axis(size, np.maximum(use.sum(axis=1, keepdims=True) - 1, 0) // 2, axis=1)
     typical = np.where(np.isfinite(typical) & (typical > 0), typical, 1.0)
@@ -388,7 +388,7 @@ def measured_boundary(
     Notes
     -----
     A pair (K, B) that was tried several times is unstable if it was unstable once. Trials at K <= 0 are no
-    boundary points: K = 0 tells the damping of the device. Neither delay nor mass is needed.
+    boundary points: K = 0 shows the damping of the device. Neither delay nor mass is needed.
 
     Source: Hulin 2017, secs. 6.1.1 (procedure) and 6.1.3.
     """
@@ -429,8 +429,8 @@ def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most
 
 
 LARGEST_UNLOCATED = 0.1
-"""Part of the area at dampings without a stable trial, or with none that surely grows, up to which the area is told,
-with what they leave open."""
+"""Part of the area at dampings without a stable trial, or with none that surely grows, up to which the area is
+reported, with the range that they leave open."""
 
 FAR = 2.0
 """Stiffness, relative to that of the softest trial that seems to grow, beyond which no limit lies."""
@@ -450,7 +450,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     -------
     Estimate
         Its standard error is (high - low)/(2 `NORMAL_95`). No value, but a lower bound in ``low``, where a point has
-        no upper end, or an upper bound in ``high`` where those without an estimate bear more than
+        no upper end, or an upper bound in ``high`` where those without an estimate are more than
         `LARGEST_UNLOCATED` of it. ``trials`` is the number of dampings.
 
     Notes
@@ -481,7 +481,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     limit = np.array([p.estimate for p in used], dtype=np.float64)
     lost = np.isnan(limit)
     unlocated = int(lost.sum())
-    # a limit that lies anywhere between two ends is told by their middle, as long as that is no part of the result
+    # a limit anywhere between two ends counts as their middle, as long as that does not affect the result
     limit = np.where(lost, 0.5 * (low + high), limit)
     if float(share[lost] @ high[lost]) > LARGEST_UNLOCATED * float(share @ limit):
         return Estimate(

@@ -1,4 +1,4 @@
-"""Recommended estimates of an experiment: those of the likeliest device, beside those by the thesis's methods."""
+"""Recommended estimates of an experiment: those of the likeliest device, and those by the thesis's methods."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "
 
 
 def whole_delay(estimate: Estimate, at: float | None = None) -> float:
-    """Return the value of a delay, or the whole number of samples next to it where its interval holds that.
+    """Return the value of a delay, or the whole number of samples next to it if its interval contains that.
 
     Another number inside the interval may be given in its place.
 
@@ -69,7 +69,7 @@ def by_model(of: Stored, name: str) -> Estimate:
     spread = float(np.sqrt(max(excess, 0.0)))
     trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
-    # 2 % of nothing is nothing: beside a value that may be 0, a drift within the error of one trial is small
+    # 2 % of nothing is nothing: for a value that may be 0, a drift within the error of one trial is small
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]
@@ -103,7 +103,8 @@ def delay_factor(of: Stored) -> tuple[int, int, int] | None:
     """Return the least, the likely and the largest integer delay factor, from which costs count; None without one.
 
     That of the model, rounded down: a delay that ends just before a whole sample is that one, as far as a fit can be
-    off. Where the delay jitters its mean is rounded, and the first changes tell the range. Without a model they stand.
+    off. Where the delay jitters its mean is rounded, and the first changes give the range. Without a model these are
+    used.
     """
     plain, model = of.once(first_change), by_model(of, "delay_samples")
     device = of.once(identified_loop)
@@ -120,7 +121,7 @@ def delay_factor(of: Stored) -> tuple[int, int, int] | None:
 
 
 def delay_estimate(of: Stored) -> Estimate:
-    """Return the integer delay factor of an experiment; ``by_method`` holds the delay by the model, not rounded.
+    """Return the integer delay factor of an experiment; ``by_method`` has the delay by the model, not rounded.
 
     Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer.
     """
@@ -136,7 +137,7 @@ def delay_estimate(of: Stored) -> Estimate:
 
 
 def mass_estimate(of: Stored) -> Estimate:
-    """Return the mass of an experiment, beside that of the thesis's momentum balance (6.4)."""
+    """Return the mass of an experiment, and that of the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
     methods = {"model": model}
@@ -150,7 +151,7 @@ def mass_estimate(of: Stored) -> Estimate:
 
 
 def damping_estimate(of: Stored) -> Estimate:
-    """Return the viscous damping of an experiment, beside that by the limit at K = 0 (3.25, 6.1.2)."""
+    """Return the viscous damping of an experiment, and that by the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
     model = by_model(of, "damping")

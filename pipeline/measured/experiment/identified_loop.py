@@ -37,7 +37,7 @@ ABSENT = ("actuator_lag_s", "constant_force")
 NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
 """Reason of a number that logs leave open, with the remedy."""
 
-ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts of the device act alike"
+ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts have the same effect"
 ANY_SPRING = "any spring that is too soft to be seen in these motions explains them as well"
 OPEN = "other parts of the device explain these logs as well"
 
@@ -51,8 +51,8 @@ NOT_NEEDED = "the logs are explained as well without it"
 """Reason of a parameter that logs do not ask for."""
 
 MOST = 0.5
-"""Share of the logs of an experiment from which on what they show is the experiment's: its device, its filter, why it
-tells nothing."""
+"""Share of the logs of an experiment from which on their common property is the experiment's: its device, its filter,
+the reason why it is not identified."""
 
 SMALLEST = 1e-3
 """Least share of the mass on a side of a mode, of a positive number at the end of an interval, and of a sample that is
@@ -74,7 +74,7 @@ class IdentifiedLoop:
     motion : {"translation", "rotation"}
         Decides the units.
     parts : tuple of str
-        What it has beside mass, damper and delay: ``friction``, ``spring``, ``saturation``, ``lag``, ``mode``,
+        Parts in addition to mass, damper and delay: ``friction``, ``spring``, ``saturation``, ``lag``, ``mode``,
         ``load damping``.
     mode_sensor : {"motor", "load"}
         Side of a mode at which the position is read.
@@ -103,7 +103,7 @@ class IdentifiedLoop:
         Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 where
         not known.
     remedy : str
-        What to record so that parts which act alike are separated.
+        What to record to separate parts with the same effect.
     directions : int
         Directions in which it moves in its logs, 1 or 2.
 
@@ -246,7 +246,7 @@ class IdentifiedLoop:
         if name in self.unidentifiable:
             entries |= {"value": None, "reason": NOT_IDENTIFIABLE.format(OPEN, self.remedy)}
         elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:
-            entries["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs do not tell which"
+            entries["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs cannot decide"
         return Estimate(**entries, unit=unit, method=METHOD, trials=count)
 
 
@@ -258,7 +258,7 @@ def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["moto
 
 
 def identified_loop(of: Stored) -> IdentifiedLoop | None:
-    """Return the loop of an experiment as its stage `device` has it, None where its logs tell no mass."""
+    """Return the loop of an experiment from its stage `device`, None where its mass is not identified."""
     (row,) = of.table("device").to_pylist()
     return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)
 

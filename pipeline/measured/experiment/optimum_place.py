@@ -1,4 +1,4 @@
-"""How surely trials tell the place of an optimum: walls that are nearly as good, and the scatter of the cost map."""
+"""Uncertainty of the place of an optimum: walls that are nearly as good, and the scatter of the cost map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where settled devices rest: at x_0 + F_0/K, or off it by a force or by a spring that holds the device."""
+"""Where settled devices rest: at x_0 + F_0/K, or away from it by a force or by a spring on the device."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ OFTEN = 0.2
 """Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
 
 ALIKE = 0.5
-"""Largest difference of the forces that hold a device off its place from their median, relative to it, up to which
-they are one force: the sensor adds to them."""
+"""Largest relative difference of the displacing forces from their median up to which they are one force: the sensor
+adds to them."""
 
 LASTING = 12.0
 """Decay, in time constants over the log, after which nothing of the motion is left in the mean of its last tenth."""
@@ -32,10 +32,10 @@ LASTING = 12.0
 
 @dataclass(frozen=True)
 class RestForces:
-    """Forces K (x_end - x_0) - F_0 that hold a device off the place where the wall lets it rest.
+    """Forces K (x_end - x_0) - F_0 that displace a device from the rest position of the wall.
 
     ``typical`` is their median [N, Nm], ``off`` the number of logs of ``of`` that rest farther off than their sensor
-    can tell; ``constant`` says that they are one force that friction cannot be: it acts along the step. ``spring`` is
+    can resolve; ``constant`` means that they are one force, not friction: it acts along the step. ``spring`` is
     the stiffness k [N/m, Nm/rad] of a device whose logs all rest at x_0 + F_0/(K + k), 0 where they do not.
     """
 
@@ -52,12 +52,12 @@ class RestForces:
 
 
 def rest_forces(of: Experiment) -> RestForces:
-    """Return the forces that hold settled devices off x_0 + F_0/K, and the spring that all of them may be.
+    """Return the forces that displace settled devices from x_0 + F_0/K, and the spring that explains all of them.
 
     Notes
     -----
     A spring pulls by -k (x_end - x_0), less the stiffer the wall is; a constant force and friction do not depend on the
-    wall. A spring is told where it explains what a constant force does not.
+    wall. A spring is reported where it explains what a constant force does not.
     """
     settled = _settled(of)
     stiffness = of.column("response", "stiffness")[settled]
@@ -89,7 +89,7 @@ def _spring(force: Floats, moved: Floats, reach: Floats) -> float:
     """Return k of force = -k moved where that explains the forces and none that is the same in all logs does."""
     weight = 1 / np.maximum(reach, SMALLEST) ** 2
     k = -float((weight * moved) @ force) / float((weight * moved) @ moved)
-    # soft walls tell, and to those of one stiffness friction is a spring: the constant is theirs, too
+    # soft walls decide; at one stiffness friction looks like a spring: the constant is theirs, too
     constant = float(weight @ force) / float(weight.sum())
     left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - constant))
     return k if k > 0 and not _are_many(left, len(force)) and _are_many(same, len(force)) else 0.0

@@ -16,10 +16,10 @@ from pipeline.records.findings import DRIFTS, Trend
 from pipeline.records.trials import Floats
 
 MOST_RELATIVE = 10.0
-"""Change, relative to the value, up to which it is told in percent of it."""
+"""Change, relative to the value, up to which it is reported in percent."""
 
 FEWEST_FOR_TREND = 8
-"""Trials from which on a trend is looked for: three coefficients and five more to tell their error."""
+"""Trials from which on a trend is looked for: three coefficients and five more to estimate their error."""
 
 HUBER = 1.345
 """Residual, in standard deviations, from which on a trial pulls a trend no more strongly: 95 % efficient (Huber)."""
@@ -55,12 +55,12 @@ def find_trends(
     -------
     tuple of Trend
         One for each condition that was varied; none with fewer than `FEWEST_FOR_TREND` trials, or where stiffness
-        and damping were varied together, so that their effects cannot be told apart.
+        and damping were varied together, so that their effects cannot be separated.
 
     Notes
     -----
     Weighted least squares in which a residual beyond `HUBER` standard deviations pulls no more strongly. The interval
-    rests on the residuals and not on ``sigma``, so that it holds where the errors of the trials are wrong; a trend
+    is that of the residuals and not of ``sigma``, so that it is valid where the errors of the trials are wrong; a trend
     that is not there is found significant in 5 % of cases, for each of both slopes.
 
     Source: Huber 1981, Robust Statistics; MacKinnon and White 1985 (HC3).
@@ -133,11 +133,11 @@ def drift_warning(
     change = trend.slope * span
     if not trend.significant or abs(change) <= least:
         return ""
-    # beside a value near 0 a share says nothing
+    # for a value near 0 a share is meaningless
     relative = f" ({100 * change / value:+.1f} %)" if abs(change) <= MOST_RELATIVE * abs(value) else ""
     name = unit_of(trend.over, motion)
     return true_minus(
         f"{DRIFTS} {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "
-        f"95 % interval {trend.low * span:+.3g} to {trend.high * span:+.3g} {unit}: the model does not hold for all "
+        f"95 % interval {trend.low * span:+.3g} to {trend.high * span:+.3g} {unit}: the model does not explain all "
         "trials"
     )

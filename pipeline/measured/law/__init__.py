@@ -1,1 +1,1 @@
-"""What a log's command is beside what the wall law commands: each departure has a name, or none, never a guess."""
+"""Comparison of a log's command with the wall law: each departure has a name, or none, never a guess."""

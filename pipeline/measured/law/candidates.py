@@ -151,7 +151,7 @@ def _offset(log: LogRows) -> Departures | None:
     """A constant in addition to the law, from the first row on or from the step on."""
     value = _constant(log, log.kept)
     if value is not None:
-        text = f"the command holds a constant {value:.4g} beside the wall law"
+        text = f"the command includes a constant {value:.4g} in addition to the wall law"
         return (Departure("constant_force", text, len(log.residual)),)
     value = _constant(log, log.kept & log.after)
     if value is not None and not log.off(log.command - log.residual, ~log.after):

@@ -1,6 +1,6 @@
 """One log as rows: what its printed digits leave open, the residual of its wall law, and rows missing or repeated.
 
-A file may print decimals or significant digits, or hold single precision, perhaps in print again. Which of these a
+A file may print decimals or significant digits, or have single precision, perhaps printed again. Which of these a
 column did shows in its numbers: the fewest digits that have them all. Each leaves half a unit in its last digit open.
 """
 
@@ -20,7 +20,7 @@ from pipeline.measured.student import ROUNDING
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 FULL_DIGITS = int(np.finfo(np.float64).precision)
-"""Digits that a double holds whatever its size; more are those of arithmetic."""
+"""Digits of a double of any size; more are those of arithmetic."""
 
 ROUNDED = 4.0
 """Units of rounding by which a number may miss its digits: it was read, and perhaps converted to another unit."""
@@ -100,7 +100,7 @@ def _printed(size: Floats) -> Printed:
 def stated_resolution(values: Floats) -> Floats:
     """Return half a unit in the last digit of the numbers of a header, 0 where all have few digits.
 
-    They are printed alike: one that ends in zeros has fewer digits than the others.
+    They are printed in the same way: one that ends in zeros has fewer digits than the others.
     """
     size = np.abs(values)
     digits = _digits(size)
@@ -170,7 +170,7 @@ ROUNDINGS = 16.0
 unit where commands are of single precision, whose own digit leaves more open."""
 
 CAUGHT_UP = 1.3
-"""Way in the row after one that was held, relative to the way before it: twice at an even speed."""
+"""Change in the row after a repeated reading, relative to the change before it: twice at an even speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +339,7 @@ def hidden_rows(log: LogRows) -> Integers:
 
 
 def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
-    """Return whether the readings that would be missing lie on the grid of the sensor, as far as digits tell."""
+    """Return whether the readings that would be missing lie on the grid of the sensor, to the printed digits."""
     scale = log.period / abs(log.damping)
     tolerance = GRID * log.quantum + scale * log.rounding[off]
     lost = scale * np.abs(log.residual[off])

@@ -1,6 +1,6 @@
 """The filter that a wall law applies to the velocity, from what goes in and what comes out of it.
 
-In: the change of position dx_k = x_k - x_{k-1}, which the log holds. Out: T/B (F_k - K (x_k - x_0) - u_k), which is the
+In: the change of position dx_k = x_k - x_{k-1}, from the log. Out: T/B (F_k - K (x_k - x_0) - u_k), which is the
 filtered change. Both are exact, so that a filter that is found leaves nothing.
 """
 

@@ -1,4 +1,4 @@
-"""Does a logged command obey the wall law, and if not, why: seen in the log alone, before anything rests on it.
+"""Check of a logged command against the wall law, and the reason for a departure, from the log alone.
 
 The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. Of a
 controller that applies it only rounding remains in u + K (x - x_0) + B dx/T - F. What remains otherwise has a shape
@@ -131,7 +131,7 @@ class Account:
         With the period and the rows that the stamps show.
     stamps : Stamps
     repeated : int64
-        Rows that repeat the one before, or hold its reading.
+        Rows that repeat the one before, or its reading.
     lost : int
         Rows before which others are missing by the law, which the stamps do not show.
     departures : tuple of Departure, or None
@@ -208,6 +208,6 @@ def _repeated(log: LogRows, rows: Integers) -> tuple[Departure, ...]:
     if not len(rows):
         return ()
     whole = int((log.command[rows] == log.command[rows - 1]).sum()) > len(rows) / 2
-    what = "rows repeat the one before" if whole else "readings of the position are held"
+    what = "rows repeat the one before" if whole else "readings of the position are repeated"
     text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
     return (Departure("repeated_rows", text, len(rows)),)

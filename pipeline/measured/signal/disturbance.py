@@ -20,8 +20,8 @@ LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""
 
 FITTED_TRIALS = 64
-"""Trials that the device is fitted to: more tell three numbers no better. Those with the smallest hash of their samples
-are taken: a log more seldom changes them, and so what is said of all others."""
+"""Trials that the device is fitted to: more do not improve its three numbers. Those with the smallest hash of their
+samples are used: one more log seldom changes them, and therefore the results of the others."""
 
 FITTED_ROWS = 4096
 """Rows of a longer log that the device is fitted to, from the step on: its rest would outweigh the other logs."""
@@ -37,19 +37,19 @@ SMALLEST_FORCE = max(SETTLING_BANDS.values())
 what the widest settling band hardly shows, and what the device is fitted to."""
 
 TYPICAL = 3.0
-"""A force must exceed that of the middle trial by this: what all trials show is the device (friction, jitter), no
-event. It is told of eight trials and more."""
+"""Factor by which a force must exceed that of the median trial: a force in all trials belongs to the device (friction,
+jitter) and is no event. Used from eight trials on."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Force beside the command in a trial.
+    """Force in addition to the command in a trial.
 
     Parameters
     ----------
     first_row, largest_row : int
         First row about which the balance is broken, and row about which that force is largest; -1 where it is not
-        broken, or cannot be told.
+        broken, or unknown.
     force : float
         Largest such force, with its sign, averaged over some samples [N, Nm]; 0 where there is none.
     """
@@ -63,7 +63,7 @@ class Disturbance:
 class PushResponse:
     """Device that fits an experiment, for forces that it does not explain: m, b, k and delay [samples].
 
-    Its mass is 0 where trials show no motion. ``span`` are the rows before and after a row that tell its force;
+    Its mass is 0 where trials show no motion. ``span`` are the rows before and after a row that determine its force;
     ``least`` is the force, in units of the smallest reported one, from which on it is an event, and not the device.
     """
 
@@ -76,7 +76,7 @@ class PushResponse:
 
 
 def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> Disturbance:
-    """Find the force that acts beside the command.
+    """Find the force that acts in addition to the command.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def _late(command: Floats, delay: int) -> Floats:
 
 
 def _held(command: Floats) -> Floats:
-    """Mean of the command over the two intervals at each row: its second difference is exact for held commands."""
+    """Mean of the command over the two intervals at each row: its second difference is exact for a zero-order hold."""
     mean = command.copy()
     mean[1:] += command[:-1]
     return 0.5 * mean

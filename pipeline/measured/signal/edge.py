@@ -101,7 +101,7 @@ def find_edge(trial: Trial) -> Edge:
     -----
     The edge is the first row from which on the external force stays above half the step. Where it begins on another
     level than 0, as at an operating point, the edge is the first row in which it leaves that, by the step. Two or more
-    jumps between levels are several steps, which no row tells apart.
+    jumps between levels are several steps, which no row can separate.
     """
     step = trial.step
     if step == 0:

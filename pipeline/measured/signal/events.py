@@ -47,7 +47,7 @@ def left_travel(trial: Trial, response: Response, usual: int) -> int:
     Such a log is short, and ends with the largest distance from the final position (K > 0; larger than that of
     the start, which is inside the travel) or from the start (K = 0), moving outwards. A growing oscillation whose
     recording was stopped by hand at that moment looks the same. In an experiment whose logs all end early, or
-    of a single log, it cannot be told.
+    of a single log, it cannot be decided.
     """
     if trial.rows >= usual:
         return NO_ROW
@@ -113,7 +113,7 @@ def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
     begins = np.flatnonzero(near[1:] & ~near[:-1]) + 1
     stays = lasting(near, SETTLED_SAMPLES)[begins]
     rows = edge + begins
-    # the device may arrive between two samples: then the change before that one tells its speed
+    # the device may arrive between two samples: then the change before that one shows its speed
     speed = np.maximum(np.abs(x[rows] - x[rows - 1]), np.abs(x[rows - 1] - x[np.maximum(rows - 2, 0)]))
     before = np.where(rows > 1, np.abs(x[rows] - x[np.maximum(rows - 2, 0)]), 0.0)
     last = len(x) - 1
@@ -151,7 +151,7 @@ def free_samples(trial: Trial, response: Response) -> int:
     -----
     The first movement shows one delay; after another one the past before the step is forgotten. Sensor noise moves a
     soft device before the step does: a hundredth of the motion near the step is none. A log without any movement
-    holds none.
+    has none.
     """
     edge = max(response.edge_row, 0)
     size = np.abs(trial.displacement)

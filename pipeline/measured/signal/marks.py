@@ -11,7 +11,7 @@ JUMP = 0.2
 """Change from one row to the next, relative to the range of the column, that is a jump."""
 
 MOST_JUMPS = 12
-"""Jumps that are told of a column; one with more chatters, and its largest are told."""
+"""Most jumps of a column that are listed; one with more chatters, and its largest are listed."""
 
 STILL = 0.005
 """Range of a stretch, relative to that of the column, within which it rests."""

@@ -26,7 +26,7 @@ FEWEST_SAMPLES = 12
 """Shortest motion: a pair of modes, a drift and as many samples again to check them."""
 
 LARGEST_WINDOWS = 256
-"""Windows that a long motion is seen through, evenly spread: more cost time and tell little more."""
+"""Most windows over a long motion, evenly spread: more cost time and add little."""
 
 DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
 """Smallest singular value kept relative to the largest, as in `numpy.linalg.matrix_rank`."""

@@ -1,4 +1,4 @@
-"""What happened in a trial, told from its log alone, with the evidence.
+"""What happened in a trial, from its log alone, with the evidence.
 
 `verdict` says whether the loop is stable; the outcome says what the log shows, and whether it is a response of the
 loop at all: a clipped command, a stop, a push or a missing step are no properties of stiffness and damping.
@@ -82,7 +82,7 @@ class _End:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What tells the outcome of a trial, and the sentence for every outcome."""
+    """Evidence for the outcome of a trial, and the sentence for every outcome."""
 
     trial: Trial
     response: Response
@@ -99,7 +99,7 @@ class _Evidence:
     short: bool
 
     def growth(self) -> str:
-        """The growth rate as the end of a sentence; nothing where none is told."""
+        """The growth rate as the end of a sentence; nothing where it is unknown."""
         rate = self.verdict.growth_per_s
         return "" if np.isnan(rate) else f"; {'grows' if rate > 0 else 'decays'} by {abs(rate):.3g} per second"
 
@@ -110,7 +110,7 @@ class _Evidence:
         row = self.stop if self.stop >= 0 else self.left
         place = f"{self.trial.position[row]:.6g}"
         if self.stop >= 0:
-            return f"held by a stop at {place}, first in row {row}, reached at speed"
+            return f"stopped at {place}, first in row {row}, reached at speed"
         text = f"the log ends in row {row}, before the others, at {place}, farther out than ever and moving outwards"
         return text + self.growth()
 
@@ -124,10 +124,10 @@ class _Evidence:
 
     def disturbed(self) -> str:
         if self.push.first_row >= 0:
-            force = f"a force of {self.push.force:.3g} beside the command, first about row {self.push.first_row}"
+            force = f"an additional force of {self.push.force:.3g}, first about row {self.push.first_row}"
             return f"{force}; the step is {self.trial.step:.4g}"
         offset = f"rests {self.end.offset:.3g} from x_0 + F_0/K, outside +-{self.band:.3g}"
-        return f"{offset}: another force holds it"
+        return f"{offset}: another force acts on it"
 
     def diverged(self) -> str:
         return f"grows to an amplitude of {self.end.amplitude:.3g} in the last fifth{self.growth()}"
@@ -158,8 +158,8 @@ RULES: dict[str, Callable[[_Evidence], tuple[bool, int]]] = {
     "moving": lambda of: (not of.end.settled, NO_ROW),
     "settled": lambda of: (of.end.settled, of.end.entry),
 }
-"""Whether each outcome holds, and the first row of its evidence, by precedence: what ends a log or makes it useless
-comes before what the loop did in it."""
+"""Whether each outcome applies, and the first row of its evidence, by precedence: outcomes that end a log or make it
+useless come before those of the loop."""
 
 OUTCOMES = tuple(RULES)
 
@@ -171,9 +171,9 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
     ----------
     trial, response, verdict : Trial, Response, Verdict
     usual_rows : int
-        `usual_length` of the logs of the experiment, which tells early ends.
+        `usual_length` of the logs of the experiment, which shows early ends.
     device : PushResponse
-        Device of the experiment (`fit_push_response`), which tells what is a disturbance.
+        Device of the experiment (`fit_push_response`), which shows disturbances.
 
     Returns
     -------
@@ -181,8 +181,8 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
 
     Notes
     -----
-    The first that holds, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or stood at a
-    stop; too few samples of free motion to say anything; command clipped; moved by a force beside the command, or
+    The first that applies, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or at a stop; too
+    few samples of free motion to say anything; command clipped; moved by a force in addition to the command, or
     at rest elsewhere than at x_0 + F_0/K; growing; an oscillation that lasts outside the band; not yet in the band
     for good; settled. A limit cycle inside the band is settled.
 
@@ -226,7 +226,7 @@ def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _En
     crossings = int((late[1:] != late[:-1]).sum())
     lasting = crossings >= CROSSINGS and last > response.floor and has_final
     lasting = lasting and min(third, last) >= LASTING * max(third, last)
-    # above what quanta keep up, a rate that the verdict tells is surer than ratios of amplitudes
+    # above the level that quanta sustain, the verdict's rate is surer than ratios of amplitudes
     if verdict.verdict != "undecided" and last > 2 * REST_FLOORS * response.floor:
         lasting = lasting and not abs(growth) * (trial.rows - edge) > LASTING_CHANGE
     # an oscillation about the edge of the band leaves it now and then, and a growing one may pass it at its smallest

@@ -2,7 +2,7 @@
 
 Command plus wall force is the external force, whatever moves the device. Of a release by the controller it steps to
 another level, of a hit by the controller it comes back to the first one; of a hand that lets go or hits it stays where
-it is. From the row on from which it is constant the motion is free, and its growth tells stability as that of a step.
+it is. From the row on from which it is constant the motion is free, and its growth shows stability as that of a step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SUDDEN = 0.25
 """Part of its first swing in which a device that a hand hits is fastest; one that is let go is so half-way."""
 
 HELD = 0.1
-"""Part of the largest command with which a wall pushes against a hand that holds a device away from it."""
+"""Share of the largest command with which a wall pushes against a hand that keeps a device away from it."""
 
 CHANGES = "the external force goes on to change: the motion is not free"
 RESTS = "nothing moves"
@@ -126,8 +126,8 @@ def _bent(change: Floats, onset: int) -> Release:
 def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
     """Return a release or a hit by hand: the external force stays, and the motion begins.
 
-    The hand is gone when the device is fastest in its first swing, at the latest. Before a release it holds the device
-    against the wall, or moves it there.
+    The hand is gone when the device is fastest in its first swing, at the latest. Before a release it keeps the device
+    at the wall, or moves it there.
     """
     begin = max(onset - 1, 0)
     speed = np.diff(trial.displacement[begin:])

@@ -129,7 +129,7 @@ def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
     trial : Trial
     response : Response
     edge_row : int
-        Row in which the command first holds the step, counted from 0; it replaces what the log shows, and the rows
+        Row in which the command first has the step, counted from 0; it replaces the detected one, and the rows
         before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves the
         response as it is, and so do several steps.
 
@@ -192,7 +192,7 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
     first, entry : int
         Row in which it begins, and row from which on it is inside the band that is asked for.
     growth : float
-        Growth rate of its slowest mode per sample, NaN where none is told.
+        Growth rate of its slowest mode per sample, NaN where it is unknown.
     noise : float
         Standard error of a late reading [m, rad].
 
@@ -200,7 +200,7 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
     -----
     A swing of angular frequency w that is at e and moves at v comes as far as hypot(e, v/w) at most. The slowest one
     shows in the longest time on one side of the final position, half a period; of a motion that never passed it the
-    rise time tells: 2.2 time constants of a creep, 1.5 radians and more of a swing that is damped so far. Inwards it
+    rise time is used: 2.2 time constants of a creep, 1.5 radians and more of a swing that is damped so far. Inwards it
     has a quarter of a period more to decay in. The last half radian of the log counts, as far as it is inside the band.
     A motion that does not grow is bounded by its last whole swing, too.
     """

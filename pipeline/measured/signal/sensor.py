@@ -61,7 +61,7 @@ def sensor_floor(quantum: Size, noise: Size) -> Size:
 def position_quantum(position: Floats) -> float:
     """Return the step of the grid on which positions (rows,) lie: the coarsest one, 0 where there is none.
 
-    Single precision and printed digits put the positions on a finer grid of their own, whose step is not the
+    Single precision and printed digits put the positions on another, finer grid, whose step is not the
     sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
 
     >>> position_quantum(0.25 * np.array([1.0, 2.0, 2.0, 5.0, 9.0]))
@@ -81,7 +81,7 @@ def position_quantum(position: Floats) -> float:
     exact = _grid(change, size[0], GRID_TOLERANCE, np.inf, 1)
     # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
     quantum = exact = exact if exact > rounding / GRID_TOLERANCE else 0.0
-    # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
+    # without a gap the smallest change is no candidate: the changes of a smooth motion have common divisors, too
     ratio = size[1:] / size[:-1]
     gap = int(ratio.argmax()) if len(ratio) else 0
     if len(ratio) and ratio[gap] > STORED_GAP:

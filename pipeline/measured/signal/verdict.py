@@ -37,16 +37,16 @@ FADES = 0.9
 """Ratio of the sizes of neighbouring quarters up to which a motion fades: parts of a period make 5 % of difference."""
 
 BLOCKS = 8
-"""Parts of the motion whose size tells a growth rate: half a period each of what a wall does within its log."""
+"""Parts of the motion whose size shows a growth rate: half a period each of what a wall does within its log."""
 
-NOT_TOLD = "growth rate not told: the motion has died away"
+NOT_TOLD = "growth rate unknown: the motion has decayed"
 """Reason of a stable trial without a growth rate."""
 
 Views = tuple[MotionWindows, MotionWindows]
 """A motion by windows of different width, wide and narrow."""
 
 ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
-"""Motion relative to the positions that is arithmetic in a log without a sensor; of its own peak a billionth is."""
+"""Motion relative to the positions that is rounding in a log without a sensor; relative to its peak a billionth is."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Verdict:
     verdict : str
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float
-        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where none can be told.
+        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where it is unknown.
         Where K = 0: growth rate of the acceleration, -(b + B)/m for small (b + B).
     reason : str
         Why a trial is undecided, or has no growth rate; empty otherwise.
@@ -230,7 +230,7 @@ def _growth(views: Views) -> tuple[float, float, bool]:
     the amplitude over the log by twice itself. Two views, by windows of different width, err by their difference, too:
     the nearer to zero counts, and none where one grows and one decays.
     """
-    # as far as rounding of positions lets a rate be told over a log
+    # as far as rounding of positions allows a rate over a log
     samples, noise = len(views[0].signal), views[0].noise
     least = 1e-9 / max(samples, 1)
     wide = views[0].fastest_growth()
@@ -257,10 +257,10 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 
 
 def _hidden(views: Views, response: Response) -> float:
-    """Return the growth per sample of what grows beside or below a motion that falls, NaN where none is told.
+    """Return the growth per sample of a component that grows within or below a decaying motion, NaN if unknown.
 
-    Differences show it where a slow motion hides a vibration; they bear twice the error. A quantum errs by a pattern
-    and not by chance, as far as noise does not blur it: growth must add more than half of it.
+    Differences show it where a slow motion hides a vibration; their error is twice as large. Quantisation errs by a
+    pattern and not by chance, as far as noise does not blur it: growth must add more than half of a quantum.
     """
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)

@@ -66,7 +66,7 @@ class MeasuredTrial:
     def trial(self) -> Trial:
         """The trial; at an operating point of a device without a wall, forces count from the level before the step.
 
-        What holds the device there, gravity or a friction at its limit, is as large, so that the motion is that of the
+        The balancing force there, gravity or friction at its limit, is as large, so that the motion is that of the
         change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
         the samples that they count.
         """

@@ -50,7 +50,7 @@ INSEPARABLE = "mass and force on the device cannot be separated in these logs; r
 
 OTHER_WALLS = (
     "the command of most logs is not that of their stated wall and time, so that these are left out, and the others do "
-    "not tell the mass; correct K, B and the units in the profile"
+    "not identify the mass; correct K, B and the units in the profile"
 )
 
 
@@ -187,8 +187,8 @@ def model(of: Experiment) -> list[ModelRow]:
     own = {} if found is None else own_numbers(found)
     fitted = set(ids) if found is None else set(found.names)
     if found is not None:
-        few = f"with fewer than {FEWEST} logs none is told apart from the others"
-        reason = few if found.choice.fit.few else "its motion tells none of them alone"
+        few = f"with fewer than {FEWEST} logs they cannot be separated"
+        reason = few if found.choice.fit.few else "its motion identifies none of them alone"
     rows = []
     for trial, samples, (stiffness, damping) in zip(ids, hashes, walls, strict=True):
         numbers: Sequence[float | None] = own.get(trial, [None] * 6)

@@ -37,6 +37,6 @@ def required(stages: Iterable[str]) -> set[str]:
 
 
 def cost_column(criterion: str) -> tuple[str, str]:
-    """Return stage and column that hold the cost by a criterion."""
+    """Return stage and column of the cost by a criterion."""
     known = criterion_of(criterion)
     return known.family.name, known.column

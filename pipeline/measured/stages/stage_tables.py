@@ -55,7 +55,7 @@ SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
 
 ROW_KEY = "samples_sha256"
-"""Column by which a row of a stage is known; what else it rests on is the same for all rows of a file."""
+"""Column that identifies a row of a stage; its other inputs are the same for all rows of a file."""
 
 Result = TypeVar("Result")
 
@@ -203,7 +203,7 @@ class ExperimentStages:
         if stage not in self._tables:
             file = self._file(stage)
             if file is not None and self.is_stored(stage):
-                with suppress(StoreError):  # what is damaged is computed anew
+                with suppress(StoreError):  # damaged results are computed again
                     self._tables[stage] = read_table(file)
             if stage not in self._tables:
                 self._tables[stage] = self._computed(stage)
@@ -286,7 +286,7 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage that rest on the same of the experiment; none where they are damaged."""
+        """Return the stored rows of a stage with the same inputs of the experiment; none where they are damaged."""
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
@@ -344,7 +344,7 @@ class ExperimentStages:
 
     @property
     def samples_digest(self) -> str:
-        """Hash of the samples that the results rest on, as they were when the first stage was computed."""
+        """Hash of the samples behind the results, at the time when the first stage was computed."""
         return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
 
     @cached_property

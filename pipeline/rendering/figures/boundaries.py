@@ -37,14 +37,14 @@ NOT_DRAWN: dict[Overlay, str] = {
     "estimates": "no loop was identified",
     "band": "no loop was identified",
     "linear": "no theory",
-    "passive": "no theory, or the device has too little damping of its own for a region that can be seen",
+    "passive": "no theory, or the device has too little damping for a region that can be seen",
     "friction": "no friction was found",
     "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
 }
-"""Why an overlay that was asked for is missing beside the limits of single experiments."""
+"""Why a requested overlay is missing in the figure of a single experiment."""
 
 ANSWER = "boundaries-answer"
-"""Identifier of the figure beside the answer."""
+"""Identifier of the figure on the first screen."""
 
 MEASURED = (
     "Measured: largest stable stiffness at each damping; open marks: the tested range ended before an unstable trial."
@@ -60,7 +60,7 @@ def measured(
     last stable and the first unstable trial, with these as ends.
     """
     stable = [p.stable is not None for p in limits]
-    # dampings without a stable trial beside those with one close the curve; further ones tell nothing
+    # dampings without a stable trial next to those with one close the curve; further ones add nothing
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
@@ -112,7 +112,7 @@ def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tu
 def answer_figure(
     result: ExperimentResult, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
 ) -> Figure:
-    """Return the picture beside the answer: limits as measured, by theory and with friction, walls to use, all trials.
+    """Return the first screen's picture: limits as measured, by theory and with friction, walls to use, all trials.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *
     entries : sequence of (str, ExperimentResult, Theory, int)
         Label, result, the theory whose mass and sampling period normalise it, and the number of its colour.
     predicted : bool
-        Whether the boundaries of these theories stand beside.
+        Whether the boundaries of these theories are drawn, too.
 
     Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
     """

@@ -1,6 +1,6 @@
 """Figures by matplotlib: panels of series, as SVG in the colours of a page, as PDF, and as a data frame.
 
-A figure is data: panels of series, each of a kind that `LOOKS` tells how to draw. Two things are no series: contours
+A figure is data: panels of series, each of a kind that `LOOKS` describes. Two things are no series: contours
 and marks of a map (`Panel.paint`).
 """
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:  # takes half a second, which who draws nothing need not wait 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-# Colours of Okabe and Ito (2008), told apart by all common kinds of colour blindness; their yellow and black are left
+# Colours of Okabe and Ito (2008), distinct with all common kinds of colour blindness; their yellow and black are left
 # out: one vanishes on white, the other on a dark page.
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 INK, FAINT, PAPER, NOTE = "#010101", "#dddddd", "#fffffe", "#b87503"
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Markers that tell the series apart in grey, in the order of `SERIES`."""
+"""Markers that distinguish the series in grey, in the order of `SERIES`."""
 
 ON_PAGE = {
     INK: "currentColor",
@@ -120,7 +120,7 @@ opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` th
 class Series:
     """What is drawn as one: x and y, shape (n,), of a kind of `LOOKS`.
 
-    ``low`` and ``high`` are an interval along ``along`` ("x" or "y"), ``value`` a third number beside each point, with
+    ``low`` and ``high`` are an interval along ``along`` ("x" or "y"), ``value`` a third number for each point, with
     its name. ``number`` is the place of an experiment in the report, by which it has the same colour in each figure. A
     label that begins with an underscore stands in no legend.
     """
@@ -190,7 +190,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure on the page: panels as ``<svg>`` elements, with the numbers that pointing at them tells."""
+    """A figure on the page: panels as ``<svg>`` elements, with the numbers that appear when one points at them."""
 
     figure: Figure
     panels: tuple[str, ...]
@@ -216,7 +216,7 @@ def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
 
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": identifier}), warnings.catch_warnings():
-        # text stays text in the file, and whoever shows it has fonts for it
+        # text stays text in the file, and the viewer has fonts for it
         warnings.filterwarnings("ignore", MISSING_GLYPH, UserWarning)
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _for_page(stream.getvalue(), identifier, title, words)
@@ -225,7 +225,7 @@ def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
 def spell_missing_glyphs(drawing: Drawing) -> None:
     """Replace the characters that the font of a drawing lacks by their code points, as in ``[U+673A]``.
 
-    For formats that hold glyphs and no text: a box would be the same for all of them. Marks that combine with others
+    For formats that contain glyphs and no text: a box would be the same for all of them. Marks that combine with others
     are left out.
     """
     from matplotlib.font_manager import findfont, get_font
@@ -487,7 +487,7 @@ def _tenths(number: re.Match[str]) -> str:
 
 
 def _without_plain_groups(body: str) -> str:
-    """Return elements without the groups that say nothing, or hold nothing."""
+    """Return elements without groups that have no attributes or no content."""
     open_groups: list[bool] = []
 
     def kept(tag: re.Match[str]) -> str:

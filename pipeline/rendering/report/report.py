@@ -1,6 +1,6 @@
 """One self-contained HTML file from finished numbers: no network, readable without its scripts, deterministic.
 
-The page holds every table cell under a name and a digest over all of them, which is what `pipeline verify` compares.
+The page has every table cell under a name, and a digest over all of them, which `pipeline verify` compares.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class ReportData:
     trials : TrialPage, optional
         All trials for the interactive part.
     request : dict
-        How the report was asked for, in the page's head: what `verify` computes it anew from.
+        The request of the report, in the page's head, from which `verify` recomputes it.
     """
 
     result: ComparisonResult
@@ -137,7 +137,7 @@ def pack(content: Any) -> str:
 
 
 def answer_content(result: ComparisonResult) -> dict[str, Any]:
-    """Return what the templates of the answer take beside the result: units, and the sampling period [s]."""
+    """Return what the templates of the answer need in addition to the result: units, and the sampling period [s]."""
     return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
 
 

@@ -42,7 +42,7 @@ def render(page: AgainstPage) -> str:
 
 
 def write(page: AgainstPage, path: Path) -> AgainstResult:
-    """Write the page, and its document as JSON beside it; return the document with the name of the page."""
+    """Write the page, and its document as JSON next to it; return the document with the name of the page."""
     result = page.result.model_copy(update={"report": str(path)})
     write_text(path, render(replace(page, result=result)))
     write_text(path.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
@@ -63,7 +63,7 @@ def value_name(name: str) -> str:
 
 
 def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Table]:
-    """Return the tables of a pair that have rows; cells of several pairs on a page need names of their own."""
+    """Return the tables of a pair that have rows; cells of several pairs on a page need different names."""
     K, B = (UNITS[motion].stiffness, UNITS[motion].damping) if pair.plane == "physical" else ("α", "β")
     first, second = pair.labels
     judged = (

@@ -1,7 +1,7 @@
 """What stands on a page of a report, part by part and by name: cells of tables, embedded data, sentences.
 
-`verify` takes two pages apart, the report and one that was computed anew, and compares the parts. Some parts no
-log determines, such as run times; for those `digests` keeps short hashes in the page itself.
+`verify` splits two pages into parts, the report and a recomputed one, and compares the parts. Some parts are not
+determined by logs, such as run times; for those `digests` stores short hashes in the page itself.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DIGITS = 8
 """Hexadecimal digits of the hash of a part: a change stays unseen once in 4e9 times. The hash of the page has 64."""
 
 _LEAVES = frozenset({"p", "li", "dt", "dd", "figcaption", "caption", "summary", "h1", "h2", "h3", "h4", "th", "td"})
-"""Elements that hold one sentence, or a few; named cells are not among the sentences."""
+"""Elements that contain one sentence, or a few; named cells are not among the sentences."""
 
 _DRAWING = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 _BLOCK = re.compile(r"<(script|style)\b([^>]*)>(.*?)</\1>", re.DOTALL)
@@ -128,12 +128,12 @@ def short(text: str) -> str:
 
 
 def is_free_cell(name: str) -> bool:
-    """Tell whether no log determines a cell."""
+    """Return whether no log determines a cell."""
     return name.partition("/")[0] in FREE_TABLES
 
 
 def is_free_text(name: str) -> bool:
-    """Tell whether no log determines a sentence."""
+    """Return whether no log determines a sentence."""
     return name.partition("/")[0] in FREE_SECTIONS
 
 

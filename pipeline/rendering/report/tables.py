@@ -36,7 +36,7 @@ from pipeline.rendering.labels import (
 from pipeline.rendering.table import Column, Row, Table, is_sweep, records, table_of
 
 MAIN = ("delay_samples", "mass", "damping")
-"""Quantities that stand beside the experiments; the others stand in the table of methods only."""
+"""Quantities in the table of experiments; the others are in the table of methods only."""
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
 UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
@@ -48,7 +48,7 @@ PARTS = (
     "scatter of single trials. Selection: the best of many trials is lucky."
 )
 PRINTED = "a row of theory, or no printed measurement"
-DRIFT = "Drifts with the wall: one model does not hold for all trials."
+DRIFT = "Drifts with the wall: one model does not explain all trials."
 OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
@@ -153,7 +153,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "header": _header(result),
         "trend": table_of(
             "trend",
-            "Limits and estimates with 95 % intervals over the experiments, beside header lines that differ",
+            "Limits and estimates with 95 % intervals over the experiments, with header lines that differ",
             (Column("line", "header lines"), Column("value", show=digits(4), ends=("low", "high"), notes=_at_end)),
             f["trend"],
             lambda row: f"{row['quantity']}/{row['experiment']}",
@@ -214,7 +214,7 @@ def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
     return {
         "causes": table_of(
             "causes",
-            "What the logs show beside mass, damping and delay",
+            "What the logs show in addition to mass, damping and delay",
             (Column("code", "cause"), Column("sentence", "what it is"), Column("evidence")),
             [row | {"code": row["code"].replace("_", " ")} for row in f["causes"]],
             _of_what("code"),
@@ -332,7 +332,7 @@ def _ratio(row: Row, first: str, second: str) -> str:
 
 
 THESIS = {"delay_samples": "first_change", "mass": "thesis_momentum_balance"}
-"""Methods of the thesis whose estimates stand beside those of the model."""
+"""Methods of the thesis whose estimates are shown next to those of the model."""
 
 
 def _thesis_value(estimate: Estimate | None, method: str) -> float | None:
@@ -377,7 +377,7 @@ def _experiments(result: ComparisonResult) -> Table | None:
 
 
 def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
-    """Return the column of an estimate, its interval beside it and warnings as notes; rows hold the record."""
+    """Return the column of an estimate, followed by its interval, with warnings as notes; rows have the record."""
 
     def texts(row: Row) -> tuple[str, str, str]:
         return estimate_texts(row[quantity])
@@ -386,7 +386,7 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
         found: Estimate | None = row.get(quantity)
         clauses = found.warning.split("; ") if found and found.warning else []
         drifts = any(clause.startswith(DRIFTS) for clause in clauses)
-        # the interval of a value that may be zero stands beside it
+        # the interval of a value that may be zero follows it
         others = "; ".join(c.partition(" (95 % interval")[0] for c in clauses if not c.startswith(DRIFTS))
         return [found.reason if found else None, DRIFT if drifts else None, others]
 
@@ -546,14 +546,14 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
     caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by "
     caption += "the growth rates of the trials around it"
     if any(row["stiffness_large_motion"] is not None for row in rows):
-        caption += "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
+        caption += "; with friction both are for this step, and a harder push is unstable from the linear limit on"
     columns = (
         Column("damping", "damping", units.damping, show=_damping),
         Column("stable", show=_stiffness, why="no stable trial", notes=below, link=lambda row: place(row, "stable")),
         Column(
             "unstable", show=_stiffness, why="no unstable trial", notes=ended, link=lambda row: place(row, "unstable")
         ),
-        Column("limit", "limit, 95 %", show=limit, aside=interval, why="the growth rates do not tell it"),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="the growth rates do not determine it"),
         Column("stiffness_large_motion", "harder push", show=_stiffness, why="no limit", optional=True),
         Column("truth", show=_stiffness, why="no truth", optional=True),
     )
@@ -602,7 +602,7 @@ def _methods(rows: Sequence[Row], result: ComparisonResult) -> Table | None:
 
 
 def _loops(result: ComparisonResult) -> Table | None:
-    """The loop of each experiment and whether it bears statements."""
+    """The loop of each experiment and whether it is adequate."""
     units = UNITS[result.motion]
     rows = []
     for e in result.experiments:
@@ -688,12 +688,12 @@ def _outcomes(result: ComparisonResult) -> Table | None:
     if table is not None and "settled" in shown:
         table.mark("Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.")
     if table is not None and "disturbed" in shown:
-        table.mark("Disturbed: a force of 5 % of the step or more acts beside command, mass and damping.")
+        table.mark("Disturbed: a force of 5 % of the step or more acts in addition to command, mass and damping.")
     return table
 
 
 def _truth(result: ComparisonResult) -> Table | None:
-    """The truth of simulated experiments beside what was found."""
+    """The truth of simulated experiments next to the estimates."""
     known = [e for e in result.experiments if e.truth and e.truth_held]
     rows = []
     for e in known:

@@ -95,7 +95,7 @@ def test_a_replay_that_is_off_by_more_than_the_limit_leaves_no_wall():
 @pytest.mark.parametrize(
     ("course", "why"),
     [
-        (SimpleNamespace(boundary=(), trials=20), "no limit was measured beside a damping of"),
+        (SimpleNamespace(boundary=(), trials=20), "no limit was measured near a damping of"),
         (measured(trials=9), "9 trials are too few"),
     ],
 )

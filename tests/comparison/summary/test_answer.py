@@ -179,7 +179,7 @@ def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
     without = {n: e.model_copy(update={"by_method": {}}) for n, e in experiment.estimates.items()}
     found = told(data, result, loop=loop, estimates=without)
     assert {(e.low, e.high) for e in found.estimates[:3]} == {(None, None)}
-    assert found.estimates_reason == "No interval where the loop does not hold: the mass drifts."
+    assert found.estimates_reason == "No interval where the loop is not adequate: the mass drifts."
     (limit,) = (each for each in found.estimates if each.name == "stiffness_max")
     assert limit.low is not None
 

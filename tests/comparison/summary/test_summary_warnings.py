@@ -42,7 +42,7 @@ def test_drifts_of_all_experiments_are_one_short_warning(data, result):
     estimates = experiment.estimates | {"damping": doubted}
     several = [experiment.model_copy(update={"experiment": name, "estimates": estimates}) for name in "123"]
     drift, others = warnings_of(data, [*several, experiment.model_copy(update={"experiment": "4"})])
-    assert drift.endswith("does not hold for all trials: damping b in experiments 1, 2 and 3.")
+    assert drift.endswith("does not explain all trials: damping b in experiments 1, 2 and 3.")
     assert others == "Damping b of experiments 1, 2 and 3: 3 of 9 trials are outliers."
     assert "damping b in all 3 experiments" in warnings_of(data, several)[0]
 
