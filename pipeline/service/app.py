@@ -106,14 +106,14 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
 
 
 def _methods(request: Request) -> set[str]:
-    """Return the methods that an address has; each is a route of its own."""
+    """Return the methods of an address; each is a separate route."""
     routes = chain.from_iterable(router.routes for router in ROUTERS)
     found = (route for route in routes if route.matches(request.scope)[0] is not Match.NONE)
     return set[str]().union(*(getattr(route, "methods", ()) for route in found))
 
 
 def serve(settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a signal asks for an end; the address is said once it can be reached."""
+    """Serve until a termination signal; the address is reported once it can be reached."""
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
     device_files.use_folder(settings)

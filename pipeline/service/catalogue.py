@@ -1,7 +1,7 @@
 """All stored trials, with verdicts and costs where stored: what lists, facets, sorts and searches read (SQLite).
 
 Parquet is the truth: files are looked at again when something may have changed, and experiments read again whose files
-did. The file can be deleted at any time, and is made anew. Nothing is computed here.
+did. The file can be deleted at any time, and is rebuilt. Nothing is computed here.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ KEPT = 64
 """Answers that are kept of a state: readers turn pages, and look at the same."""
 
 EXCLUDED = "excluded"
-"""What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
+"""Shown instead of the verdict of a trial that is excluded by hand, which no number uses."""
 
 WORDS = ("device", "experiment", "verdict", "outcome")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
@@ -90,7 +90,7 @@ CREATE INDEX IF NOT EXISTS by_said ON trials (said);
 """Made when all trials of a new file are there: one by one takes five times as long."""
 
 _SEARCHED = ("id", "device", "experiment", "source", "uploader")
-"""What is searched of a trial, beside what people say of it."""
+"""Columns of a trial that are searched, in addition to its notes and tags."""
 
 _EXPERIMENTS = """
 SELECT device, experiment, max(motion) AS motion, sum(n) AS trials, json_group_object(verdict, n) AS verdicts,
@@ -114,7 +114,7 @@ class Selection:
     text: str = ""
 
     def where(self, said: Sequence[tuple[list[str], str]]) -> tuple[str, list[object]]:
-        """Return the same as a condition of SQL, with its values; ``said`` is what people say of what."""
+        """Return the same as an SQL condition with its values; ``said`` are notes and tags with their owners."""
         parts, values = ["1"], list[object]()
         for name, word in self.words.items():
             parts.append(f"{name} IS ?")
@@ -180,7 +180,7 @@ class Catalogue:
         return self._run(statement, values)
 
     def once(self, key: str, make: Callable[[], Kept]) -> Kept:
-        """Return what rests on this state alone; answers to what was asked a moment ago are kept."""
+        """Return a result that depends on this state only; recent results are cached."""
         self.run("SELECT 1")
         key = f"{self._state} {key}"
         if key not in self._kept:
@@ -233,7 +233,7 @@ class Catalogue:
         return rows[0] if rows else None
 
     def stored_at(self, trial: str) -> tuple[str, int]:
-        """Return the file that held a trial when it was looked at, and the row there."""
+        """Return the file that contained a trial at the last refresh, and its row."""
         row = self._run("SELECT sample_file, sample_row FROM trials WHERE id = ?", (trial,))[0]
         return row["sample_file"], int(row["sample_row"])
 

@@ -1,6 +1,6 @@
-"""Connections of clients: a header has to be whole in time, and no address may hold all that the system has.
+"""Limits on client connections: a header must be complete in time, and one address has a limited number of them.
 
-A server opens a file for each connection; one that says half a header, or nothing, holds it without a token.
+A server opens a file for each connection; a client that sends half a header, or nothing, keeps it open without a token.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
 
 
 def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a signal asks for an end; the address is said once it can be reached.
+    """Serve until a termination signal; the address is reported once it can be reached.
 
     Raises
     ------

@@ -35,11 +35,11 @@ ATTEMPTS = 3
 WORKS = ("upload", "stages", "experiment plan comparison optimum drawing")
 """Kinds of jobs of each worker, as they are taken: logs with their verdicts, costs, and what is looked at.
 
-Figures come last, but for reports that are made anew.
+Figures come last, except for renewed reports.
 """
 
 MOST_DRAWINGS = 100
-"""Drawings that wait at most: whoever asked for older ones has left their page."""
+"""Most drawings in the queue: users who requested older ones have left the page."""
 
 KEPT_S = 30 * 86400.0
 """Time for which ended jobs, and reports that a newer one has followed, are kept [s]."""
@@ -92,7 +92,7 @@ def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.C
 
 
 class Database:
-    """The service's own file, which nobody else may read; one connection a thread.
+    """The service's private file, readable only by its user; one connection a thread.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ class Database:
         )
         return {row["key"] for row in self.run("SELECT key FROM jobs WHERE key != ''")}
 
-    # who may, and who did: of tokens and logins hashes alone are held
+    # permissions and audit: only hashes of tokens and logins are stored
 
     def create_token(self, role: Role, name: str, days: float | None = None) -> str:
         """Make a token and return it; only its hash is stored."""
@@ -326,7 +326,7 @@ class Database:
         self.run("INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", *given)
 
     def has_noted(self, did: str, what: object) -> bool:
-        """Return whether an action with these details is in the audit, whoever did it."""
+        """Return whether an action with these details is in the audit, by any user."""
         return bool(self.run("SELECT 1 FROM audit WHERE did = ? AND what = ? LIMIT 1", did, json.dumps(what)))
 
     def audit(self, before: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:

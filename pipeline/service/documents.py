@@ -1,4 +1,4 @@
-"""Where results of jobs are kept: by a key of what they rest on. Light, as the server needs no more of jobs."""
+"""Files with the results of jobs, by a key of their inputs. A light module, as the server needs no more of jobs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def key_of(settings: Settings, request: dict[str, Any]) -> str:
 
 
 def whole(device: str, experiment: str) -> dict[str, Any]:
-    """Return the request for all that is told of an experiment."""
+    """Return the request for all results of an experiment."""
     return {"device": device, "experiments": [experiment], "criteria": None}
 
 

@@ -67,7 +67,7 @@ class Later(Exception):  # noqa: N818 (nothing is wrong)
 
 
 def problem_of(error: Exception) -> Problem:
-    """Return what the answer to a request says of an error; one that nobody foresaw is raised again."""
+    """Return the problem document of an error; an unexpected error is raised again."""
     match error:
         case Problem():
             return error

@@ -1,6 +1,6 @@
-"""Profiles of the lab: TOML files beside the shipped ones, drafted and tried as on the command line.
+"""Profiles of the lab: TOML files in addition to the shipped ones, drafted and tried as on the command line.
 
-Drafts and previews read files that somebody sent, in a process of their own that is ended where it takes too long.
+Drafts and previews read uploaded files in a separate process that is ended where it takes too long.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def draft(folder: Path) -> dict[str, Any]:
 
 def preview(folder: Path, text: str) -> list[Any]:
     """Return what a profile would read of samples; a refused one has the reason."""
-    with suppress(tomllib.TOMLDecodeError):  # what is wrong with it is told by the check
+    with suppress(tomllib.TOMLDecodeError):  # the check reports the mistake
         refuse_sheet("sheet" in tomllib.loads(text))
     file = folder.with_suffix(".toml")
     write_text(file, text)

@@ -216,7 +216,7 @@ def kept(make: Callable[[Settings, dict[str, Any], Progress], dict[str, Any]]) -
 
 
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Make a report, of a device or of two experiments against each other, with its document beside it."""
+    """Make a report, of a device or of two experiments against each other, with its document next to it."""
     key, asked = request["key"], request["request"]
     report = document_file(settings, key, report=True).with_suffix(".html")
     against = asked.get("against")
@@ -284,7 +284,7 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
 
 
 def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
-    """Draw a trial beside theory and fitted loops, or several over each other, each with theory."""
+    """Draw a trial with theory and fitted loops, or several in one figure, each with theory."""
     of = {(result.device, result.experiments[0].experiment): result for result in results}
     figures, labels = [], []
     for device, experiment, trial in asked["places"]:

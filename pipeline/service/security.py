@@ -176,7 +176,7 @@ class Guard:
             raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
     def _known(self, given: str | None, session: str) -> tuple[Role | None, str, str]:
-        """Return role, None of somebody unknown, name, and the token or session that tells them."""
+        """Return role (None for an unknown user), name, and the token or session that identifies the user."""
         if given is None and self.settings.loopback:
             return "admin", LOCAL_NAME, ""
         scheme, _, token = (given or "").partition(" ")
@@ -195,7 +195,7 @@ def is_form(database: Database, cookies: Mapping[str, str], token: str) -> bool:
 
 
 def form_token(database: Database, browser: str) -> str:
-    """Return the token that forms for a browser bear."""
+    """Return the token for forms sent to a browser."""
     return hmac.new(database.form_secret().encode(), browser.encode(), "sha256").hexdigest()
 
 
@@ -270,6 +270,6 @@ def _name(host: str) -> str:
 def cookie(name: str, value: str, secure: bool = False) -> str:
     """Return the header that gives a browser a cookie that scripts do not get, and other sites by links alone.
 
-    A report is a site of its own (its policy sandboxes it), and has a link back. Changes need the token of a form.
+    A report is isolated like another site (its policy sandboxes it), and has a link back. Changes need a form's token.
     """
     return f"{name}={value}; Path=/; HttpOnly; SameSite=Lax" + ("; Secure" if secure else "")

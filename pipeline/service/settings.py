@@ -69,9 +69,9 @@ class Settings:
     rate : int, optional
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
     renew : bool
-        Whether reports that were made here are made anew when logs come.
+        Whether reports that were made here are renewed when logs arrive.
     connections : int
-        Connections that one address may hold open.
+        Connections that one address may keep open.
     header_s, body_s, theory_s, wait_s : float
         Time for the header of a request, and for its body; with logs the longest silence in it; time for a theory, and
         wait of a request for a job [s].
@@ -95,7 +95,7 @@ class Settings:
 
     @property
     def data(self) -> Path:
-        """Folder beside `processed` with uploaded logs and the database: an ingest leaves `processed` itself out."""
+        """Folder next to `processed` with uploaded logs and the database: an ingest leaves `processed` itself out."""
         whole = self.processed.absolute()
         return whole.with_name(f"{whole.name}-service")
 

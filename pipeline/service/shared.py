@@ -31,7 +31,7 @@ RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""
 
 MOST_REPORTS = 1000
-"""Reports that are listed, and made anew."""
+"""Most reports that are listed, and renewed."""
 
 Kept = tuple[dict[str, Any] | None, str | None]
 """A document, or the job that makes it."""
@@ -123,7 +123,7 @@ class Service:
         return key, self.job("comparison", wanted, key, who, late)
 
     def renew(self) -> None:
-        """Ask anew for all experiments and reports, where logs came or were excluded since."""
+        """Request all experiments and reports again whose logs were added or excluded."""
         for e in self.catalogue.experiments:
             with suppress(Problem, PipelineError):
                 self.experiment(e["device"], e["experiment"], late=1)

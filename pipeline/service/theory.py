@@ -1,4 +1,4 @@
-"""Theory in a process of its own, which is ended where it takes too long."""
+"""Theory in a separate process, which is ended where it takes too long."""
 
 from __future__ import annotations
 

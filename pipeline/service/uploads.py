@@ -1,6 +1,6 @@
 """Logs that come by HTTP: written while they come, hashed, synced, and only then acknowledged.
 
-Each request has a folder of its own, so that files that belong together stay together; its job is the acknowledgement.
+Each request has a separate folder, so that files that belong together stay together; its job is the acknowledgement.
 A folder without a job was never acknowledged, and is removed when a server starts.
 """
 

@@ -3,7 +3,7 @@
 A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last is one of
 `database.WORKS`. A byte on standard input says that a job waits, its end that the server ended: then the process
 ends, too, and another one takes the job when its lease has run out. What the functions of jobs write is whole at any
-moment, and they can be run again. One thread asks for reports anew once nothing else waits, and removes what is old.
+moment, and they can be run again. One thread requests renewed reports once nothing else waits, and removes old files.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Workers:
         self._ended = threading.Event()
 
     def start(self, renew: Callable[[], None]) -> None:
-        """Begin all; ``renew`` asks for reports anew."""
+        """Start all workers; ``renew`` requests renewed reports."""
         for kinds in WORKS:
             threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
         threading.Thread(target=self._renew, args=(renew,), daemon=True).start()
@@ -65,7 +65,7 @@ class Workers:
         given = [str(self.settings.processed), str(self.settings.reports), kinds]
         command = [sys.executable, "-m", "pipeline.service.workers", *given]
         while not self._ended.is_set():
-            # a session of its own: Ctrl-C ends the server, and the server its workers
+            # a separate session: Ctrl-C ends the server, and the server its workers
             with subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
             ) as process:
@@ -114,7 +114,7 @@ def remove_old(settings: Settings, keys: set[str]) -> None:
 
 @contextmanager
 def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[object], None]]:
-    """Tell that a job is worked at, and the last progress; end the process if it is not this one's any more."""
+    """Report that a job is running, and its progress; end the process if another one has taken the job."""
     progress, done = deque[object]([None], maxlen=1), threading.Event()
 
     def beat() -> None:

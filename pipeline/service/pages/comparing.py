@@ -1,4 +1,4 @@
-"""Pages that lay experiments beside each other and plan the next walls, and the form for a report."""
+"""Pages that compare experiments and plan the next walls, and the form for a report."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Plane = Annotated[Literal["", "physical", "normalised"], Query()]
 
 @comparing.get("/compare")
 def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "") -> Response:  # noqa: B006
-    """Show up to six experiments beside each other."""
+    """Compare up to six experiments."""
     return page_of(service, request, "compare.html.j2", **_content(service, runs, plane))
 
 
@@ -96,7 +96,7 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
 def planes(runs: Sequence[Run]) -> dict[str, str]:
     """Return the planes in which limits can be drawn over each other, by name, and what they are called.
 
-    Those in K and B where all move alike, in alpha and beta where the mass of each is known.
+    In K and B if all have the same kind of motion, in alpha and beta if the mass of each is known.
     """
     found = {}
     if runs and len({document["motion"] for *_, document in runs}) == 1:

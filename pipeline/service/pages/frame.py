@@ -39,7 +39,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     own = {"short": _short, "when": _when, "ago": _ago, "about": _about, "sorting": _sorting}
-    own |= {"etag": tag_of, "rest": _rest, "page": _page, "told": _told, "value_name": value_name}
+    own |= {"etag": tag_of, "rest": _rest, "page": _page, "in_digits": _in_digits, "value_name": value_name}
     own |= {"cost_of": labels.cost_text, "quantity": labels.quantity_name, "label": labels.criterion_label}
     found.filters |= FILTERS | own
     found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": labels.UNITS}
@@ -47,7 +47,7 @@ def _environment() -> Environment:
 
 
 def style_sheet() -> str:
-    """Return the style sheet: that of reports, and what pages here have beside."""
+    """Return the style sheet: that of reports with additions for pages of the service."""
     sheets = (TEMPLATES / "report.css", HERE / "static" / "service.css")
     return "\n".join(sheet.read_text("utf-8") for sheet in sheets)
 
@@ -56,7 +56,7 @@ def _short(value: float | None) -> str:
     return "–" if value is None else labels.significant(value, 4)
 
 
-def _told(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
+def _in_digits(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return value and ends of an estimate of a document, with the digits that the interval asks for."""
     return labels.estimate_texts(Estimate.model_validate(estimate))
 
@@ -95,7 +95,7 @@ def _sorting(state: Mapping[str, str], name: str) -> str:
 
 @lru_cache(maxsize=4096)  # each row of a list has two
 def segment(name: str) -> str:
-    """Return a name as a part of an address; one that is written in signs of its own is quoted twice."""
+    """Return a name as a part of an address; a name with special characters is quoted twice."""
     return quote(folder_name(name), safe="")
 
 
@@ -119,7 +119,7 @@ def _page(of: Sequence[str]) -> str:
 
 
 def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
-    """Return a page by its template; its forms bear the token of the browser that asks."""
+    """Return a page by its template; its forms contain the token of the browser."""
     browser = request.cookies.get(FORM) or request.scope["state"].setdefault("form", secrets.token_urlsafe(16))
     who = {"login": not service.settings.loopback, "form": form_token(service.database, browser)}
     given = {"role": request.state.role, "who": request.state.who, "path": request.url.path, **who, **content}

@@ -51,7 +51,7 @@ _STATE = {*WORDS, *api.RANGES, "q", "sort"}
 """What of an address says which trials are listed."""
 
 PLOTTED = 3000
-"""Trials of a plane that lead to their pages: more are no longer told apart."""
+"""Most trials of a plane that link to their pages: more cannot be distinguished."""
 
 
 _STATIC = {"service.js": "text/javascript", "icon.svg": "image/svg+xml"}
@@ -150,7 +150,7 @@ async def keep_device_file(service: Shared, request: Request, who: Who, device: 
 
 @pages.get("/devices/{device}/experiments/{experiment}")
 def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
-    """Show the trials of an experiment in their plane beside theory, what was found, and the next wall."""
+    """Show the trials of an experiment in their plane with theory, the results, and the next wall."""
     shown = kept(service, lambda: service.experiment(device, experiment))
     document = shown["drawn"]
     chosen = Selection({"device": device, "experiment": experiment}, {})
@@ -252,7 +252,7 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
 
 @pages.get("/trials/{trial}")
 def one_trial(service: Shared, request: Request, trial: str) -> Response:
-    """Show the response of a trial beside theory and fitted loop, and what is known of it."""
+    """Show the response of a trial with theory and fitted loop, and its results."""
     about = service.found(trial)
     place = about["device"], about["experiment"], trial
     shown = kept(service, lambda: service.drawn("trials", [place]))
@@ -359,7 +359,7 @@ def audit(service: Shared, request: Request, before: int = NEWEST) -> Response:
     """List who did what, and what is in the bin."""
     found, last = service.database.audit(before, SHOWN)
     rubbish = Counter((one.device, one.experiment) for one in in_bin(service.settings.processed))
-    return page_of(service, request, "audit.html.j2", deeds=found, last=last, rubbish=rubbish)
+    return page_of(service, request, "audit.html.j2", actions=found, last=last, rubbish=rubbish)
 
 
 @pages.get("/api")
@@ -387,7 +387,7 @@ _KEPT = (b"host", b"cookie", b"origin", b"x-forwarded-proto")
 async def do(service: Shared, request: Request, fields: Fields) -> Response:
     """Make the REST request of a form, and lead to the page that follows; an error is a page.
 
-    Its fields are those of the document (`_document`); beside them ``method``, ``path`` below the API, ``match`` (the
+    Its fields are those of the document (`_document`), and ``method``, ``path`` below the API, ``match`` (the
     ETag that was known) and ``next``, in which ``{field}`` stands for a name.
     """
     method, path, token = (fields.pop(name, [""])[0] for name in ("method", "path", "form"))

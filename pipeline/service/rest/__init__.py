@@ -1,1 +1,1 @@
-"""REST: routes, what they answer, forms of samples, theory in a process of its own."""
+"""REST: routes, their answers, forms of samples, theory in a separate process."""

@@ -144,7 +144,7 @@ def trial_list(catalogue: Catalogue, query: TrialQuery) -> dict[str, Any]:
 
 @api.get("/health", response_model=answers.Health)
 def health(service: Shared) -> dict[str, Any]:
-    """Tell that the server answers, and how many jobs are in which state."""
+    """Report that the server answers, and the number of jobs in each state."""
     jobs = service.database.job_counts()
     return {"state": "ok", "version": __version__, "read_only": service.settings.read_only, "jobs": jobs}
 
@@ -262,7 +262,7 @@ def cancel(service: Shared, request: Request, job: str) -> dict[str, Any]:
     responses={200: {"description": "Events.", "content": {EVENTS: {"schema": EVENT}}}, **answers.NAMED},
 )
 async def events(service: Shared, job: str, request: Request) -> StreamingResponse:
-    """Tell each change of a job as a server-sent event, to its end."""
+    """Send each change of a job as a server-sent event, until its end."""
     await run_in_threadpool(one_job, service, job)
 
     async def told() -> AsyncIterator[str]:
@@ -357,7 +357,7 @@ async def receive(service: Service, request: Request, check: Check = lambda _: N
 
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:
-    """Return a file of a comparison; the scripts of a page run as those of a site of its own."""
+    """Return a file of a comparison; the scripts of a page run isolated, as those of another site."""
     file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
         raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)

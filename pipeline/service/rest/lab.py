@@ -250,7 +250,7 @@ def requested_loop(
             raise Problem(422, "Give the delay in samples, or a device.", where="delay")
         return gamma, delta, delay
     if delay is not None or gamma or delta:
-        raise Problem(422, "A device has a delay, gamma and delta of its own. Leave these out.", where="device")
+        raise Problem(422, "The device determines delay, gamma and delta. Leave these out.", where="device")
     return device, experiment
 
 

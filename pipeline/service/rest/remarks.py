@@ -122,7 +122,7 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
 
 
 def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes of what is said of trials or experiments, and done with them."""
+    """Add the routes for notes, tags and changes of trials or experiments."""
     _add_words(f"{owner}/notes", of, Notes, answers.WrittenNotes)
     _add_words(f"{owner}/tags", of, Tags, answers.WrittenTags)
     owned = Annotated[list[str], Depends(of)]
@@ -181,7 +181,7 @@ def words_for(of: Sequence[str]) -> str:
 
 
 def _corrected(service: Service, who: str, did: str, of: Sequence[str], trials: int, **more: object) -> dict[str, int]:
-    """Keep who corrected what, have verdicts made anew, and return how many trials it was."""
+    """Record a correction in the audit, renew verdicts, and return the number of trials."""
     service.database.note(who, did, {"of": of, "trials": trials, **more})
     service.job("stages", {}, "stages")
     return {"trials": trials}

@@ -60,7 +60,7 @@ def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
     assert answer_lines(result)[3] == "What deviates: nothing found."
     unknown = result.answer.model_copy(update={"estimates": result.answer.estimates[4:]})
     without = result.model_copy(update={"answer": unknown})
-    assert answer_lines(without)[3] == "What deviates: not told, since no device was identified."
+    assert answer_lines(without)[3] == "What deviates: unknown, since no device was identified."
 
 
 @pytest.mark.parametrize(("overlap", "code"), [(0.95, "yes"), (0.75, "no")])
@@ -227,7 +227,7 @@ def test_boundary_and_costs_are_judged_apart(data, result):
     assert (found.above, found.below, found.bounded) == (9, 0, 20)
     few = told(data, result, [], scores=scored(result, distance=bent))
     line = answer_lines(result.model_copy(update={"answer": few}))[2]
-    assert "Yes (course of the boundary: partly, optimal costs: too few to say)." in line
+    assert "Yes (shape of the boundary: partly, optimal costs: too few)." in line
     straight = distance.model_copy(update={"bounded": 20, "agreeing": 19, "above": 0})
     found = told(data, result, [row(40.0)] * 5, scores=scored(result, distance=straight)).predicts
     assert (found.boundary, found.optimal_costs, found.below) == ("yes", "no", 1)

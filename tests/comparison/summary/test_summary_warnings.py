@@ -32,7 +32,7 @@ def test_warnings(data, result):
     assert warned(data, result, estimates=experiment.estimates | {"mass": left_out}) == ""
     recorded = experiment.model_copy(update={"experiment": "2", "simulated": False})
     (text,) = warnings_of(data, [experiment, recorded])
-    assert text == "Simulated logs stand beside recorded ones: those of experiment 1 are simulated."
+    assert text == "Simulated and recorded logs are mixed: those of experiment 1 are simulated."
 
 
 def test_drifts_of_all_experiments_are_one_short_warning(data, result):
