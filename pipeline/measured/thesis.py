@@ -126,7 +126,7 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
 
     Notes
     -----
-    The interval is the range that holds 95 % of the trials (jitter), its upper end one sample more by (6.3):
+    The interval is the range of 95 % of the trials (jitter), its upper end one sample more by (6.3):
     a factor d stands for delays d T <= t_d < (d + 1) T. An even number of trials takes the lower median, so
     that the value is a factor that occurred.
 
@@ -169,7 +169,7 @@ def by_momentum(
 
     Notes
     -----
-    With the command held over each period, the mean velocity of an interval is v + F T/2m, so that interval means
+    With a zero-order hold of the command, the mean velocity of an interval is v + F T/2m, so that interval means
     differ by exactly T (F_{k-1} + F_k)/2m: the trapezoid of the command, a zero-order hold, makes no error. Exact for
     b = 0 whatever K and B; else too large by b (x_2 - x_1)/(v_2 - v_1). A delay that is wrong by one sample shifts it
     by some 10 %.
@@ -272,7 +272,7 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     -----
     The interval lies between the order statistics l and n + 1 - l, where l is the largest for which a
     binomial (n, 1/2) count falls below l with a chance of at most 2.5 %. Fewer than six trials cannot give
-    95 %: then it is the range, and the method says so. It tells the scatter of the trials, not a bias that
+    95 %: then it is the range, and the method states this. It is the scatter of the trials, without a bias that
     they share.
     """
     known = np.sort(values[np.isfinite(values)])

@@ -1,7 +1,7 @@
 """Ramps of a command between readings of a grid: was it sent so, or were steps inside them joined by lines?
 
 A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with
-z = k - t from t on; a ramp of n rows, held in each row, is the mean of n such steps. Around each ramp both are
+z = k - t from t on; a ramp of n rows with a zero-order hold is the mean of n such steps. Around each ramp both are
 compared, with a cubic in time and friction for all other motion. Ramps that were sent share their delay; the
 steps inside ramps of a grid have their own one.
 """
@@ -22,7 +22,7 @@ KINK = 1e-3
 """Change of the slope of a command, relative to its largest change in a row, from which on it bends."""
 
 OWN_STEPS = 1.25
-"""Residual of a command on lines relative to that of the held one from which on it was held."""
+"""Residual of a command on lines relative to that with a zero-order hold, from which on it was sent as steps."""
 
 SAME_DELAY = 2.5
 """The same of ramps between steps at the grid, which share a delay as ramps do."""
@@ -117,13 +117,13 @@ def interpolated_command(samples: Samples) -> Finding | None:
             "interpolated_rows",
             "unsafe",
             f"{lines} steps inside them explain the motion better: it was interpolated, and begins before its steps.",
-            "Export the command as it was sent (held, not interpolated), at the rate of the controller.",
+            "Export the command as it was sent (as steps, not interpolated), at the rate of the controller.",
         )
     return samples.finding(
         "interpolated_rows",
         "note",
         f"{lines} the motion does not show whether it was sent so: a delay is uncertain by {factor} rows.",
-        "Export the command as it was sent (held, not interpolated); a command that is meant to be a ramp is right.",
+        "Export the command as it was sent (as steps, not interpolated); a command that is a ramp by intent is right.",
     )
 
 
@@ -230,7 +230,7 @@ def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
 
 
 def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
-    """Return whether every n-th command, held up to the next one, leaves so many times less than lines between them."""
+    """Return whether every n-th command, constant up to the next one, leaves far less than lines between them."""
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return False

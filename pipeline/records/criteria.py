@@ -271,7 +271,7 @@ def is_criterion(name: str, names: Iterable[str]) -> bool:
 
 
 def is_measured(name: str) -> bool:
-    """Tell whether logs can be judged by a criterion: one of `MEASURED`, or with another band or exponent.
+    """Return whether logs can be judged by a criterion: one of `MEASURED`, or with another band or exponent.
 
     >>> is_measured("energy_step_w0.5"), is_measured("settle_2pct_discrete"), is_measured("pole_radius")
     (True, False, False)

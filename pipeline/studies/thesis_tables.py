@@ -1,4 +1,4 @@
-"""Tables B.1 to B.4, C.1 to C.3 and 5.1 computed anew, beside the printed numbers.
+"""Tables B.1 to B.4, C.1 to C.3 and 5.1 recomputed, next to the printed numbers.
 
 Every printed number gets one mark. ``equal``: the computed number rounds to it. ``within``: it differs by no more than
 the print allows, in one of three ways that are named with it (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be
@@ -54,7 +54,7 @@ _NEAR = 5e-5
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
 """What stands behind a computed number."""
 
-LEGEND = "~ within one unit of the last printed digit, or as told below; ! erratum; ? unexplained"
+LEGEND = "~ within one unit of the last printed digit, or as explained below; ! erratum; ? unexplained"
 
 _MORE = 2
 """Digits of a computed number beyond the printed ones: enough to see how it rounds."""
@@ -109,7 +109,7 @@ class TheoryRow:
 
 
 def recompute(point: PublishedPoint) -> TheoryRow:
-    """Return a printed point with all its numbers computed anew.
+    """Return a printed point with all its numbers recomputed.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
 
 
 def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Yield tables computed anew, in the order asked for: name, number of rows, and its rows as they are finished.
+    """Yield recomputed tables in the requested order: name, number of rows, and its rows as they are finished.
 
     Raises
     ------
@@ -272,7 +272,7 @@ def summary_line(rows: Sequence[TheoryRow]) -> str:
 
 
 def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
-    """Return rows and counts as a document that JSON can hold."""
+    """Return rows and counts as a JSON document."""
     return {
         "marks": list(MARKS),
         "tolerances": {

@@ -31,7 +31,7 @@ Values = dict[str, Floats]
 """Values or errors by quantity, shape (n,) each."""
 
 Summary = Callable[[Floats], tuple[float | None, float | None]]
-"""What of the errors counts, and the share of missing values where it is told."""
+"""Summary of errors: the one that counts, and the share of missing values where it is reported."""
 
 
 def largest(error: Floats) -> tuple[float | None, None]:
@@ -94,7 +94,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Quantities with their truth, and the methods that are held against it.
+    """Quantities with their truth, and the methods that are compared with it.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ Say = Callable[[str], None]
 
 @cache
 def words() -> dict[str, Any]:
-    """Return meanings of quantities, paths of extreme cases, and what is left out, from ``words.toml`` beside it."""
+    """Return meanings of quantities, paths of extreme cases, and omissions, from ``words.toml`` in this folder."""
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
 
