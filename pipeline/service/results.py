@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.paths import path_of_text
@@ -19,6 +21,7 @@ from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.against import against_experiments
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.responses import overlaid_figure, response_figures, trial_figure, trials_of
+from pipeline.comparison.figures.trial_page import reason_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices
@@ -28,6 +31,7 @@ from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.plan.campaign import PlanOptions
 from pipeline.plan.planner import plan
+from pipeline.records.criteria import REPORTED, criterion_of
 from pipeline.records.findings import Note
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.figures.boundaries import (
@@ -298,7 +302,26 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))
         units = UNITS[result.motion]
         labels.append(f"K {k} {units.stiffness}, B {b} {units.damping} ({device}, {experiment})")
-    return _drawn(figures[0] if len(figures) == 1 else overlaid_figure(figures, labels), results)
+    if len(figures) > 1:
+        return _drawn(overlaid_figure(figures, labels), results)
+    return {**_drawn(figures[0], results), **_told_of(stages, trial)}
+
+
+def _told_of(stages: ExperimentStages, trial: str) -> dict[str, Any]:
+    """Return the evidence for verdict and outcome of a trial, and why it has no cost by each criterion."""
+    ids = stages.texts("response", "trial_id")
+    if trial not in ids:
+        return {}
+    row = ids.index(trial)
+    evidence = {"verdict": stages.texts("response", "reason")[row], "outcome": ""}
+    if stages.is_stored("outcome"):
+        evidence["outcome"] = stages.texts("outcome", "evidence")[row].replace("+-", "±")
+    missing = {}
+    for criterion in REPORTED:
+        if stages.is_stored(criterion_of(criterion).family.name) and np.isnan(stages.cost(criterion)[0][row]):
+            reason = reason_of(criterion, stages.cost_reasons(criterion)[row])
+            missing[criterion] = reason or "only stable trials have one"
+    return {"evidence": {name: text for name, text in evidence.items() if text}, "missing": missing}
 
 
 DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {

@@ -200,6 +200,8 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
         Series("rounding", "final", ends, np.full(2, rounding)),
         Series("_rounding", "final", ends, np.full(2, -rounding)),
     ]
+    command = of.logged.command[:rows]
+    force_limits = (limits, around(command, np.zeros(1)))
     names = f"residual [{_force(motion)}]"
     panels = (
         Panel(
@@ -208,6 +210,13 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
             tuple(series),
             f"Displacement over time: {', '.join(s.label.lstrip('_') for s in series)}.",
             (limits, around(*(s.y for s in series))),
+        ),
+        Panel(
+            "command",
+            (TIME, f"force [{_force(motion)}]"),
+            (Series("command", "log", *thinned(time, command)),),
+            "Logged command over time.",
+            force_limits,
         ),
         Panel(
             "command minus wall law",

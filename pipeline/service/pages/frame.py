@@ -28,6 +28,9 @@ from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
 
+LOOK_S = 0.02
+"""Time between two looks at a job that a page waits for [s]."""
+
 
 @cache
 def _environment() -> Environment:
@@ -150,10 +153,18 @@ async def fields_of(request: Request) -> dict[str, list[str]]:
 Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
-def kept(service: Service, ask: Callable[[], Any]) -> dict[str, Any]:
-    """Return a document that is kept (``drawn``), or the job that makes it, or the problem: why there is neither."""
+def kept(service: Service, ask: Callable[[], Any], wait_s: float = 0.0) -> dict[str, Any]:
+    """Return a document that is kept (``drawn``), or the job that makes it, or the problem: why there is neither.
+
+    A job that ends within some time is waited for.
+    """
+    until = time.monotonic() + wait_s
     try:
         document, job = ask()
+        while job and time.monotonic() < until and busy(service.database.job(job)):
+            time.sleep(LOOK_S)
+        if job and wait_s and not busy(service.database.job(job)):
+            document, job = ask()
     except Problem as error:
         if error.status == 404:
             raise

@@ -29,6 +29,7 @@ from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
 from pipeline.records.results import Answer, ComparisonResult
 from pipeline.rendering.labels import UNITS
+from pipeline.rendering.report.page_template import PLOT, PLOT_STYLE, TEMPLATES
 from pipeline.service import device_files, profiles
 from pipeline.service.catalogue import SORTED, WORDS, Selection
 from pipeline.service.database import NEWEST
@@ -50,11 +51,15 @@ SHOWN, LISTED, OVERLAID = 100, 20, 6
 _STATE = {*WORDS, *api.RANGES, "q", "sort"}
 """What of an address says which trials are listed."""
 
+WAITED_S = 0.9
+"""Longest wait of a page for its drawing [s]: a worker that has the experiment takes less."""
+
 PLOTTED = 3000
 """Most trials of a plane that link to their pages: more cannot be distinguished."""
 
 
-_STATIC = {"service.js": "text/javascript", "icon.svg": "image/svg+xml"}
+_STATIC = {"service.js": "text/javascript", "trial.js": "text/javascript", "icon.svg": "image/svg+xml"}
+_VENDORED = {"uplot.js": (PLOT, "text/javascript"), "uplot.css": (PLOT_STYLE, "text/css")}
 
 
 @pages.get("/static/{name}")
@@ -64,6 +69,8 @@ def static(name: str) -> Response:
         return Response(style_sheet(), media_type="text/css")
     if name == "explorer.css":
         return Response(explorer.style(), media_type="text/css")
+    if name in _VENDORED:
+        return FileResponse(TEMPLATES / _VENDORED[name][0], media_type=_VENDORED[name][1])
     if name == "explorer.js":
         return Response(explorer.script(), media_type="text/javascript")
     if name not in _STATIC:
@@ -255,7 +262,7 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
     """Show the response of a trial with theory and fitted loop, and its results."""
     about = service.found(trial)
     place = about["device"], about["experiment"], trial
-    shown = kept(service, lambda: service.drawn("trials", [place]))
+    shown = kept(service, lambda: service.drawn("trials", [place]), WAITED_S)
     shown["words"] = words_of(service, ["trial", trial])
     return page_of(service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], **shown)
 

@@ -107,6 +107,7 @@ const reload = async () => {
   const parts = [...document.querySelectorAll("details")];
   if (parts.length === open.length) parts.forEach((part, at) => { part.open = open[at]; });
   prepareUploads();
+  document.dispatchEvent(new Event("page-renewed"));
   const next = fresh.querySelector(RELOAD);
   if (next) wait(Number(next.content));
 };

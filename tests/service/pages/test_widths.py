@@ -1,0 +1,88 @@
+"""Pages of the service in a browser: narrow and wide, light and dark, by the keyboard alone, without script errors."""
+
+import pytest
+
+pytestmark = [pytest.mark.slow, pytest.mark.browser]
+
+WIDTHS = (320, 390, 1440)
+PATHS = ("/", "/devices/falcon", "/devices/falcon/file", "/devices/falcon/experiments/1", "/trials", "/jobs", "/upload",
+         "/quarantine", "/plan", "/theory", "/reports")  # fmt: skip
+
+
+BEYOND = """[...document.querySelectorAll('main *')].filter((e) => !e.closest('.scroll') || e.matches('.scroll'))
+  .filter((e) => e.getBoundingClientRect().right > document.documentElement.clientWidth + 1)
+  .map((e) => `${e.tagName}.${e.getAttribute('class') || ''}`).slice(0, 8)"""
+"""Elements that end beyond the right edge of the page, those in a part that scrolls left out."""
+
+
+@pytest.fixture
+def trial(served):
+    found = served.get("trials?limit=1&verdict=stable&sort=-stiffness").content["items"][0]["id"]
+    served.get(f"/trials/{found}", Accept="text/html")
+    served.all_done()
+    return f"/trials/{found}"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_fit_their_width_without_errors_and_serious_findings(chromium, served, trial, scheme):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright")
+    tab = chromium.new_page(color_scheme=scheme)
+    complaints, too_wide, all_serious = [], [], []
+    tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    for path in (*PATHS, trial):
+        tab.goto(f"http://127.0.0.1:{served.port}{path}")
+        for width in WIDTHS:
+            tab.set_viewport_size({"width": width, "height": 900})
+            if tab.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth") > 0:
+                too_wide.append((path, width, tab.evaluate(BEYOND)))
+        found = axe.Axe().run(tab, options={"runOnly": ["wcag2a", "wcag2aa"]})
+        serious = [each for each in found.response["violations"] if each["impact"] in ("serious", "critical")]
+        all_serious += [(path, each["id"], [node["target"] for node in each["nodes"]][:3]) for each in serious]
+    assert (too_wide, all_serious, complaints) == ([], [], [])
+    tab.close()
+
+
+def test_a_trial_is_looked_at_by_the_keyboard_alone(chromium, served, trial):
+    tab = chromium.new_page()
+    tab.goto(f"http://127.0.0.1:{served.port}{trial}")
+    plot = tab.locator(".plot").first
+    plot.wait_for()
+    assert tab.locator(".plot").count() == 3
+    reached = 0
+    while not plot.evaluate("e => e === document.activeElement"):
+        tab.keyboard.press("Tab")
+        reached += 1
+        assert reached < 60
+    for _ in range(3):
+        tab.keyboard.press("Shift+ArrowRight")
+    values = tab.locator(".plot .u-value")
+    assert all(text.strip() for text in values.all_inner_texts())
+    before = values.first.inner_text()
+    tab.keyboard.press("ArrowRight")
+    assert values.first.inner_text() != before
+    width = "plots[1].scales.x.max - plots[1].scales.x.min"
+    whole = tab.evaluate(width)
+    tab.keyboard.press("+")
+    assert tab.evaluate(width) < 0.8 * whole, "all panels show the same part"
+    tab.keyboard.press("0")
+    assert tab.evaluate(width) == pytest.approx(whole, rel=0.05)
+    tab.close()
+
+
+def test_a_drawn_trial_is_there_within_a_second_and_without_a_reload(served):
+    from time import monotonic
+
+    trials = served.get("trials?limit=40&verdict=stable&sort=stiffness").content["items"]
+    paths = [f"/trials/{each['id']}" for each in trials[20:24]]
+    served.get(paths[0], Accept="text/html")
+    served.all_done()
+    times = []
+    for path in paths:
+        begun = monotonic()
+        text = served.get(path, Accept="text/html").content.decode()
+        times.append(monotonic() - begun)
+        served.all_done()
+    assert "<svg" in text
+    assert '<meta name="reload"' not in text
+    print("seconds:", [f"{each:.2f}" for each in times])
