@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 from pydantic import ValidationError
@@ -16,8 +17,12 @@ from pipeline.comparison.compare import compare as compare_stored
 from pipeline.device_data.devices import read_device
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame
+from pipeline.rendering.labels import UNITS
 from pipeline.surface.logs import PathLike
 from pipeline.surface.stored import folder_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
 
@@ -42,6 +47,37 @@ class Comparison:
     def __repr__(self) -> str:
         names = ", ".join(experiment.experiment for experiment in self.result.experiments)
         return f"<Comparison of {self.result.device} with theory: experiments {names}>"
+
+    def __str__(self) -> str:
+        """Return the summary, warnings and recommended estimates as lines of text."""
+        lines = [self.result.title, *self.summary, *(f"Warning: {text}" for text in self.warnings)]
+        return "\n".join([*lines, self.estimates[list(_SHOWN)].to_string(index=False, na_rep="–")])
+
+    def plot_boundary(self, ax: Axes, experiment: str | None = None) -> Axes:
+        """Draw measured limits with their 95 % intervals, of one experiment or of all; return the axes.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+            Stiffness [N/m, Nm/rad] is the abscissa, damping [Ns/m, Nms/rad] the ordinate.
+        experiment : str, optional
+
+        Raises
+        ------
+        UsageError
+            If there is no such experiment.
+        """
+        known = [each.experiment for each in self.result.experiments]
+        if experiment is not None and experiment not in known:
+            raise UsageError(f"experiment {experiment!r}: expected one of {', '.join(known)}.")
+        limits = self.boundary
+        for name in known if experiment is None else [experiment]:
+            own = limits[(limits["experiment"] == name) & limits["stiffness"].notna()]
+            wide = own[["low", "high"]].sub(own["stiffness"], axis=0).abs().fillna(0.0).to_numpy().T
+            ax.errorbar(own["stiffness"], own["damping"], xerr=wide, marker="o", ms=3, label=f"experiment {name}")
+        units = UNITS[self.result.motion]
+        ax.set(xlabel=f"stiffness K [{units.stiffness}]", ylabel=f"damping B [{units.damping}]")
+        return ax
 
     def _repr_html_(self) -> str:
         """Return a summary for notebooks: sentences, warnings, and the recommended estimates."""

@@ -75,6 +75,10 @@ class IdentifiedDevice:
 
     document: dict[str, Any]
 
+    def __str__(self) -> str:
+        """Return the parameters with their intervals, and what cannot be identified, as lines of text."""
+        return str(self.estimates.to_string(index=False, na_rep="–"))
+
     @property
     def estimates(self) -> pd.DataFrame:
         """Parameters with their 95 % intervals."""

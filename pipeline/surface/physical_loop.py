@@ -30,6 +30,7 @@ from pipeline.theory.poles import Margins, margins
 from pipeline.theory.reachable import Reachable, reachable
 
 if TYPE_CHECKING:  # takes longer to load than most answers to compute
+    from matplotlib.axes import Axes
     from scipy.signal import StateSpace
 
 
@@ -147,6 +148,37 @@ class Loop(device_loop.Loop):
     def normalised_loop(self) -> NormalisedLoop:
         """The loop of theory, in normalised parameters."""
         return NormalisedLoop.of(self)
+
+    def plot_boundary(self, ax: Axes) -> Axes:
+        """Draw the stability boundary: stiffness the abscissa, damping the ordinate; return the axes."""
+        border, units = self.boundary(), UNITS[self.motion]
+        ax.plot(border["stiffness"], border["damping"])
+        ax.set(xlabel=f"stiffness K [{units.stiffness}]", ylabel=f"damping B [{units.damping}]")
+        return ax
+
+    def plot_response(self, ax: Axes, stiffness: float, damping: float, step: float = 1.0, samples: int = 200) -> Axes:
+        """Draw the exact motion after a step of the force behind a wall; return the axes.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes
+            Time [s] is the abscissa, displacement [m, rad] the ordinate.
+        stiffness, damping : float
+            K [N/m, Nm/rad], B [Ns/m, Nms/rad].
+        step : float
+            F_0 [N, Nm].
+        samples : int
+            Length [samples].
+
+        Raises
+        ------
+        ParameterError
+            For a wall whose motion grows beyond all numbers.
+        """
+        motion = self.response(stiffness, damping, samples=samples)
+        ax.plot(motion["time_s"], motion["position"] * step)
+        ax.set(xlabel="time [s]", ylabel=f"displacement [{motion.attrs['units']['position']}]")
+        return ax
 
     def boundary(self, points: int = 400) -> pd.DataFrame:
         """Return the stability boundary.

@@ -21,9 +21,10 @@ from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentResult
+from pipeline.records.table_files import read_table
 from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.store.samples import load_trials
-from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials
+from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, stage_file
 from pipeline.surface.logs import SAMPLES, PathLike, response_frame
 
 _CONDITIONS = (
@@ -100,7 +101,8 @@ def trials(processed: PathLike = "processed", device: str | None = None, experim
         A row a trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
         ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s`` [s],
         ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of those
-        that are excluded by hand, which no estimate, boundary or cost uses, else "". Verdicts are in `costs`.
+        that are excluded by hand, which no estimate, boundary or cost uses, else ""; ``verdict`` (stable, unstable or
+        undecided) and ``outcome``, None where no comparison has computed them (`costs` computes verdicts).
 
     Raises
     ------
@@ -113,7 +115,14 @@ def trials(processed: PathLike = "processed", device: str | None = None, experim
     table, known = _read(folder, device, experiment, None), read_exclusions(folder)
     ids = table.column("trial_id").to_pylist()
     reasons = [known[trial].exclusion_reason if trial in known else "" for trial in ids]
-    return _frame(table.append_column("exclusion_reason", [reasons]))
+    frame = _frame(table.append_column("exclusion_reason", [reasons]))
+    places = dict.fromkeys(zip(frame["device"], frame["experiment"], strict=True))
+    for name, stage in (("verdict", "response"), ("outcome", "outcome")):
+        files = (stage_file(folder, *place, stage) for place in places)
+        tables = [read_table(file) for file in files if file is not None]
+        known = {i: v for t in tables for i, v in zip(t["trial_id"].to_pylist(), t[name].to_pylist(), strict=True)}
+        frame[name] = pd.Series([known.get(trial) for trial in ids], index=frame.index, dtype=object)
+    return frame
 
 
 def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
@@ -183,8 +192,8 @@ def boundary(processed: PathLike, device: str, experiment: str | None = None) ->
     Returns
     -------
     pandas.DataFrame
-        ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the smallest stiffness
-        with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
+        ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the largest stable
+        stiffness below the smallest one with an unstable trial, and that one (NaN where there is none), ``censored``,
         ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
         ``undecided`` (those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: where friction was
         found, all this is valid for the step that was used, and a harder push is unstable from there. A row a damping.
