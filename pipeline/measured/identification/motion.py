@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -135,6 +135,7 @@ class Ages:
     chance_slope: Floats
 
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, delay: float, jitter: float) -> Ages:
         """Return the ages by their mean and standard deviation [samples].
 
@@ -159,12 +160,12 @@ class Ages:
         reach = len(chance) // 2
         return cls(delay - off + np.arange(-reach, reach + 1.0), chance, 1.0 - moves, slope)
 
-    @property
+    @cached_property
     def covariance(self) -> Floats:
         """Covariance (A, A) of which age is in force."""
         return np.diag(self.chance) - np.outer(self.chance, self.chance)
 
-    @property
+    @cached_property
     def ageing(self) -> Floats:
         """Chances of an age in force after another for delays drawn independently, three numbers an age, (3, A).
 
@@ -203,10 +204,11 @@ class Pieces:
     @classmethod
     def of(cls, segments: Segments, ages: Sequence[float] | Floats) -> Pieces:
         """Return the pieces of all rows."""
-        return cls._even(ages) if segments.even else cls._uneven(segments, ages)
+        return cls._even(tuple(ages)) if segments.even else cls._uneven(segments, ages)
 
     @classmethod
-    def _even(cls, ages: Sequence[float] | Floats) -> Pieces:
+    @lru_cache(maxsize=64)
+    def _even(cls, ages: tuple[float, ...]) -> Pieces:
         whole = np.floor(ages)
         part = np.asarray(ages) - whole
         back = np.stack([whole + 1, whole], axis=1).astype(np.int64).ravel()

@@ -65,8 +65,8 @@ WEIGHED = 0.1
 LOOKED_AT = 9000
 """Rows, of segments spread over all, by which parts are looked for at first: what these do not show moves no limit."""
 
-SOME_STEPS = 10
-"""Steps by which they are looked for at first."""
+FIRST_STEPS, SOME_STEPS = 4, 10
+"""Steps by which they are looked for at first, without other noise than that of readings, and in that noise."""
 
 LEFT = 0.5
 """Share of the random force's variance that a part may leave: a largest force that stood for a stiffening hand left
@@ -435,7 +435,10 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
             "longer behind the edge, and begin at rest"
         )
     if segments.trials < FEWEST and len(begin) > 1:
-        fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
+        first, second = (climbed(segments, device).solved.here for device in begin[:2])
+        # starts that lead to the same place without a random force lead to one fit
+        if abs(first - second) >= WORTH:
+            fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
     if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):
         return fit
     some = _some(segments)
@@ -536,8 +539,8 @@ def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | N
     A part of a device makes its motion likelier without any other noise than that of readings, as in ``white``, and in
     the noise that is left without it.
     """
-    climb = climbed(some, start, SOME_STEPS)
-    if climb.solved.here < white.solved.here + WORTH:
+    climb = climbed(some, start, FIRST_STEPS)
+    if climb.likelihood < white.solved.here + WORTH:
         return None
     noise = plain.device.noise
     within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
