@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.records.findings import NearOptimum
-from pipeline.records.trials import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAR = 0.05
 """Part of the cost, or of the stiffness without overshoot, within which a wall is nearly as good as the best."""
@@ -72,19 +72,30 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
     if some.sum() < NEIGHBOURS:
         return None
     K, B, value = stiffness[some], damping[some], np.log(cost[some])
-    x, y = K / _step_of(K), B / _step_of(B)
-    residual = np.empty(len(value))
-    for i in range(len(value)):
-        away = np.hypot(x - x[i], y - y[i])
-        around = np.argpartition(away, NEIGHBOURS - 1)[:NEIGHBOURS]
-        u, v = x[around] - x[i], y[around] - y[i]
-        parabola = np.stack([np.ones(NEIGHBOURS), u, v, u * u, u * v, v * v], axis=1)
-        fit = parabola @ np.linalg.pinv(parabola)
-        own = int(np.flatnonzero(around == i)[0])
-        free = 1 - fit[own, own]
-        residual[i] = (value[i] - fit[own] @ value[around]) / np.sqrt(free) if free > 1e-6 else np.nan
+    place = np.stack([K / _step_of(K), B / _step_of(B)], axis=1)
+    around = _neighbours(place)
+    u, v = np.moveaxis(place[around] - place[:, None], 2, 0)
+    parabola = np.stack([np.ones(u.shape), u, v, u * u, u * v, v * v], axis=2)
+    # of the fit only the value in the middle, which is the first term, and how far the own trial decides it
+    weight = np.linalg.pinv(parabola)[:, 0]
+    free = 1 - (weight * (around == np.arange(len(value))[:, None])).sum(axis=1)
+    left = value - (weight * value[around]).sum(axis=1)
+    residual = np.where(free > 1e-6, left / np.sqrt(np.maximum(free, 1e-6)), np.nan)
     known = np.abs(residual[np.isfinite(residual)])
     return float(100 * _TO_DEVIATION * np.median(known)) if len(known) else None
+
+
+def _neighbours(place: Floats) -> Integers:
+    """Return the nearest `NEIGHBOURS` of each place (n, 2), itself among them, shape (n, `NEIGHBOURS`).
+
+    Of those equally far the first by their places, whatever the order of the trials.
+    """
+    from scipy.spatial import cKDTree
+
+    order = np.lexsort(place.T)
+    away, near = cKDTree(place[order]).query(place, k=min(2 * NEIGHBOURS, len(place)))
+    first = np.lexsort((near, np.round(away, 9)))[:, :NEIGHBOURS]
+    return np.asarray(order[np.take_along_axis(near, first, axis=1)])
 
 
 def _step_of(values: Floats) -> float:

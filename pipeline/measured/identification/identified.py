@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
-from pipeline.measured.identification.estimated import ESTIMATED, estimated_names
+from pipeline.measured.identification.estimated import ESTIMATED, Quantity, estimated_names
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
     IdentifiableCombination,
@@ -331,36 +331,33 @@ def own_numbers(found: Identification) -> dict[str, list[float]]:
     Friction, a constant force and all other parts are those of the trial by the model, or common.
     """
     fit, units = found.choice.fit, found.units
+    if fit.few:
+        return {}
     names, numbers, effects = list(fit.device.names), fit.device.numbers, fit.device.effects
     own = [(ESTIMATED[name].number, ESTIMATED[name].quantity(units)) for name in OWN]
     places = [names.index(number) for number, _ in own if number in names]
-    if fit.few:
-        return {}
-    result = {}
-    for trial, (product, weight) in enumerate(zip(fit.moments.products, fit.solved.weight, strict=True)):
-        information, score = product[:-1, :-1], product[:-1, -1]
-        if effects is not None:
-            others = effects[trial].copy()
-            others[places] = 0.0
-            score = score - information @ others
-        of_places = information[np.ix_(places, places)]
-        if not (np.diagonal(of_places) > 0).all():
-            continue
-        known = inverse(of_places)
-        step, covariance = known @ score[places], known * fit.solved.noise / weight
-        estimates: list[float] = []
-        base, size = np.array([numbers[names[place]] for place in places]), np.sqrt(np.diagonal(covariance))
-        near = np.minimum(size, 1e-3 * np.abs(base) + 1e-9)
-        for number, quantity in own:
-            if number not in names:
-                estimates += [0.0, 0.0]
-                continue
-            changed = [base, *(base + sign * each for each in np.diag(near) for sign in (1, -1))]
-            value, *ends = (
-                quantity(numbers | dict(zip((names[place] for place in places), at.tolist(), strict=True)))
-                for at in changed
-            )
-            slope = np.array([(up - down) for up, down in zip(ends[::2], ends[1::2], strict=True)]) / (2 * near)
-            estimates += [value + float(slope @ step), float(np.sqrt(slope @ covariance @ slope))]
-        result[found.names[trial]] = estimates
-    return result
+    products = fit.moments.products
+    information, score = products[:, :-1, :-1], products[:, :-1, -1]
+    if effects is not None:
+        others = effects.copy()
+        others[:, places] = 0.0
+        score = score - (information @ others[..., None])[..., 0]
+    of_places = information[:, places][:, :, places]
+    known = inverse(of_places)
+    step = (known @ score[:, places, None])[..., 0]
+    base = np.array([numbers[names[place]] for place in places])
+
+    def quantity_at(quantity: Quantity, at: Floats) -> float:
+        return quantity(numbers | dict(zip((names[place] for place in places), at.tolist(), strict=True)))
+
+    estimates = np.zeros((len(products), 2 * len(own)))
+    for column, (number, quantity) in enumerate(own):
+        if number in names:
+            near = np.diag(1e-4 * np.abs(base) + 1e-10)
+            ends = [(quantity_at(quantity, base + each), quantity_at(quantity, base - each)) for each in near]
+            slope = np.array([up - down for up, down in ends]) / (2 * np.diagonal(near))
+            variance = np.einsum("i,tij,j->t", slope, known, slope) * fit.solved.noise / fit.solved.weight
+            estimates[:, 2 * column] = quantity_at(quantity, base) + step @ slope
+            estimates[:, 2 * column + 1] = np.sqrt(variance)
+    moves = (np.diagonal(of_places, axis1=1, axis2=2) > 0).all(axis=1)
+    return {found.names[trial]: estimates[trial].tolist() for trial in np.flatnonzero(moves).tolist()}

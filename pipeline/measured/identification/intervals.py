@@ -57,8 +57,8 @@ class Errors:
         total = solved.total
         informative = np.einsum("tii->t", solved.information) > 0
         information, score = solved.information[informative], solved.score[informative]
-        without = (total if fit.few else total - own for own in information)
-        steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
+        without = inverse(total)[None] if fit.few else inverse(total - information)
+        steps = -(without @ score[..., None])[..., 0]
         freedom = max(float(informative.sum() - 1), 1.0)
         nothing = unidentified(total)
         # those of the shape are per sample and with a mass of 1

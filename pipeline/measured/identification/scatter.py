@@ -76,10 +76,11 @@ class Solved:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of an information matrix, 0 along directions without information."""
+    """Return the inverse of information matrices (..., p, p), 0 along directions without information."""
     scale, values, vectors = _scaled(information)
     known = np.where(values > RIDGE, 1 / np.maximum(values, RIDGE), 0.0)
-    return np.asarray((vectors * known) @ vectors.T * scale[:, None] * scale[None, :])
+    whole = (vectors * known[..., None, :]) @ vectors.swapaxes(-1, -2)
+    return np.asarray(whole * scale[..., :, None] * scale[..., None, :])
 
 
 def unidentified(information: Floats) -> Floats:
@@ -89,10 +90,10 @@ def unidentified(information: Floats) -> Floats:
 
 
 def _scaled(information: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what scales an information matrix to a unit diagonal, and eigenvalues and vectors of that."""
-    known = np.diagonal(information)
+    """Return what scales information matrices to a unit diagonal, and eigenvalues and vectors of these."""
+    known = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1 / np.sqrt(np.where(known > 0, known, 1.0))
-    return scale, *np.linalg.eigh(information * scale[:, None] * scale[None, :])
+    return scale, *np.linalg.eigh(information * scale[..., :, None] * scale[..., None, :])
 
 
 def solve(moments: Moments, random: Integers) -> Solved:
