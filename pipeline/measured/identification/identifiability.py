@@ -66,7 +66,7 @@ class Recorded:
 
     @classmethod
     def of(cls, recordings: list[Recording]) -> Recorded:
-        """Return what a set of recordings holds."""
+        """Return what a set of recordings contains."""
         largest = max(float(np.abs(each.command).max()) for each in recordings) or 1.0
         usual = np.round(
             [20 * float(np.median(each.command[len(each.command) // 4 :])) / largest for each in recordings]

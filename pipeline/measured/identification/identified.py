@@ -147,7 +147,7 @@ def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -
 
 
 def no_fit(error: np.linalg.LinAlgError) -> ParameterError:
-    """Return what to tell where the equations of a fit have no solution."""
+    """Return the error where the equations of a fit have no solution."""
     return ParameterError(NO_FIT.format(str(error).rstrip(".").lower()))
 
 
@@ -200,7 +200,7 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
         low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
         result["delay_samples"] = replace(delay, low=low, high=high)
     if "spring_damping_fraction" in choice.fit.device.numbers:
-        # with damping on both sides a load of any mass moves alike
+        # with damping on both sides a load of any mass moves the same
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
@@ -208,7 +208,7 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
 
 
 def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
-    """Return intervals without the assumption of no constant force: at rest before, friction may have held one.
+    """Return intervals without the assumption of no constant force: at rest before, friction may have balanced one.
 
     It is anywhere between both directions of friction, and what is identified per command is off by as much of it.
     """

@@ -18,7 +18,7 @@ COMPUTED = 1e-9
 """Error relative to a value that computing it leaves: the search ends there in logs without noise."""
 
 FAR = 1e3
-"""Deviation, relative to the size of a number, of what logs tell nothing about."""
+"""Deviation, relative to the size of a number, of what logs contain nothing about."""
 
 GROUPS = 10
 """Neighbours in the order of walls that a jackknife leaves out together, from twice as many units on."""
@@ -36,8 +36,9 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What intervals rest on: numbers and their covariance, those without each unit, degrees of freedom, the change of
-    the numbers by an error of the noise, what each phase of the motion adds to them, and the steps to other optima."""
+    """What intervals depend on: numbers and their covariance, those without each unit, degrees of freedom, the change
+    of the numbers by an error of the noise, what each phase of the motion adds to them, and the steps to other
+    optima."""
 
     numbers: Numbers
     covariance_of_numbers: Floats
@@ -51,7 +52,8 @@ class Errors:
     def of(cls, fit: Fit) -> Errors:
         """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step.
 
-        A portion of few logs may be the only one that tells a number, such as the delay: its step is of first order.
+        A portion of few logs may be the only one that identifies a number, such as the delay: its step is of first
+        order.
         """
         solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
@@ -66,7 +68,7 @@ class Errors:
         sizes = [max(abs(value), least[name], 1e-6) for name, value in numbers.items()]
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
         # equal readings count as one
-        known = fit.alike * inverse(total) + nothing.T @ nothing
+        known = fit.repeats * inverse(total) + nothing.T @ nothing
         return cls(numbers, known, steps, freedom, fit.open, fit.phases, fit.optima)
 
     def parameter(self, name: str, units: LogUnits) -> Interval:
@@ -114,8 +116,8 @@ class Errors:
     def _spread(self, slopes: Floats) -> Floats:
         """Return the variance along slopes (Q, p): of the information, or of a jackknife where that is larger.
 
-        What the model leaves out moves units of alike walls alike, which follow each other, and acts in each phase of
-        the motion otherwise: these are left out together, too.
+        What the model leaves out moves units of similar walls together, which follow each other, and acts in each phase
+        of the motion otherwise: these are left out together, too.
         """
         variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count, spread = len(self.without), (self.without - self.without.mean(axis=0)) @ slopes.T

@@ -118,7 +118,7 @@ class Fit:
     """A device with what its likelihood says.
 
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
-    ``few`` logs, else trials. ``alike`` is the mean number of equal readings in a row, which count as one, ``open``
+    ``few`` logs, else trials. ``repeats`` is the mean number of equal readings in a row, which count as one, ``open``
     (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
     motion adds to them: nothing but noise where the model is complete. None of a fit that has not `ended`. ``optima``
     (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
@@ -129,7 +129,7 @@ class Fit:
     moments: Moments
     places: Integers
     few: bool
-    alike: float
+    repeats: float
     open: Floats
     phases: Floats
     optima: Floats
@@ -272,7 +272,7 @@ def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
     """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
     moments = moments_of(segments, device)
     solved = solve(moments, places)
-    alike = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
+    repeats = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
     p = len(device.names)
     return Fit(
@@ -281,7 +281,7 @@ def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
         moments,
         places,
         segments.trials < FEWEST,
-        alike,
+        repeats,
         np.zeros(p),
         np.zeros((PHASES, p)),
         np.zeros((1, p)),

@@ -1,4 +1,4 @@
-"""Parts that a device may have beside a mass, a damper and a delay: their numbers, and where they are looked for."""
+"""Parts of a device in addition to a mass, a damper and a delay: their numbers, and where they are looked for."""
 
 from __future__ import annotations
 

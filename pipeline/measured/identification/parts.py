@@ -53,8 +53,8 @@ UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
 """Lags [samples] that may be part of a delay: rounding makes shorter ones likelier than none."""
 
 IMITATED = 0.75
-"""Lag [samples] below which a mode that is too fast to be looked for moves the device alike: one of 1.9 rad a sample as
-0.38, with a delay that is shorter by as much."""
+"""Lag [samples] below which a mode that is too fast to be looked for moves the device as much: one of 1.9 rad a sample
+as 0.38, with a delay that is shorter by as much."""
 
 BESIDE = 1.92
 """Log-likelihood below the largest at which an interval of 95 % by it ends."""
@@ -86,8 +86,8 @@ UNSEEN_FRICTION = 0.02
 too large by as much."""
 
 SLIGHT = 1e-6
-"""Force of a spring or of friction, relative to the largest command, below which it is none: exact logs tell rounding
-apart from nothing."""
+"""Force of a spring or of friction, relative to the largest command, below which it is none: exact logs separate
+rounding from nothing."""
 
 CONSTANT = 1e-3
 """Change of the commands, relative to the largest, below which they count as one constant command."""
@@ -175,7 +175,7 @@ def subset(recordings: list[Recording]) -> list[Recording]:
     """Return the recordings by which parts are chosen, in the order of their ranks.
 
     All up to `MOST_TRIALS`, else those with the smallest hashes of their samples: one log more replaces at most one of
-    them, whatever it holds and wherever it is recorded.
+    them, whatever it contains and wherever it is recorded.
     """
     some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
     return sorted(some, key=lambda each: each.rank)
@@ -185,7 +185,7 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
     """Return the parts of a device that held-out recordings ask for, by the `subset` of some.
 
     A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
-    in several places tell which.
+    in several places decide which.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
     # the last climb may go beyond all others
-    near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.alike)]
+    near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats)]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack(steps))
 
@@ -297,7 +297,7 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
 def _unseen_lag(segments: Segments, fit: Fit) -> float:
     """Return the upper end of the lag [samples] that a delay longer by as much stands for.
 
-    Up to the second order in its length a lag is a delay. Beside a lag or a mode none is looked for.
+    Up to the second order in its length a lag is a delay. Next to a lag or a mode none is looked for.
     """
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
@@ -307,7 +307,7 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
     def likelihood(lag: float) -> float:
         late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
         device = replace(alone, numbers=numbers | late)
-        # from where the others are likeliest beside it: what is foretold from afar is too good
+        # from where the others are likeliest with it: a prediction from afar is too good
         step = np.zeros(len(device.names))
         step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
         return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood
@@ -315,7 +315,7 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
     most, end = likelihood(0.0), 0.0
     for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
         likely = likelihood(lag)
-        if likely < most - BESIDE * fit.alike:
+        if likely < most - BESIDE * fit.repeats:
             return lag if end else 0.0
         end, most = lag, max(most, likely)
     return end
@@ -377,7 +377,7 @@ def _sliding(device: Device) -> Device:
 
 
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the numbers that commands can tell, and those that are taken as none."""
+    """Return the numbers that commands identify, and those that are taken as none."""
     largest = max(float(np.abs(each.command).max()) for each in recordings)
     if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
         return BASE, ()
@@ -415,8 +415,8 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
 def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
     """Return two devices from which a search starts, the likelier first: by the balance with a spring, and without.
 
-    Behind one wall the command is a spring and a damper of its own: but for the delay, a device with these and no gain
-    moves alike, and the errors of readings decide between the two.
+    Behind one wall the command is a spring and a damper: but for the delay, a device with these and no gain
+    moves the same, and the errors of readings decide between the two.
     """
     some = _some(segments)
     return sorted(first_guesses(segments, names, lead), key=lambda device: -_likelihood(some, device))
