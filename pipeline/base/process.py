@@ -126,7 +126,7 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    # spawn: a fork would copy the locks of Arrow's threads in an unknown state, and hold the pipe open
+    # spawn: a fork would copy the locks of Arrow's threads in an unknown state, and keep the pipe open
     context = get_context("spawn")
     watched, held = context.Pipe(duplex=False)
     with watched, held, ProcessPoolExecutor(workers, context, _begin, (watched,)) as pool:

@@ -201,7 +201,7 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
 
 @dataclass(frozen=True)
 class _Found:
-    """Results of the experiments with their scores, the theories beside them, rows of the tables, costs over delay."""
+    """Results of the experiments with their scores and theories, rows of the tables, costs over delay."""
 
     results: Sequence[ExperimentResult]
     theories: dict[str, Theory]

@@ -386,7 +386,7 @@ class _Run:
 
     def _find(self, source: Source, sha256: str) -> str | None:
         """Return the path of a stored log with the same content and the same conditions in its name."""
-        return self.places.get(trial_id(sha256, None, source.told))
+        return self.places.get(trial_id(sha256, None, source.named_conditions))
 
     def _settle(self, read: Read) -> Refused | None:
         """Decide on a source that was read; return what is to be put into quarantine."""

@@ -155,8 +155,8 @@ class Source:
         return self.profile.digest if self.profile else None
 
     @cached_property
-    def told(self) -> str | None:
-        """What the profile reads from the name of the log, as text; None where it reads names not.
+    def named_conditions(self) -> str | None:
+        """Conditions that the profile reads from the name of the log, as text; None where it does not read names.
 
         Names with the same meaning, such as 2 and 2.0, give the same text.
         """
@@ -164,14 +164,14 @@ class Source:
         if profile is None or not profile.reads_names:
             return None
         try:
-            told = (conditions_in_name(profile.name_pattern, name) if profile.name_pattern else None) or {}
+            found = (conditions_in_name(profile.name_pattern, name) if profile.name_pattern else None) or {}
         except ParameterError:  # it is refused where it is read
-            told = {}
-        for key in told.keys() & CONDITION_QUANTITIES:
+            found = {}
+        for key in found.keys() & CONDITION_QUANTITIES:
             with suppress(ValueError):
-                told[key] = str(number_in_name(told[key], profile.decimal_sign))
+                found[key] = str(number_in_name(found[key], profile.decimal_sign))
         entries = [entry.match for entry in profile.entries_for(name)]
-        return json.dumps([told, entries], sort_keys=True)
+        return json.dumps([found, entries], sort_keys=True)
 
 
 @dataclass(frozen=True)

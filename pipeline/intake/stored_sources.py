@@ -231,7 +231,7 @@ def accepted_logs(
             log = log.with_warning(header, text)
         row |= {name: getattr(log.header, name) for name in (*_CONDITIONS, "added_delay_samples")}
         row["extra"] = json.dumps(log.header.extra, sort_keys=True, ensure_ascii=False)
-        row["trial_id"] = trial_id(sha256, log.label, source.told)
+        row["trial_id"] = trial_id(sha256, log.label, source.named_conditions)
         found.append(Accepted(source, log, row))
     return found
 
@@ -271,7 +271,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     return to_arrow("trials", columns, motion=members[0].row["motion"])
 
 
-def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
+def trial_id(sha256: str, label: str | None, conditions: str | None = None) -> str:
     """Return the id of a trial: of its source, with its label where the source has several.
 
     Parameters
@@ -280,9 +280,9 @@ def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
         Of the source, 64 hexadecimal digits.
     label : str or None
         Which trial of the source it is.
-    told : str, optional
+    conditions : str, optional
         Conditions read from the name of the file: the same samples with other conditions are another trial.
     """
-    parts = [part for part in (label, told) if part is not None]
+    parts = [part for part in (label, conditions) if part is not None]
     # neither label nor name contains a NUL
     return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]

@@ -243,7 +243,7 @@ def _twin(source: Source, hashes: list[str], trial_paths: Mapping[str, str]) -> 
     """Return the path under which a log of this content is stored; None without one."""
     if source.profile is None or not hashes:
         return None
-    return trial_paths.get(trial_id(content_hash(hashes), None, source.told))
+    return trial_paths.get(trial_id(content_hash(hashes), None, source.named_conditions))
 
 
 def _is_current(stored: StoredSource | None, source: Source, twin: str | None) -> bool:

@@ -445,7 +445,7 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
     return {
         "source": "estimated",
         "adequate": is_known and fit is not None and fit >= FOLLOWS,
-        "reason": ("no log could be replayed" if fit is None else f"free runs fit held-out logs to {fit:.1f} %")
+        "reason": ("no log could be replayed" if fit is None else f"free runs fit the logs left out to {fit:.1f} %")
         + ("" if is_known else "; mass or delay cannot be identified from these logs")
         + (f"; {drift}" if drift else ""),
         "explained": None,

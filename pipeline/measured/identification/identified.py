@@ -66,7 +66,7 @@ class Identification:
     reasons : dict of str to str
         A sentence for each of these.
     parts : dict of str to float
-        Gain of held-out log-likelihood by part.
+        Gain of cross-validated log-likelihood by part.
     assumed : tuple of str
         Names of what had to be taken as none.
     combinations : list of IdentifiableCombination
@@ -242,8 +242,8 @@ def check_recordings(recordings: list[Recording]) -> None:
         )
     if not any(np.any(each.command != 0) for each in recordings):
         raise ParameterError(
-            "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or "
-            "name the column of the force in the profile (columns.command)."
+            "the command is 0 in all rows; a motion without a force does not show the mass. Record steps of the "
+            "command, or name the column of the force in the profile (columns.command)."
         )
     travel = max(float(np.ptp(each.position)) for each in recordings)
     resolution, largest = sensor_resolution(recordings), largest_command(recordings)

@@ -1,4 +1,4 @@
-"""Which parts a device has: those without which held-out trials are less likely."""
+"""Selection of the parts of a device by cross-validation: those without which trials left out are less likely."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ CONSTANT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A fit with the parts that it has, and by how much each made held-out trials likelier.
+    """A fit with its parts, and the gain of cross-validated likelihood by each.
 
     A part with 0 may be there or not: its number is taken along as unknown. ``assumed`` names what is taken as none,
     ``bounds`` gives the upper ends of friction, spring and lag where there is none, and the other end of a delay that
@@ -130,7 +130,7 @@ class ChosenParts:
     lead : int
         Rows before a segment whose commands a delay may need.
     parts : dict of str to float
-        Gain of held-out log-likelihood by part; 0 for one that may be there or not.
+        Gain of cross-validated log-likelihood by part; 0 where undecided.
     assumed : tuple of str
         Names of what is taken as none.
     bounds : dict of str to float
@@ -182,7 +182,7 @@ def subset(recordings: list[Recording]) -> list[Recording]:
 
 
 def choose_parts(recordings: list[Recording]) -> ChosenParts:
-    """Return the parts of a device that held-out recordings ask for, by the `subset` of some.
+    """Return the parts of a device that cross-validation over the `subset` of some recordings requires.
 
     A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
     in several places decide which.

@@ -73,7 +73,7 @@ class LogUnits:
     """Units of the estimator: sampling period [s], position from its origin [m, rad] and command [N, Nm].
 
     The origin is where a spring is relaxed: where most logs begin, or None for the beginning of each log, as of a hand
-    that takes hold of the device there. What else acts on the device is a constant force.
+    that grips the device there. What else acts on the device is a constant force.
     """
 
     period: float
