@@ -19,7 +19,7 @@ from pipeline.base.compiled import compiled, inlined
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, from_w, many_digits, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
-from pipeline.records.trials import Booleans, Floats
+from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.motion import WEIGHTS, energy_forms, forms_at_nodes
 from pipeline.theory.poles import characteristic_parts
 
@@ -35,6 +35,9 @@ POLYNOMIALS, WORK = (
 
 EPSILON = 2.0**-52
 """Rounding of a double."""
+
+_IN_CACHE = 1 << 12
+"""Points whose sums are in memory at a time."""
 
 _TOGETHER = 1 << 17
 """Numbers of the recursion at a time: they fit a cache."""
@@ -89,22 +92,58 @@ def energy_costs(
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    stiffness, one = a + loop.gamma, np.ones_like(a)
-    # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
-    shares = np.array([one, 1 / stiffness] if signal == "step" else [stiffness, one])
-    some = max(1, _TOGETHER // (_BLOCK_SAMPLES * loop.states))
-    parts = [(a[first : first + some], b[first : first + some]) for first in range(0, len(a), some)]
-    summed = {
-        w: np.concatenate([_summed(loop, *part, signal, w) for part in parts], axis=2)
-        for w in weights
-        if w not in WEIGHTS and parts
-    }
-    if len(summed) < len(weights):
-        exact = np.tensordot(_weights(loop), _sums(loop, a, b, signal), 2)
-        summed |= {w: exact[:, :, int(w)] for w in weights if w in WEIGHTS}
-    costs = {w: (shares[:, None] * each).sum(axis=0) for w, each in summed.items()}
+    costs = {w: _summed_costs(loop, a, b, signal, w) for w in weights if w not in WEIGHTS}
+    if len(costs) < len(weights):
+        exact = _exact_costs(loop, a, b, signal)
+        costs |= {w: exact[:, int(w)] for w in weights if w in WEIGHTS}
     suffixes = enumerate(("", "_discrete"))
     return {f"energy_{signal}_w{w:g}{suffix}": costs[w][kind] for kind, suffix in suffixes for w in weights}
+
+
+def _weighted(loop: NormalisedLoop, alpha: Floats, signal: str, potential: Floats, kinetic: Floats) -> Floats:
+    """Return costs of sums of potential and kinetic energy, the points along the last axis.
+
+    Deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1.
+    """
+    stiffness = alpha + loop.gamma
+    return potential + kinetic / stiffness if signal == "step" else potential * stiffness + kinetic
+
+
+def _exact_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str) -> Floats:
+    """Return costs by the transforms, shape (2, 3, n): continuous and discrete, for w = 0, 1, 2."""
+    costs, left = np.empty((len(a), 2 * len(WEIGHTS))), np.arange(len(a))
+
+    def weighted(sums: Floats, some: Integers) -> Floats:
+        potential, kinetic = np.split(sums.reshape(len(sums), -1) @ _weights(loop).T, 2, axis=1)
+        return _weighted(loop, a[some], signal, potential.T, kinetic.T).T
+
+    kinds: list[Any] = [np.float64, np.longdouble, np.object_]
+    if loop.oldest_force <= _LONG:
+        good = np.zeros(len(a), np.bool_)
+        for some in (left[first : first + _IN_CACHE] for first in range(0, len(a), _IN_CACHE)):
+            sums, good[some] = _in_doubles(loop, a[some], b[some], signal)
+            costs[some] = weighted(sums, some)
+        kinds, left = kinds[1:], np.flatnonzero(~good)
+    for kind in kinds:
+        good, size = np.zeros(len(left), np.bool_), max(1, _TOGETHER // loop.states**2)
+        for part in (slice(first, first + size) for first in range(0, len(left), size)):
+            with np.errstate(all="ignore"), many_digits(loop.digits) as context:
+                context.clear_traps()  # what is no number is not good
+                sums, good[part] = _by_recursion(loop, a[left[part]], b[left[part]], signal, kind)
+            costs[left[part]] = weighted(sums.transpose(2, 0, 1), left[part])
+        left = left[~good]
+    costs[left] = np.nan
+    return costs.T.reshape(2, len(WEIGHTS), len(a)).copy()
+
+
+def _summed_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str, w: float) -> Floats:
+    """Return costs with any weighting, shape (2, n): continuous and discrete."""
+    some = max(1, _TOGETHER // (_BLOCK_SAMPLES * loop.states))
+    parts = [slice(first, first + some) for first in range(0, len(a), some)]
+    if not parts:
+        return np.empty((2, 0))
+    potential, kinetic = np.concatenate([_summed(loop, a[part], b[part], signal, w) for part in parts], axis=2)
+    return _weighted(loop, a, signal, potential, kinetic)
 
 
 def _summed(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, w: float) -> Floats:
@@ -155,7 +194,7 @@ def _weights_from(loop: NormalisedLoop, w: float, first: int) -> Floats:
 def _weights(loop: NormalisedLoop) -> Floats:
     """Return what sums of `_sums` have of potential and kinetic energy, continuous and discrete, by w.
 
-    (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i: shape (2, 2, 3, 3, pairs).
+    (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i: shape (2 2 3, 3 pairs).
     """
     forms = energy_forms(loop)
     rows, columns = np.triu_indices(forms.shape[-1])
@@ -164,32 +203,18 @@ def _weights(loop: NormalisedLoop) -> Floats:
     for w in WEIGHTS:
         for i in range(w + 1):
             weights[:, :, w, w - i] = math.comb(w, i) * both[:, :, i]
-    return weights
+    return weights.reshape(12, -1)
 
 
-def _sums(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> Floats:
-    """Return sum_k k^w g_k g_k' of `NormalisedLoop.seen`: pairs of its upper triangle, shape (3, pairs, n)."""
-    numbers = (len(loop.device.sensor) + len(loop.segments)) * loop.states
-    pairs = len(np.triu_indices(len(loop.device.sensor) + len(loop.segments))[0])
-    result, left = np.full((len(WEIGHTS), pairs, len(alpha)), np.nan), np.arange(len(alpha))
-    kinds: list[Any] = [np.float64, np.longdouble, np.object_]
-    if loop.oldest_force <= _LONG:
-        bottom, top = _transforms(loop, signal, np.float64)
-        q, powers = top.shape[2:]
-        good, chances = np.zeros(len(alpha), np.bool_), (_chances((powers + 1,)), _chances((q, powers)))
-        work = np.empty((powers + 1, 5)), np.empty((q, powers, 5)), *np.empty((2, q, 5)), np.empty((pairs, 5))
-        sums_in_doubles((bottom, top, *chances), (alpha, beta), work, result, good)
-        kinds, left = kinds[1:], np.flatnonzero(~good)
-    for kind in kinds:
-        size, bad = max(1, _TOGETHER // numbers), left[:0]
-        for some in (left[first : first + size] for first in range(0, len(left), size)):
-            with np.errstate(all="ignore"), many_digits(loop.digits) as context:
-                context.clear_traps()  # what is no number is not good
-                found, good = _by_recursion(loop, alpha[some], beta[some], signal, kind)
-            result[:, :, some[good]] = found[:, :, good]
-            bad = np.append(bad, some[~good])
-        left = bad
-    return result
+def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> tuple[Floats, Booleans]:
+    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and where good."""
+    bottom, top = _transforms(loop, signal, np.float64)
+    q, powers = top.shape[2:]
+    pairs, chances = q * (q + 1) // 2, (_chances((powers + 1,)), _chances((q, powers)))
+    sums, good = np.empty((len(alpha), len(WEIGHTS), pairs)), np.zeros(len(alpha), np.bool_)
+    work = np.empty((powers + 1, 5)), np.empty((q, powers, 5)), *np.empty((2, q, 5)), np.empty((pairs, 5))
+    sums_in_doubles((bottom, top, *chances), (alpha, beta), work, sums, good)
+    return sums, good
 
 
 @inlined
@@ -254,7 +279,7 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
         alpha and beta, shape (n,).
     work : tuple
         Arrays that are used: polynomials at a wall, lowest powers of the top, the same over a size, sums.
-    sums, good : float64, shape (3, pairs, n); bool, shape (n,)
+    sums, good : float64, shape (n, 3, pairs); bool, shape (n,)
         Which are set, sums where they are good.
     """
     bottom, top, bottom_chances, top_chances = polynomials
@@ -298,7 +323,7 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
         if good[n]:
             for pair in range(len(total)):
                 for w in range(3):
-                    sums[w, pair, n] = total[pair, w] * max(w, 1)
+                    sums[n, w, pair] = total[pair, w] * max(w, 1)
 
 
 def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:

@@ -29,7 +29,7 @@ NO_OVERSHOOT = OVERSHOOT.none
 QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
-_FIRST, _LOOK = 32, 0.25
+_FIRST, _LOOK = 24, 0.25
 """Samples before modes are looked at, and the same times the square of the states: a look takes as long."""
 
 _SETTLED = 0.1
