@@ -33,9 +33,9 @@ from pipeline.plan.requests import AnsweredWall, stored_requests
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
 from pipeline.records.trials import Floats, Trials
+from pipeline.simulation.tested_grid import tested_grid
 from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import list_experiments, read_trials
-from pipeline.theory.cases import tested_grid
 
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""

@@ -34,7 +34,7 @@ class Limits(Record):
 class Experiment(Record):
     """One experiment: configuration, plant as published, and the grid of (K, B) that is tested.
 
-    A grid that is left out is laid over the walls that theory calls stable (`theory.cases.tested_grid`). Where each
+    A grid that is left out is laid over the walls that theory calls stable (`simulation.tested_grid`). Where each
     command draws its delay from ``jitter_samples``, ``delay_samples`` is the mean of these; a file may state any delay
     between the smallest and the largest.
     """

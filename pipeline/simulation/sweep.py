@@ -29,8 +29,8 @@ from pipeline.simulation.procedure import Climb, Strings
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import applied_delay_moments, simulate
+from pipeline.simulation.tested_grid import tested_grid
 from pipeline.store.names import folder_for
-from pipeline.theory.cases import tested_grid
 
 LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""

@@ -6,7 +6,6 @@ computed is NaN in a record and None in a document, with the reason. `pipeline.t
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -54,9 +53,6 @@ _NEGATIVE = "the stiffness is negative: the device's own spring, or that of an o
 
 LARGEST = 1e200
 """Largest alpha and beta, far above any limit; the matrices of larger ones overflow."""
-
-GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
-"""Grid of walls where a device file states none: dampings over half of the stable ones, stiffnesses up to the limit."""
 
 
 @dataclass(frozen=True)
@@ -112,46 +108,6 @@ def case_of(device: Device, experiment: Experiment) -> Case:
     return Case(NormalisedLoop.of(loop), LoopUnits.of(loop), names, device.motion)
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Walls that are tested: dampings [Ns/m, Nms/rad], and the step by which the stiffness [N/m, Nm/rad] climbs."""
-
-    damping_first: float
-    damping_last: float
-    damping_step: float
-    stiffness_step: float
-
-
-def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the walls that a course tests: as the device file says, and where it does not, over those that are stable.
-
-    Raises
-    ------
-    ParameterError
-        If the file names no grid and no wall is stable.
-    """
-    e = experiment
-    if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:
-        case = case_of(device, experiment)
-        limits = limits_of_walls(case, points=GRID_STIFFNESSES)
-        last = float(np.nanmax(limits.damping)) / 2 if e.damping_last is None else e.damping_last
-        last = max(last, e.damping_first)
-        step = (last - e.damping_first) / (GRID_DAMPINGS - 1) or case.scale[1]
-        return Grid(
-            e.damping_first,
-            last,
-            rounded(step) if e.damping_step is None else e.damping_step,
-            rounded(limits.stiffness_max / GRID_STIFFNESSES) if e.stiffness_step is None else e.stiffness_step,
-        )
-    return Grid(e.damping_first, e.damping_last, e.damping_step, e.stiffness_step)
-
-
-def rounded(step: float) -> float:
-    """Return a step as a person would choose it: 1, 2 or 5 times a power of ten, at most the one given."""
-    power = 10.0 ** math.floor(math.log10(step))
-    return max(power * nice for nice in (1, 2, 5) if power * nice <= step * (1 + 1e-9))
-
-
 @dataclass(frozen=True, eq=False)
 class Cases:
     """Points of a CSV file: values, shape (n, columns), in the order of the columns, and the row of each."""
@@ -159,60 +115,6 @@ class Cases:
     path: Path
     values: Floats
     row: tuple[int, ...]
-
-
-def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
-    """Read points from a CSV file with a header; columns in any order, further ones are ignored.
-
-    Parameters
-    ----------
-    path : Path
-    columns : tuple of str
-        Names of its columns; by default the normalised parameters of a wall and its loop.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read, a column is missing or a cell is no finite number; rows are counted from
-        1, header included.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream, strict=True)
-            header = [name.strip() for name in next(reader, [])]
-            lines = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except OSError as error:
-        raise ParameterError(
-            f"{path}: cannot be read ({error.strerror or error}). Give a CSV file of points."
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ParameterError(f"{path}: is no CSV file in UTF-8 ({error}).") from error
-    missing = [name for name in columns if name not in header]
-    if missing:
-        raise ParameterError(
-            f"{path}, row 1: no column {', '.join(missing)}; expected a header with "
-            f"{', '.join(columns)}, found {', '.join(header) or 'nothing'}."
-        )
-    double = [name for name in columns if header.count(name) > 1]
-    if double:
-        raise ParameterError(f"{path}, row 1: column {double[0]} occurs twice; remove one.")
-    places = [header.index(name) for name in columns]
-    values = np.empty((len(lines), len(columns)))
-    for value, (row, cells) in zip(values, lines, strict=True):
-        if len(cells) != len(header):
-            raise ParameterError(
-                f"{path}, row {row}: expected {len(header)} cells as in the header, found {len(cells)}."
-            )
-        for i, place in enumerate(places):
-            try:
-                value[i] = float(cells[place])
-            except ValueError:
-                value[i] = math.nan
-            if not math.isfinite(value[i]):
-                raise ParameterError(
-                    f"{path}, row {row}, column {columns[i]}: expected a finite number, found {cells[place]!r}."
-                )
-    return Cases(path, values, tuple(row for row, _ in lines))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
-from pipeline.base.disk import replacing
-from pipeline.base.errors import ParameterError, PipelineError
-from pipeline.base.provenance import stamp
+from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import (
     CRITERIA,
@@ -30,9 +27,6 @@ from pipeline.theory.boundary import boundary, is_inside, is_well_inside
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.settling_overshoot import first_reached, transient_costs
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
 """Criteria of a map; those of a response also as ``_discrete``."""
@@ -212,6 +206,10 @@ class CostMap:
         """Criteria, each once."""
         return tuple(dict.fromkeys(self.criteria))
 
+    def to_json(self) -> dict[str, Any]:
+        """Return what a document states of the map."""
+        return {"rows": self.size**2, "columns": [*AXES, "stable", *self.names]}
+
     def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
         """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).
 
@@ -225,84 +223,3 @@ class CostMap:
             a, b = (grid.ravel() for grid in np.meshgrid(alpha, beta[first : first + rows]))
             costs = costs_inside(self.loop, a, b, self.names, self.longest)
             yield MapBlock(a, b, is_inside(self.loop, a, b), costs)
-
-
-def write_map(
-    path: Path, cost_map: CostMap, progress: Callable[[int, int], None] | None = None, points: int = BLOCK
-) -> int:
-    """Write a map to Parquet so that a reader sees all of it or nothing; return how many of its points are stable.
-
-    Parameters
-    ----------
-    path : Path
-    cost_map : CostMap
-    progress : callable, optional
-        Told the points done and those in all after each block.
-    points : int
-        Points of a block, which becomes a row group: memory does not grow with the map.
-
-    Raises
-    ------
-    PipelineError
-        If the file cannot be written; an earlier one stays as it was.
-    """
-    import pyarrow.parquet as pq
-
-    from pipeline.records.table_files import WRITING
-
-    schema = map_schema(cost_map)
-    stable = done = 0
-    try:
-        with (
-            replacing(path) as stream,
-            pq.ParquetWriter(stream, schema, use_dictionary=list(AXES), **WRITING) as writer,
-        ):
-            for block in cost_map.blocks(points):
-                writer.write_table(block_table(block, schema))
-                stable += int(block.stable.sum())
-                done += len(block.alpha)
-                if progress is not None:
-                    progress(done, cost_map.size**2)
-    except OSError as error:
-        raise PipelineError(
-            f"{path}: map cannot be written ({error.strerror or error}). Choose another file (--out)."
-        ) from error
-    return stable
-
-
-def map_schema(cost_map: CostMap) -> pa.Schema:
-    """Return columns of the point, stable and one for each criterion, with units and parameters as metadata."""
-    import pyarrow as pa
-
-    loop = cost_map.loop
-    meaning = (
-        f"null where not stable, within {MARGIN:g} of the boundary, or still moving after {cost_map.longest} samples"
-    )
-    fields = [pa.field(name, pa.float64(), False) for name in AXES]
-    fields += [pa.field("stable", pa.bool_(), False)]
-    fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in cost_map.names]
-    plant = {name: repr(getattr(loop, name)) for name in ("gamma", "delta", "delay", "lag", "plant", "velocity")}
-    return pa.schema(fields, metadata=dict(stamp(**plant, size=str(cost_map.size))))
-
-
-def block_table(block: MapBlock, schema: pa.Schema) -> pa.Table:
-    """Return a block as an Arrow table; NaN becomes null."""
-    import pyarrow as pa
-
-    columns = [_column(block.alpha), _column(block.beta), _bits(block.stable)]
-    return pa.table([*columns, *(_column(values) for values in block.costs.values())], schema=schema)
-
-
-def _column(values: Floats) -> pa.Array:
-    """Return floats as a column without a copy; `pa.array` would load numpy's masked arrays first."""
-    import pyarrow as pa
-
-    known = ~np.isnan(values)
-    valid = None if known.all() else _bits(known).buffers()[1]
-    return pa.Array.from_buffers(pa.float64(), len(values), [valid, pa.py_buffer(np.ascontiguousarray(values))])
-
-
-def _bits(values: Booleans) -> pa.Array:
-    import pyarrow as pa
-
-    return pa.Array.from_buffers(pa.bool_(), len(values), [None, pa.py_buffer(np.packbits(values, bitorder="little"))])

@@ -214,6 +214,7 @@ def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) 
     sums, good = np.empty((len(alpha), len(WEIGHTS), pairs)), np.zeros(len(alpha), np.bool_)
     work = np.empty((powers + 1, 5)), np.empty((q, powers, 5)), *np.empty((2, q, 5)), np.empty((pairs, 5))
     sums_in_doubles((bottom, top, *chances), (alpha, beta), work, sums, good)
+    sums[~good] = np.nan
     return sums, good
 
 

@@ -6,9 +6,10 @@ Source: Hulin 2017, secs. 3.4, 3.5 and 5.1; margins are ours.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from decimal import Decimal
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
@@ -248,6 +249,10 @@ class Margins:
     delay: float | None
     bandwidth: float | None
     left_out: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the margins as a document."""
+        return {**asdict(self), "left_out": list(self.left_out)}
 
 
 def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:

@@ -12,7 +12,7 @@ from pipeline import Loop
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.device_data.devices import find_experiment, known_devices, load_device, read_device
-from pipeline.theory import cases as device_cases
+from pipeline.simulation import tested_grid as grids
 
 TABLES = SHARED / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"
@@ -172,7 +172,7 @@ def test_four_numbers_are_a_device_file(tmp_path: Path) -> None:
     assert (device.name, device.title, device.duration_s) == ("arm", "arm", 1.0)
     (experiment,) = device.experiments
     assert (experiment.mass, experiment.damping, experiment.delay_samples) == (0.5, 3.0, 2.4)
-    grid = device_cases.tested_grid(device, experiment)
+    grid = grids.tested_grid(device, experiment)
     largest = Loop(0.5, 3.0, 0.001, 2.4).boundary().attrs["stiffness_max"]
     assert 20 <= largest / grid.stiffness_step <= 80
     path.write_text("damping = 3.0\ndelay_samples = 2.4\n", encoding="utf-8")

@@ -17,6 +17,7 @@ from simulated import spectral_radius
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.shell.points_file import read_cases
 from pipeline.theory import cases as theory
 from pipeline.theory import modes
 from pipeline.theory.boundary import robust_outline
@@ -33,7 +34,7 @@ def written(tmp_path, text):
 
 def points(tmp_path, *rows):
     text = HEADER + "".join(",".join(str(v) for v in row) + "\n" for row in rows)
-    return costs_of_cases(theory.read_cases(written(tmp_path, text))).to_json()
+    return costs_of_cases(read_cases(written(tmp_path, text))).to_json()
 
 
 def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
@@ -107,7 +108,7 @@ def test_point_on_the_verge_of_stability_gets_no_numbers_made_of_rounding(tmp_pa
 
 def test_columns_may_come_in_any_order_with_others_between(tmp_path):
     text = "delay, note,beta,alpha,delta,gamma\n1,a,0.3,0.05,0.02,0\n\n3,b,0.2,0.02,0,0\n"
-    cases = theory.read_cases(written(tmp_path, "\ufeff" + text))
+    cases = read_cases(written(tmp_path, "\ufeff" + text))
     assert cases.values.tolist() == [[0.05, 0.3, 0, 0.02, 1], [0.02, 0.2, 0, 0, 3]]
     assert cases.row == (2, 4)
 
@@ -131,15 +132,15 @@ def test_columns_may_come_in_any_order_with_others_between(tmp_path):
 )
 def test_wrong_cases_are_named_with_their_row(tmp_path, text, message):
     with pytest.raises(ParameterError, match=r"cases\.csv.*" + message):
-        costs_of_cases(theory.read_cases(written(tmp_path, text))).to_json()
+        costs_of_cases(read_cases(written(tmp_path, text))).to_json()
 
 
 def test_missing_and_binary_files_are_named(tmp_path):
     with pytest.raises(ParameterError, match=r"none\.csv: cannot be read"):
-        theory.read_cases(tmp_path / "none.csv")
+        read_cases(tmp_path / "none.csv")
     (tmp_path / "cases.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ParameterError, match="no CSV file in UTF-8"):
-        theory.read_cases(tmp_path / "cases.csv")
+        read_cases(tmp_path / "cases.csv")
 
 
 def test_header_alone_is_an_empty_list(tmp_path):

@@ -14,8 +14,8 @@ from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import REPORTED
+from pipeline.rendering import map_file
 from pipeline.theory import cases as theory
-from pipeline.theory import costs as map_file
 from pipeline.theory import energy, modes
 from pipeline.theory.boundary import boundary
 from pipeline.theory.costs import CostMap, bounding_box, cost_maps, point_costs_by_name

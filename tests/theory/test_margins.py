@@ -99,3 +99,16 @@ def test_of_several_softer_limits_the_nearest_counts():
 def test_unstable_walls_have_no_margins():
     with pytest.raises(ParameterError, match="unstable"):
         LOOPS["ideal"].margins(1e6, 1.0)
+
+
+def test_a_document_of_margins_has_all_of_them():
+    loop = pipeline.Loop(0.58, 4.0, 1e-3, 4)
+    found = loop.margins(3000.0, 20.0)
+    assert found.to_json() == {
+        "gain": found.gain,
+        "gain_down": found.gain_down,
+        "phase": found.phase,
+        "delay": found.delay,
+        "bandwidth": found.bandwidth,
+        "left_out": [],
+    }

@@ -49,12 +49,13 @@ def points(
 
     Example: pipeline theory points cases.csv --out costs.csv --picture points.svg
     """
+    from pipeline.shell.points_file import read_cases
     from pipeline.theory import cases as theory
 
     _check_files(out, picture)
     names = tuple(criteria or theory.POINT_COSTS)
     columns = theory.CASE_COLUMNS if device is None else theory.WALL_COLUMNS
-    rows = theory.read_cases(cases, columns)
+    rows = read_cases(cases, columns)
     if device is None:
         answer, case = theory.costs_of_cases(rows, names), theory.one_case(rows) if picture else None
     else:
@@ -246,15 +247,15 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline.theory.costs import MAP_DEFAULT, CostMap, write_map
+    from pipeline.rendering.map_file import write_map
+    from pipeline.theory.costs import MAP_DEFAULT, CostMap
 
     check_output(out, "--out")
     made = CostMap(_case(delay, gamma, delta, None, None).loop, size, tuple(criteria or MAP_DEFAULT))
     with console.progress("map", "points") as advance:
         stable = write_map(out, made, advance)
-    columns = ["alpha", "beta", "stable", *made.names]
-    lines = [f"{out}: {size**2} points, {stable} of them stable, columns {columns}"]
-    console.tell({"file": str(out), "rows": size**2, "stable": stable}, lines)
+    answer = {"file": str(out), "stable": stable, **made.to_json()}
+    console.tell(answer, [f"{out}: {size**2} points, {stable} of them stable, columns {answer['columns']}"])
 
 
 def explore(

@@ -1,0 +1,57 @@
+"""Walls that a series of trials tests: those of a device file, or all stable ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.theory.cases import case_of, limits_of_walls
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.records.models import Device, Experiment
+
+GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
+"""Grid of walls where a device file states none: dampings over half of the stable ones, stiffnesses up to the limit."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Walls that are tested: dampings [Ns/m, Nms/rad], and the step by which the stiffness [N/m, Nm/rad] climbs."""
+
+    damping_first: float
+    damping_last: float
+    damping_step: float
+    stiffness_step: float
+
+
+def tested_grid(device: Device, experiment: Experiment) -> Grid:
+    """Return the walls that a course tests: as the device file says, and where it does not, over those that are stable.
+
+    Raises
+    ------
+    ParameterError
+        If the file names no grid and no wall is stable.
+    """
+    e = experiment
+    if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:
+        case = case_of(device, experiment)
+        limits = limits_of_walls(case, points=GRID_STIFFNESSES)
+        last = float(np.nanmax(limits.damping)) / 2 if e.damping_last is None else e.damping_last
+        last = max(last, e.damping_first)
+        step = (last - e.damping_first) / (GRID_DAMPINGS - 1) or case.scale[1]
+        return Grid(
+            e.damping_first,
+            last,
+            rounded(step) if e.damping_step is None else e.damping_step,
+            rounded(limits.stiffness_max / GRID_STIFFNESSES) if e.stiffness_step is None else e.stiffness_step,
+        )
+    return Grid(e.damping_first, e.damping_last, e.damping_step, e.stiffness_step)
+
+
+def rounded(step: float) -> float:
+    """Return a step as a person would choose it: 1, 2 or 5 times a power of ten, at most the one given."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return max(power * nice for nice in (1, 2, 5) if power * nice <= step * (1 + 1e-9))
