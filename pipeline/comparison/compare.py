@@ -18,6 +18,7 @@ from pipeline.comparison.experiment_result import estimated_theories, experiment
 from pipeline.comparison.figures.maps import departure_figures, map_figures
 from pipeline.comparison.figures.responses import response_figures, trials_of
 from pipeline.comparison.figures.trial_page import trial_page
+from pipeline.comparison.ground_truth import add_ground_truth, truths
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
 from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
@@ -32,10 +33,9 @@ from pipeline.comparison.scene.scene import (
 from pipeline.comparison.scene.scene_file import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.comparison.summary.answer import answer, told_most
+from pipeline.comparison.summary.first_screen import answer, told_most
 from pipeline.comparison.summary.summary_warnings import warnings_of
-from pipeline.comparison.tables_d import TableBuilder
-from pipeline.comparison.truths import truths, with_truth
+from pipeline.comparison.thesis_tables_d import TableBuilder
 from pipeline.device_data.published import published_bound, published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.findings import Note
@@ -239,7 +239,7 @@ def _compute(
             damped = builder.damped(predictions, results) if data.scene.shown.has_figure("delay") else {}
     rows = builder.rows(predictions, results)
     scored = add_scores(data, results, theories)
-    known = [with_truth(result, data.truth.get(result.experiment)) for result in scored]
+    known = [add_ground_truth(result, data.truth.get(result.experiment)) for result in scored]
     return _Found(known, theories, rows, damped)
 
 

@@ -19,7 +19,7 @@ from pipeline.comparison.loops.recording_faults import cause_of, recording_fault
 from pipeline.comparison.loops.wall_replay import with_large_motion
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.comparison.summary.advice import region_to_use
+from pipeline.comparison.summary.recommended_walls import region_to_use
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import ESTIMATE_PARAMETERS
 from pipeline.loop.normalised_loop import LARGEST_DELAY

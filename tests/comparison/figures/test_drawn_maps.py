@@ -8,7 +8,7 @@ import pytest
 from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.figures.maps import departure_figures, departures, map_figures
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.comparison.tables_d import TableBuilder
+from pipeline.comparison.thesis_tables_d import TableBuilder
 from pipeline.rendering.figures.drawing import draw
 from pipeline.theory.predictions import Predictions
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
-from pipeline.comparison.summary.advice import (
+from pipeline.comparison.summary.recommended_walls import (
     CALM,
     FAR,
     FEWEST,

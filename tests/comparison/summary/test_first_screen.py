@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.scores.agreement import is_steady
-from pipeline.comparison.summary.answer import COARSE, answer
+from pipeline.comparison.summary.first_screen import COARSE, answer
 from pipeline.records.findings import Limit
 from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import Cause

@@ -10,7 +10,7 @@ from labs import make_lab
 from pipeline.base.provenance import schema_folder
 from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import layouts, open_scene
-from pipeline.comparison.tables_d import TableBuilder, condition_of
+from pipeline.comparison.thesis_tables_d import TableBuilder, condition_of
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.findings import Estimate, Optimum

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.compare import compare
+from pipeline.comparison.ground_truth import add_ground_truth, truth_of, truths
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.comparison.truths import truth_of, truths, with_truth
 from pipeline.records.results import Truth
 
 DOCUMENT = {
@@ -84,7 +84,7 @@ def test_what_the_wall_feels_is_operator_included_per_unit_of_command():
 def test_a_loop_that_is_not_linear_has_no_true_limit(falcon_outcome, parts, word):
     truth = changed(**parts)
     assert word in truth.limit_reason
-    result = with_truth(falcon_outcome.result.experiments[0], truth)
+    result = add_ground_truth(falcon_outcome.result.experiments[0], truth)
     assert {point.truth for point in result.boundary} == {None}
     assert result.truth_held.limits == 0
     if "jitter_samples" in parts:

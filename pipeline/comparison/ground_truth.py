@@ -83,7 +83,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     )
 
 
-def with_truth(result: ExperimentResult, truth: Truth | None) -> ExperimentResult:
+def add_ground_truth(result: ExperimentResult, truth: Truth | None) -> ExperimentResult:
     """Return a result with the truth of its estimates and limits, and the number of intervals that contain it."""
     if truth is None:
         return result
