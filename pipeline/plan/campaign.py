@@ -21,12 +21,12 @@ from pipeline.measured.identification.identified import check_recordings, descri
 from pipeline.measured.identification.parts import ChosenParts, fit_parts
 from pipeline.measured.identification.parts import choose_parts as look_at_once
 from pipeline.measured.identification.recordings import Recording
-from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_device import device_row, recording, recording_findings, usable_recordings
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.student import NORMAL_95
+from pipeline.measured.wall_command.wall_law import wall_law
 from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
 from pipeline.plan.next_wall import Forecast, TriedWalls
 from pipeline.plan.requests import AnsweredWall, stored_requests

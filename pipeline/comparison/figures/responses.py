@@ -15,11 +15,11 @@ from pipeline.base.errors import ParameterError
 from pipeline.comparison.loops.loop_basis import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.device.parameters import is_rotation, unit_of
-from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.thesis import first_change
+from pipeline.measured.wall_command.log_rows import LogRows
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.trials import Booleans, Floats, Trial

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from pipeline.base.wording import commonest, counted, listed
 from pipeline.device.parts import VelocityFilter
 from pipeline.measured.experiment.identified_loop import FEWEST_LOGS, MOST
-from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_tables import ExperimentStages
+from pipeline.measured.wall_command.velocity_filter import VelocityFilterFound
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import Cause
 from pipeline.records.trials import Floats

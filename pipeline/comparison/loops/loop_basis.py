@@ -16,8 +16,8 @@ from pipeline.device.parts import Butterworth, Coefficients, Difference, Velocit
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, nominal_loop
 from pipeline.measured.identification.intervals import Interval
-from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.stages.stage_tables import ExperimentStages
+from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.records.findings import Quantity
 from pipeline.records.results import ExperimentResult, SourcedLoop
 from pipeline.records.trials import Floats

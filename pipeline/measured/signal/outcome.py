@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.signal.disturbance import Disturbance, PushResponse, find_disturbance
-from pipeline.measured.signal.events import (
+from pipeline.measured.signal.log_events import (
     UNMOVED_SAMPLES,
     first_clipped,
     first_stop,

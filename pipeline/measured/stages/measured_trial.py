@@ -16,11 +16,11 @@ import numpy as np
 from pipeline.base.progress import report
 from pipeline.measured.cost.costs import ReadingInputs
 from pipeline.measured.cost.reading_error import ReadingError, reading_error
-from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
-from pipeline.measured.law.stamps import even
-from pipeline.measured.law.wall_law import OtherWalls, WallLaw, other_walls, wall_law
 from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdict
+from pipeline.measured.wall_command.sample_grid import SampleGrid, sample_grid
+from pipeline.measured.wall_command.stamps import even
+from pipeline.measured.wall_command.wall_law import OtherWalls, WallLaw, other_walls, wall_law
 from pipeline.recording.check import check_trial
 from pipeline.records.findings import Finding
 from pipeline.records.trials import Trial, Trials

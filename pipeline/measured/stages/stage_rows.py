@@ -17,7 +17,7 @@ from pipeline.measured.experiment.estimates import by_model, delay_factor, first
 from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
-from pipeline.measured.signal.events import usual_length
+from pipeline.measured.signal.log_events import usual_length
 from pipeline.measured.signal.outcome import classify
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor

@@ -20,8 +20,8 @@ from pipeline.base.wording import counted
 from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
+from pipeline.measured.signal.change_points import gaps, jumps, rests
 from pipeline.measured.signal.edge import NO_ROW, find_edge
-from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log

@@ -9,7 +9,7 @@ from logged import FORMATS, RIGS, lab, scattered, write
 from pipeline.comparison.compare import compare
 from pipeline.comparison.loops.departures import LawRows, course_filter, law_departures
 from pipeline.intake.ingest import ingest
-from pipeline.measured.law.velocity_filter import VelocityFilterFound
+from pipeline.measured.wall_command.velocity_filter import VelocityFilterFound
 
 
 def compared(folder, batch, text="%.17g"):

@@ -9,12 +9,12 @@ from not_ideal import simulate
 
 from pipeline.measured.cost.costs import CostInputs, ReadingInputs
 from pipeline.measured.cost.energy import WEIGHTS
-from pipeline.measured.law.sample_grid import sample_grid
-from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stages import STAGES
+from pipeline.measured.wall_command.sample_grid import sample_grid
+from pipeline.measured.wall_command.wall_law import wall_law
 from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Trials
 

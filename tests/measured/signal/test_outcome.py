@@ -20,7 +20,7 @@ from pipeline.measured.signal.disturbance import (
     find_disturbance,
     fit_push_response,
 )
-from pipeline.measured.signal.events import usual_length
+from pipeline.measured.signal.log_events import usual_length
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.measured.signal.marks import MOST_JUMPS, gaps, jumps, rests
+from pipeline.measured.signal.change_points import MOST_JUMPS, gaps, jumps, rests
 
 STEP = np.repeat([0.0, 8.0, 3.0], [40, 60, 100])
 

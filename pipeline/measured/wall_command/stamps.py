@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import SET_DIGITS
 from pipeline.measured.student import NORMAL_QUARTILE
+from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.recording.timing import EVEN, other_period
 from pipeline.records.trials import Floats, Integers, Trial
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import signal
 from simulated import FALCON, plant, simulate
 
-from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
+from pipeline.measured.wall_command.wall_law import wall_law
 from pipeline.records.trials import Trial
 
 T = 1e-3

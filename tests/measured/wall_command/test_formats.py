@@ -10,8 +10,8 @@ import pytest
 from logged import FORMATS, RIGS, lab, repeated, scattered, thinned, with_rows, written
 from scipy import signal
 
-from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import find_response
+from pipeline.measured.wall_command.wall_law import wall_law
 from pipeline.records.trials import Trials
 
 FEW = 3

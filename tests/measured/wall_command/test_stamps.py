@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.measured.law.stamps import read_stamps
+from pipeline.measured.wall_command.stamps import read_stamps
 
 T, ROWS = 1e-3, 600
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from logged import FORMATS
 
-from pipeline.measured.law.log_rows import FULL_DIGITS, printed, stated_resolution
+from pipeline.measured.wall_command.log_rows import FULL_DIGITS, printed, stated_resolution
 
 RANDOM = np.random.default_rng(4)
 COLUMNS = {

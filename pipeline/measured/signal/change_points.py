@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.law.stamps import ODD
+from pipeline.measured.wall_command.stamps import ODD
 from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.2

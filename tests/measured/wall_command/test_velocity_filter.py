@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from pipeline.measured.law.velocity_filter import VelocityFilterFound, butterworth, filtered
+from pipeline.measured.wall_command.velocity_filter import VelocityFilterFound, butterworth, filtered
 
 SIGNAL = np.random.default_rng(2).standard_normal(300)
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import LogRows
-from pipeline.measured.law.stamps import ODD, read_stamps
-from pipeline.measured.law.wall_law import WallLaw
 from pipeline.measured.signal.response import NO_ROW, Response
+from pipeline.measured.wall_command.log_rows import LogRows
+from pipeline.measured.wall_command.stamps import ODD, read_stamps
+from pipeline.measured.wall_command.wall_law import WallLaw
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 LONGEST_GAP = 8

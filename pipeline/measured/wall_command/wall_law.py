@@ -12,12 +12,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.law.candidates import Departure, explanation, hidden
-from pipeline.measured.law.log_rows import PLATEAU, ROUNDINGS, STILL_FLOORS, LogRows, repeated_rows, stands_still
-from pipeline.measured.law.stamps import ODD, Stamps, read_stamps
-from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.signal.response import Response, external_force
 from pipeline.measured.student import ROUNDING
+from pipeline.measured.wall_command.command_models import Departure, explanation, hidden
+from pipeline.measured.wall_command.log_rows import (
+    PLATEAU,
+    ROUNDINGS,
+    STILL_FLOORS,
+    LogRows,
+    repeated_rows,
+    stands_still,
+)
+from pipeline.measured.wall_command.stamps import ODD, Stamps, read_stamps
+from pipeline.measured.wall_command.velocity_filter import VelocityFilterFound
 from pipeline.records.findings import MATTERS
 from pipeline.records.trials import Booleans, Integers, Trial
 

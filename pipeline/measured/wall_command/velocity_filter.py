@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.compiled import compiled
 from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
-from pipeline.measured.law.log_rows import SET_DIGITS
+from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.records.trials import Booleans, Floats
 
 HIGHEST_ORDER = 4

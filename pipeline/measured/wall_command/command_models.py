@@ -12,17 +12,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.measured.law.log_rows import GRID, PLATEAU, LogRows, hidden_rows, is_equal
-from pipeline.measured.law.velocity_filter import (
+from pipeline.measured.signal.edge import BENT
+from pipeline.measured.signal.response import SETTLED_SAMPLES
+from pipeline.measured.student import ROUNDING
+from pipeline.measured.wall_command.log_rows import GRID, PLATEAU, LogRows, hidden_rows, is_equal
+from pipeline.measured.wall_command.velocity_filter import (
     LONGEST_WINDOW,
     VelocityFilterFound,
     filtered,
     find_filter,
     least_squares,
 )
-from pipeline.measured.signal.edge import BENT
-from pipeline.measured.signal.response import SETTLED_SAMPLES
-from pipeline.measured.student import ROUNDING
 from pipeline.records.trials import Booleans, Floats
 
 LONGEST_RAMP = 0.25
