@@ -307,7 +307,7 @@ def run_trial(
     wall : K, B, depth, side
         Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], depth of the first position in the wall, and the sign of the
         depth at which a one-sided wall pushes; 0 for a wall of both sides.
-    signals : external, push, noise, held, slots
+    signals : external, push, noise, repeats, slots
         For each row: external force in the command, force on the device in addition to the command [N, Nm], noise of
         the reading [m, rad], whether the sensor repeats its reading; and for each part of the interval behind the row
         (parts, rows) the row of the command in force, counted from 1. 0 is that before the first row.

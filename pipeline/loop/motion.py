@@ -48,7 +48,7 @@ class FrictionalMotion:
     Notes
     -----
     The state has a row a quantity, a column a trial: displacement [m, rad] and velocity of the motor, then of the load,
-    then the actuator's force. Rates and motions are of z: state, command, additional force, direction of friction.
+    then the actuator's force. Rates and motions are of z: the state, command, force in addition, direction of friction.
 
     Examples
     --------
@@ -88,7 +88,7 @@ class FrictionalMotion:
         return np.outer(_of_motor_and_load(self.plant).at_rest, command)
 
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
-        """Return the state after a time [s] under a constant command, and an additional force without lag [N, Nm]."""
+        """Return the state after a time [s] under a constant command, and a further force without lag [N, Nm]."""
         n = self.states
         z = np.zeros((state.shape[1], n + 3))
         z[:, :n], z[:, n], z[:, n + 1] = state.T, command, push

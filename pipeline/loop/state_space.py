@@ -17,8 +17,9 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.device.loop import Loop
 
 LEAST_RATIO = 1e-12
-"""Damping ratio used for an undamped mode: without loss the device's zeros lie on the unit circle, and the crossings
-next to them are closer than doubles separate. It moves a limit by less than 1e-9, a pole by less than its rounding."""
+"""Damping ratio of a mode without any: without loss the device's zeros lie on the unit circle, and the crossings
+next to them are closer than doubles separate.
+It moves a limit by less than 1e-9 of it, a pole by less than its rounding."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class StateSpace:
     sensor : ndarray, shape (n,)
         Row of the position that is read.
     at_rest : ndarray, shape (n,)
-        State per unit of a force that the actuator has long exerted on a fixed device.
+        State per unit of a force that the actuator has long exerted while the device cannot move.
     mechanical : int
         Number of states of the mechanics, which come first; the others are those of the actuator.
     """

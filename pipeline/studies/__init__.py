@@ -1,1 +1,1 @@
-"""Studies of the package itself: the tables of the thesis recomputed, and error against run time."""
+"""Studies by the package of itself: the tables of the thesis recomputed, and error against run time."""

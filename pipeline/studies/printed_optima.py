@@ -1,4 +1,4 @@
-"""Tables D.1 to D.6: the printed rows of theory recomputed, and the deviation of printed measurements from theory.
+"""Tables D.1 to D.6: the printed rows of theory recomputed, and how far the printed measurements are from theory.
 
 No logs are needed. Marks are those of `pipeline.studies.thesis_tables`.
 

@@ -54,7 +54,7 @@ _NEAR = 5e-5
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
 """What stands behind a computed number."""
 
-LEGEND = "~ within one unit of the last printed digit, or as explained below; ! erratum; ? unexplained"
+LEGEND = "~ within one unit of the last printed digit, or as stated below; ! erratum; ? unexplained"
 
 _MORE = 2
 """Digits of a computed number beyond the printed ones: enough to see how it rounds."""
@@ -201,7 +201,7 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
 
 
 def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Yield recomputed tables in the requested order: name, number of rows, and its rows as they are finished.
+    """Yield recomputed tables, in the order asked for: name, number of rows, and its rows as they are finished.
 
     Raises
     ------
@@ -272,7 +272,7 @@ def summary_line(rows: Sequence[TheoryRow]) -> str:
 
 
 def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
-    """Return rows and counts as a JSON document."""
+    """Return rows and counts as a document that JSON can store."""
     return {
         "marks": list(MARKS),
         "tolerances": {

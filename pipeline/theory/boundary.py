@@ -38,7 +38,7 @@ _ASIDE = 1e-12
 """Relative distance from a corner to both sides at which limits are taken."""
 
 _MOST_CORNERS = 8
-"""Corners between two neighbours that are told apart; more than one is rare."""
+"""Corners between two neighbours that are separated; more than one is rare."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class Outline:
     alpha_max, beta_at_alpha_max : float
         The stiffest wall of all, islands left out; nan where there is none.
     ends : tuple of float
-        Infimum and supremum of beta, to the last bit, where a limit can only be told beside it.
+        Infimum and supremum of beta, to the last bit, where a limit is only defined next to it.
     """
 
     beta: Floats
@@ -115,7 +115,7 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
     exact : bool
         Whether crossings are polished in many digits; those of doubles else.
     floor : float
-        Softest wall, -gamma to 0: intervals that begin there, or hold it, are no islands; none below it counts.
+        Softest wall, -gamma to 0: intervals that begin there, or contain it, are no islands; none below it counts.
     """
     found = stable_intervals(loop, beta)
     above = np.flatnonzero(found.high > floor)
@@ -140,7 +140,7 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
     loop : NormalisedLoop
     points : int
         Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
-        every corner and jump come beside these.
+        every corner and jump are added.
     floor : float
         As of `limits`.
 
@@ -154,7 +154,7 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
     levels = np.unique(np.append(nodes, marks))
     islands = limits(loop, levels, exact=False, floor=floor).islands
-    # what holds in the middle of a gap holds all over it
+    # the middle of a gap decides for all of it
     holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
     inside = np.concatenate([[False], holds, [False]])
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
@@ -225,7 +225,7 @@ class Boundary:
     ----------
     alpha, beta, theta : float64, shape (n,)
         Points in order of beta, then back along what bounds the region from below; nan between separate regions. The
-        angle is that of the pole that leaves the unit circle there, nan where it is not told.
+        angle is that of the pole that leaves the unit circle there, nan where it is unknown.
     alpha_max, beta_at_alpha_max : float
         Largest stable alpha and its beta, islands left out here and below.
     beta_max, alpha_at_beta_max : float
@@ -294,9 +294,9 @@ def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
     peak_at = np.log(turns[:1])
     place = np.append(np.sort(np.append(place, peak_at)), first.end)
     p, peak = circle_points(loop, place), circle_points(loop, peak_at)
-    p.alpha[-1] = 0.0 - loop.gamma  # by definition of the end
-    ends = float(p.beta[-1]), float(p.alpha[-1]), first.start
-    return Boundary(p.alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
+    alpha = np.append(p.alpha[:-1], 0.0 - loop.gamma)  # by definition of the end
+    ends = float(p.beta[-1]), float(alpha[-1]), first.start
+    return Boundary(alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
 
 
 def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
@@ -426,7 +426,7 @@ _ROUNDS = 4
 """Rounds that look closer around the worst spring of each beta."""
 
 _FINER = 8
-"""New springs in each gap beside a worst one, per round: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
+"""New springs per round in each gap next to a worst one: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
 
 
 _POINTS = 40
@@ -572,7 +572,7 @@ def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> fl
 
     Notes
     -----
-    Sufficient, not necessary: nothing is said of stiffer walls.
+    Sufficient, not necessary: stiffer walls are not judged.
 
     Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
     """

@@ -57,15 +57,15 @@ LARGEST = 1e200
 
 @dataclass(frozen=True)
 class Case:
-    """A loop as documents tell of it.
+    """A loop with the units and names of its documents.
 
     Parameters
     ----------
     loop : NormalisedLoop
     units : LoopUnits, optional
-        Of the wall, where it is told in SI.
+        Of the wall, where it is given in SI.
     names : dict
-        What else is said of the loop; without units its normalised parameters.
+        Further entries of every document; without units the normalised parameters.
     motion : {"translation", "rotation"}, optional
         Of a device: decides the units that files name.
     """
@@ -385,7 +385,7 @@ def robust_boundary(case: Case) -> Boundary:
     alpha, beta, _ = robust_outline(loop.delta, loop.delay)
     if not len(alpha):
         raise ParameterError(
-            "no wall is stable with every spring where the device has no damping of its own (delta = 0, 4.3.3). State "
+            "no wall is stable with every spring where the device has no damping (delta = 0, 4.3.3). State "
             "the damping of the device."
         )
     best, last = int(np.argmax(alpha)), int(np.argmax(beta))

@@ -160,7 +160,7 @@ class MapBlock:
 
 
 AXES = ("alpha", "beta")
-"""Names of the columns that tell a point of a map."""
+"""Names of the columns of a point of a map."""
 
 
 @dataclass(frozen=True)

@@ -67,12 +67,6 @@ _TOGETHER = 1e-13
 _NOISE_DIGITS = 20
 """Last digits of the coefficients that are rounding, relative to the largest."""
 
-_ROUNDED = Decimal("1e-18")
-"""Relative width of a bracket below the rounding of a double."""
-
-_INSET = Decimal("1e-40")
-"""Share of a bracket at which the sign next to its ends is taken: an end may be another root."""
-
 
 # --- roots of a polynomial -------------------------------------------------------------------------------------------
 
@@ -288,7 +282,7 @@ def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, in
 
 
 def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
-    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or there are one or none."""
+    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or roots are one place."""
     scale, degree = Decimal(10) ** digits, len(polynomial) - 1
     whole, (deepest, finest) = [int(c * scale) for c in polynomial], _EXACT_HALVINGS
     chances, found = [math.comb(degree, k) for k in range(degree + 1)], []
@@ -306,8 +300,8 @@ def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, in
         roots = _isolated(np.array([values, EPSILON * np.abs(values) + FLOOR]), float(low), float(width))
         if roots is not None:
             found += _sharpened([Decimal(c) for c in whole], roots)
-        elif changes == 1 or depth == deepest or place.bit_length() > finest:
-            found.append((float(_refined(as_exact(whole), low, low + width, changes)), changes))
+        elif depth == deepest or place.bit_length() > finest:
+            found.append((float(low + width / 2), changes))
         else:
             left = [c << (degree - k) for k, c in enumerate(p)]
             waiting += [(left, depth + 1, 2 * place), (_shifted(left), depth + 1, 2 * place + 1)]
@@ -321,28 +315,6 @@ def _shifted(polynomial: list[int]) -> list[int]:
         rest = list(accumulate(rest))
         result.append(rest.pop())
     return result
-
-
-def _refined(polynomial: Digits, low: Decimal, high: Decimal, multiplicity: int) -> Decimal:
-    """Return the root between two places: false position, halved in turn, where they differ in sign."""
-    if multiplicity % 2 == 0:
-        return _between(low, high)
-    inset = (high - low) * _INSET
-    at_low, at_high = (polyval(end, polynomial) for end in (low + inset, high - inset))
-    for step in range(MAX_STEPS):
-        middle = (low * at_high - high * at_low) / (at_high - at_low) if step % 3 else _between(low, high)
-        there = polyval(middle, polynomial)
-        if (there > 0) == (at_low > 0):
-            low, at_low, at_high = middle, there, at_high / 2
-        else:
-            high, at_high, at_low = middle, there, at_low / 2
-        if high - low <= _ROUNDED * high or there == 0:
-            break
-    return middle
-
-
-def _between(low: Decimal, high: Decimal) -> Decimal:
-    return (low * high).sqrt() if low > 0 else high / 8
 
 
 def bisect(

@@ -37,7 +37,7 @@ _STEP_LOOK = 121
 many points missed a sample in 170 (found by a search along random lines)."""
 
 _STEP_LEVELS = 12
-"""0.35^12 = 3e-6 of a first step: it decides whether a number of samples can be had, not where a corner is."""
+"""0.35^12 = 3e-6 of a first step: it decides whether a number of samples is possible, not where a corner is."""
 
 _LINE = 1e-9
 """Distance from alpha = -gamma, relative to a line, that stands for the limit on it."""
@@ -135,7 +135,7 @@ class _Lines:
     stiffness_given: bool
 
     def cost(self, cost: Callable[..., Floats], *of_line: Floats) -> LineCost:
-        """Cost along the lines, infinity where not stable; of points and of what each line has of its own."""
+        """Cost along the lines, infinity where not stable; of points and of further values of each line."""
         guarded = where_stable(self.loop, cost)
 
         def along(line: Integers, place: Floats, best: float) -> Floats:
@@ -151,7 +151,7 @@ class _Lines:
         return _Lines(self.loop, self.given[which], self.low[which], self.high[which], self.stiffness_given)
 
     def late_deviation(self, first: Floats) -> LineCost:
-        """Largest deviation from a sample on, a number of its own for each line."""
+        """Largest deviation from a sample on, which differs between lines."""
         decided = int(_DECIDED * (self.loop.delay + 1))
 
         def deviation(alpha: Floats, beta: Floats, _: float, begin: Floats) -> Floats:
@@ -259,7 +259,7 @@ def _impulse(lines: _Lines, criterion: str) -> Floats:
 def _steps(lines: _Lines, criterion: str) -> Floats:
     """Discrete settling time: each line's number of samples is lowered as long as a place with one less exists.
 
-    A number of samples n can be had on a line where the largest deviation from sample n on, a continuous function of
+    A number of samples n is possible on a line where the largest deviation from sample n on, a continuous function of
     the place, can be brought into the band.
     """
     band = band_of(criterion)

@@ -12,8 +12,8 @@ bound all that is to come, in three steps.
    overshoot it is followed for as long as the sum of the modes that can exceed the final position exceeds the peak.
 
 Deviations are relative to the final displacement, times in samples. A response that needs more samples than the limit
-ends with a status, not with a number. ``course`` is the motion over a sampling interval (`motion.courses`), ``first``
-the first three own states, which a march keeps in registers: the sensed position, its velocity and the last sample.
+ends with a status, not with a number. ``interval`` is the motion over a sampling interval (`motion.interval_motion`),
+``first`` the first three own states, which a march keeps in registers: sensed position, velocity and last sample.
 ``state`` has a row for each mode: its own states and the wall's forces of the last samples, newest first, at sample 0;
 ``view`` is set by `outlook`.
 """
@@ -33,7 +33,7 @@ Three = tuple[float, float, float]
 Forces = tuple[float, float]
 """The older and the newer force that act in an interval."""
 
-COURSE = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
+INTERVAL = "Tuple((f8[:,::1],f8[:,::1],f8[:,:,::1],f8[:,::1]))"
 WALLS = "Tuple((f8[::1],f8[::1],f8[:,::1],f8[:,::1],f8[::1],c16[::1]))"
 BODY = "UniTuple(f8[::1],4)"
 MODAL = "Tuple((f8[::1],f8[:,:,::1],f8[:,::1],f8[:,::1],f8[:,::1],f8[:,::1]))"
@@ -194,14 +194,14 @@ def passing(curve: Floats, level: float) -> float:
 
 @part
 def march(
-    course: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
+    interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
 ) -> tuple[int, int]:
     """Follow a response from a sample up to another, unless it comes to rest before; return where and how it ended.
 
     Parameters
     ----------
-    course : tuple
-        Of `courses`.
+    interval : tuple
+        Of `interval_motion`.
     body : tuple
         Own states ``z``; delayed forces ``line``, that of sample k at k modulo the delay; two arrays that are used; of
         all walls the rows of their laws, and the levers of own states on the position; the number of this wall; and
@@ -209,7 +209,7 @@ def march(
     notes : tuple
         For each band the last sample outside (``settled``) and the interval, piece and start of the last passing into
         it (``entry``); largest deviation between samples and of samples (``peak``); samples for which all motion was
-        small beside the bands, and beside the peak too (``calm``).
+        small compared with the bands, and with the peak too (``calm``).
     span : tuple of int
         The two samples, the first of the bands that are looked at, and that behind the last.
     asked : tuple
@@ -218,10 +218,10 @@ def march(
 
     Notes
     -----
-    At one sample alone all states of the device may be small while a delayed force or a filter holds what is to come:
+    At one sample alone all states of the device may be small while a delayed force or a filter stores future motion:
     a response is at rest when all motion was small for as long as the loop remembers.
     """
-    step, ends, curves, timing = course
+    step, ends, curves, timing = interval
     z, line, moved, curve, laws, levers, n, _, _ = body
     settled, entry, peak, calm = notes
     bands, swings, between, memory, share, floor, cutoff = asked
@@ -413,7 +413,7 @@ def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats
 
 
 @inlined
-def told(state: Floats, start: Floats) -> bool:
+def are_complete(state: Floats, start: Floats) -> bool:
     """Return whether modes make up the state at sample 0, and are no larger than what does not cancel."""
     largest, off, sizes, size = 0.0, 0.0, 0.0, 0.0
     for i in range(len(start)):
@@ -557,7 +557,7 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
 
 @inlined
-def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float) -> bool:
+def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float) -> bool:
     """Follow a response into a band before its end, known from modes; return whether it is not too far before it.
 
     One that is outside the band at the cutoff is not followed.
@@ -582,7 +582,7 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
         if abs(z[0]) > asked[0][b]:
             settled[b] = first
         calm[0] = calm[1] = 0.0
-        march(course, body, notes, (first, last, b, b + 1), asked)
+        march(interval, body, notes, (first, last, b, b + 1), asked)
         if settled[b] >= first or first <= since:
             return True
         last, window = first, 2 * window
@@ -590,7 +590,7 @@ def settle(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Ar
 
 
 @inlined
-def climb(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
+def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
     """Follow a response for so long as it may exceed its peak; return whether it cannot any more.
 
     ``ahead`` as of `settle`: also the samples that it is followed for.
@@ -609,23 +609,23 @@ def climb(course: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arr
             k, last = k + int(free), last + int(free)
             moved_to(k, state, view, body)
         calm[0] = calm[1] = 0.0
-        k, how = march(course, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), asked)
+        k, how = march(interval, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), asked)
         if how == STILL:
             return True
     return False
 
 
 @compiled(
-    f"void({COURSE},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[:,::1],c16[:,:,::1])),"
+    f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[:,::1],c16[:,:,::1])),"
     f"Tuple((f8[:,::1],i8[::1],{WORK})))"
 )
-def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, given: Arrays, out: Arrays) -> None:
+def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, given: Arrays, out: Arrays) -> None:
     """Compute settling times and overshoots of step responses.
 
     Parameters
     ----------
-    course, modal : tuple
-        Of `courses` and `polynomials`.
+    interval, modal : tuple
+        Of `interval_motion` and `polynomials`.
     walls : tuple
         Of `_walls`.
     asked : tuple
@@ -638,7 +638,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
         Costs, shape (n, 2 bands + 2), which are set: of the samples and of the motion, each settling times and then the
         overshoot; what is known, shape (n,); and arrays of `_work`.
     """
-    _, _, curves, timing = course
+    _, _, curves, timing = interval
     alpha, beta, laws, levers, start, guess = walls
     rule, (longest, looked, reproduced) = asked
     _, swings, between, memory, _, _, _ = rule
@@ -656,7 +656,7 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
             settled[b], entry[b, 0] = 0.0, math.nan
         peak[0] = peak[1] = calm[0] = calm[1] = 0.0
         status[n], known, fades, tried, modes, k, how = KNOWN, False, False, False, states, 0, MOVING
-        k, how = march(course, body, notes, (k, min(looked, longest), 0, count), rule)
+        k, how = march(interval, body, notes, (k, min(looked, longest), 0, count), rule)
         while how == MOVING:
             if not tried:
                 if len(given[0]):
@@ -673,14 +673,14 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
                     modes = upper_half(pole)
                     shapes(modal, wall, initial, pole[:modes], state)
                 tried = True
-                fades = modes > 0 and told(state[:modes], initial)
+                fades = modes > 0 and are_complete(state[:modes], initial)
                 if not fades and status[n] == NO_MODES:
                     break
                 status[n], fades = KNOWN, fades and outlook(laws, n, modal[5], pole, state[:modes], view)
             known = fades and agrees(state[:modes], view[:modes], body, k, reproduced)
             if known or k >= longest:
                 break
-            k, how = march(course, body, notes, (k, min(2 * k, longest), 0, count), rule)
+            k, how = march(interval, body, notes, (k, min(2 * k, longest), 0, count), rule)
         if known:
             copy(z, begun)
             copy(line, begun_line)
@@ -688,25 +688,25 @@ def step_costs(course: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, give
             status[n] = UNFINISHED if how == MOVING and calm[0] > memory else UNSETTLED | UNFINISHED
         ahead = (state[:modes], view[:modes], k, longest)
         for b in range(count):
-            met = settle(course, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
+            met = settle(interval, body, notes, ahead, later, b, rule[6]) if known else not status[n] & UNSETTLED
             costs[n, b], costs[n, count + 1 + b] = settled[b] + 1 if met else math.nan, math.nan
             if between and met and entry[b, 0] >= 0:
                 j = int(entry[b, 1])
                 curve_of(curves, j, entry[b, 5:], (entry[b, 3], entry[b, 4]), curve)
                 costs[n, count + 1 + b] = entry[b, 0] + timing[0, j] + passing(curve, entry[b, 2]) * timing[1, j]
-        if known and swings and not climb(course, body, notes, ahead, later):
+        if known and swings and not climb(interval, body, notes, ahead, later):
             status[n] |= UNFINISHED
         costs[n, count], costs[n, 2 * count + 1] = peak[1], max(peak[0], peak[1])
 
 
-@compiled(f"void({COURSE},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
-def late_deviations(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, largest: Floats) -> None:
+@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
+def late_deviations(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, largest: Floats) -> None:
     """Set the largest deviation of the samples of each response from one on.
 
     ``asked``: these samples, shape (n,), the last one, what the loop remembers, and the share of the largest deviation
     below which all motion has to stay for so long.
     """
-    step, _, _, _ = course
+    step, _, _, _ = interval
     alpha, _, laws, levers, start, _ = walls
     since, longest, memory, share = asked
     z, line, moved, _ = body
@@ -725,13 +725,13 @@ def late_deviations(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, 
             calm = calm + 1 if k >= since[n] and max(size, place) <= share * largest[n] else 0
 
 
-@compiled(f"void({COURSE},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
-def rises(course: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floats) -> None:
+@compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
+def rises(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floats) -> None:
     """Set when each response first reaches levels below zero, shape (2, levels, n): the motion, and samples by lines.
 
     ``asked``: levels, the last sample, and whether the motion between samples is asked for.
     """
-    step, ends, curves, timing = course
+    step, ends, curves, timing = interval
     alpha, _, laws, _, start, _ = walls
     levels, longest, between = asked
     z, line, moved, curve = body

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.loop.many_digits import as_exact, as_floats, many_digits, resolvent
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
-from pipeline.theory.motion import DEGREE, courses, own_basis
+from pipeline.theory.motion import DEGREE, interval_motion, own_basis
 
 Complexes = NDArray[np.complex128]
 
@@ -64,7 +64,7 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
         Of the position over all pieces: it lies between the least and the largest of them (Bernstein).
     """
     steps, n = loop.own, len(loop.own.free)
-    curves = courses(loop, True)[2]
+    curves = interval_motion(loop, True)[2]
     # of a higher degree, whose coefficients lie nearer to the curve
     rows, powers = range(DEGREE + 1), range(curves.shape[1])
     change = np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in powers] for j in rows])

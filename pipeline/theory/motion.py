@@ -1,7 +1,7 @@
 """Motion of a device between samples: polynomials over pieces of a sampling interval.
 
-A piece is short beside the oscillations of the device, and pieces halve towards the start of a segment, where a fast
-lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
+A piece is short compared with the oscillations of the device, and pieces halve towards the start of a segment, where a
+fast lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def _through(values: Digits) -> Digits:
 
 
 @lru_cache(maxsize=64)
-def courses(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
+def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
     """Return the motion over a sampling interval, from own states and two forces, as a march takes it.
 
     Own states are those without delayed forces, in the basis of `own_basis`. The wall's forces in an interval are the
@@ -228,7 +228,7 @@ def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
 
 
 _MOST_POINTS = 1 << 22
-"""Points of one response; more would take seconds and tell nothing."""
+"""Points of one response; more would take seconds."""
 
 
 def response(

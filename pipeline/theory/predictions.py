@@ -222,4 +222,4 @@ class Predictions:
         try:
             return {} if data is None else _Kept.model_validate_json(data).optima
         except ValueError:
-            return {}  # not in this form: it is computed anew
+            return {}  # not in this form: it is recomputed

@@ -14,7 +14,7 @@ from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, crit
 from pipeline.theory.optimum import scaling_factor
 
 COST_OF_DELAY = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY))
-"""Criteria whose optimal cost is a power of the delay (Table 5.1); of poles it is the settling time that they tell."""
+"""Criteria whose optimal cost is a power of the delay (Table 5.1); of poles the settling time that they predict."""
 
 WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
 """Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them."""
@@ -65,7 +65,7 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
 
     Notes
     -----
-    To 1 % it holds from two samples of delay on, where sampling costs as much as one sample more. The time from
+    It is valid to 1 % from two samples of delay on, where sampling costs as much as one sample more. The time from
     command to force, and one sampling period, must together stay below 20 % of a wanted settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.

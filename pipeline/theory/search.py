@@ -47,8 +47,8 @@ SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=2)
 """For costs that are smooth and have few minima: a mode may bring a second."""
 
 JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
-"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed. A valley
-ends in a cliff along a curve, on which many corners lie: only the floors of lines across it tell which is lowest."""
+"""For costs with jumps: a corner must contain grid points at every scale, and a better valley must not be missed. A
+valley ends in a cliff along a curve, on which many corners lie: only floors of lines across it show the lowest."""
 
 SHRINK = 0.45
 """Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
@@ -65,7 +65,7 @@ _SOFTEST = 0.0005
 
 
 _LINES = 11
-"""Lines of each look closer at the floors beside the best one."""
+"""Lines of each look closer at the floors next to the best one."""
 
 _NARROWER = 0.25
 """Way that they cover, relative to the look before: 2.5 lines of it."""
@@ -74,10 +74,10 @@ _REACH = 8
 """Cells of the first look along a line over which floors wander from one line to the next."""
 
 _NEAR_BEST = 1.1
-"""Cost of a place, beside that of the best, up to which it is looked at to the end, which gains less."""
+"""Cost of a place, relative to that of the best, up to which it is looked at to the end, which gains less."""
 
 _DEAR = 2.0
-"""Cost, beside the least known, from which on the floor of a line need not be known."""
+"""Cost, relative to the least known, from which on the floor of a line need not be known."""
 
 
 def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
@@ -254,7 +254,7 @@ def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Float
 def _closer_look(
     landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: float, starts: Starts
 ) -> Starts:
-    """Return the lowest floors of lines beside each start, of all together, and look at less around them."""
+    """Return the lowest floors of lines next to each start, of all together, and look at less around them."""
     ways = starts.way[:, None] + starts.half[:, 1:] * np.linspace(-1, 1, _LINES)
     begin, end = (np.clip(starts.root + side * _REACH * cell, corners[0][0], corners[1][0]) for side in (-1, 1))
     floors = search_lines(
@@ -398,7 +398,7 @@ def search_lines(
     coarse, starts, levels : int
         Points of the first look, dips that are followed, and looks at each.
     dear : float, optional
-        Cost, beside the least of all lines and the one that is known, from which on that of a line need not be known.
+        Cost, relative to the least of all lines and the one that is known, from which on a line's need not be known.
     known : float
     """
     lines = len(low)

@@ -1,7 +1,7 @@
 """Settling time, overshoot and rise time of the step response, from the exact motion between samples.
 
 Each response is followed alone, until nothing that is asked for can change any more (`march`). One that is slow is
-followed for some samples, after which its modes tell when it is inside a band for good, and whether it may still rise
+followed for some samples, after which its modes show when it is inside a band for good, and whether it may still rise
 above its peak: it is moved there (`modes`). A device's motion is small only where all its states are, so that a beat's
 silence is not taken for its end.
 """
@@ -18,7 +18,7 @@ from pipeline.records.criteria import DISCRETE, OVERSHOOT
 from pipeline.records.trials import Floats, Integers
 from pipeline.theory import march, modes
 from pipeline.theory.march import Arrays
-from pipeline.theory.motion import courses, own_basis
+from pipeline.theory.motion import interval_motion, own_basis
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -67,9 +67,9 @@ def transient_costs(
     overshoot : bool
         Whether the overshoot is asked for; without it responses are followed only until they have settled.
     continuous : bool
-        Whether the motion between samples is asked for, besides the samples.
+        Whether the motion between samples is asked for, in addition to the samples.
     longest : int
-        Samples after which a point that still moves, and of which its modes tell nothing, gets no result.
+        Samples after which a point that still moves, and of which its modes show nothing, gets no result.
     quiet : float
         Deviation below which a response without overshoot so far is no longer followed; a map that is only drawn
         does not need the default.
@@ -108,7 +108,7 @@ def transient_costs(
 def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
     """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
 
-    A discrete settling time of at most ``first`` can be had where this lies inside the band; unlike the settling time
+    A discrete settling time of at most ``first`` is possible where this lies inside the band; unlike the settling time
     it is continuous in alpha and beta.
 
     Parameters
@@ -123,8 +123,8 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
     """
     a, b = as_points(alpha, beta)
     largest, since = np.empty(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape).copy()
-    course, asked = courses(loop, False), (since, longest, _memory(loop), _FADED)
-    march.late_deviations(course, _walls(loop, a, b), asked, _work(loop, course, 0)[0][:4], largest)
+    interval, asked = interval_motion(loop, False), (since, longest, _memory(loop), _FADED)
+    march.late_deviations(interval, _walls(loop, a, b), asked, _work(loop, interval, 0)[0][:4], largest)
     return largest
 
 
@@ -136,8 +136,8 @@ def first_reached(
     First of the exact motion (nan where that is not asked for, ``between``), then of its samples joined by lines.
     """
     time = np.empty((2, len(levels), len(alpha)))
-    course, asked = courses(loop, between), (np.array(levels), longest, between)
-    march.rises(course, _walls(loop, alpha, beta), asked, _work(loop, course, 0)[0][:4], time)
+    interval, asked = interval_motion(loop, between), (np.array(levels), longest, between)
+    march.rises(interval, _walls(loop, alpha, beta), asked, _work(loop, interval, 0)[0][:4], time)
     return time[0], time[1]
 
 
@@ -146,9 +146,9 @@ def _followed(
 ) -> tuple[Floats, Integers]:
     """Return costs and status of responses, as `march.step_costs` sets them, by a rule of a march."""
     alpha, beta = walls
-    course, count = courses(loop, rule[2]), len(rule[0])
+    interval, count = interval_motion(loop, rule[2]), len(rule[0])
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
-    work, together = _work(loop, course, count), max(1, _ENTRIES // loop.states**2)
+    work, together = _work(loop, interval, count), max(1, _ENTRIES // loop.states**2)
     asked = rule, (longest, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
     parts, by_eigenvectors = [np.arange(len(alpha))], False
     while parts:
@@ -156,7 +156,7 @@ def _followed(
             given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
             results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
             with np.errstate(all="ignore"):  # modes that are no numbers show nothing
-                march.step_costs(course, modes.polynomials(loop), of_part, asked, given, (*results, *work))
+                march.step_costs(interval, modes.polynomials(loop), of_part, asked, given, (*results, *work))
             costs[part], status[part] = results
         unknown = np.flatnonzero(status == march.NO_MODES)
         parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
@@ -172,11 +172,11 @@ def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
     return alpha, beta, laws, _levers(loop, alpha), start, guess
 
 
-def _work(loop: NormalisedLoop, course: Arrays, count: int) -> Arrays:
+def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
     """Return arrays that are used for each point: of the march, what is noted, and of the modes."""
     n, delay = loop.states, loop.oldest_force
     own = n - delay
-    marched = tuple(np.zeros(size) for size in (own, delay, own, course[2].shape[1], own, delay))
+    marched = tuple(np.zeros(size) for size in (own, delay, own, interval[2].shape[1], own, delay))
     notes = np.zeros(count), np.zeros((count, 5 + own)), np.zeros(2), np.zeros(2)
     complexes = *np.zeros((2, n), np.complex128), np.zeros((n, n), np.complex128)
     return marched, notes, (np.zeros(n), np.zeros(own + 1), *complexes, np.zeros((n, 7)))

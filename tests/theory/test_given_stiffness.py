@@ -85,7 +85,7 @@ def test_the_robust_boundary_of_a_command_is_that_of_python():
 
 
 def test_no_robust_boundary_without_damping_or_with_further_parts():
-    with pytest.raises(ParameterError, match="no damping of its own"):
+    with pytest.raises(ParameterError, match="the device has no damping"):
         robust_boundary(Case(NormalisedLoop.ideal(0.0, 0.0, 1.0)))
     falcon = load_device("falcon")
     lagged = falcon.model_copy(update={"loop": falcon.loop.model_copy(update={"actuator_lag_s": 0.003})})

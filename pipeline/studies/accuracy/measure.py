@@ -31,7 +31,7 @@ Values = dict[str, Floats]
 """Values or errors by quantity, shape (n,) each."""
 
 Summary = Callable[[Floats], tuple[float | None, float | None]]
-"""Summary of errors: the one that counts, and the share of missing values where it is reported."""
+"""What of the errors counts, and the share of missing values where it is given."""
 
 
 def largest(error: Floats) -> tuple[float | None, None]:

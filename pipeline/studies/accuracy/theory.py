@@ -247,7 +247,7 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
 def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
     """Costs of the samples over a grid, all criteria in a row."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
-    usable = axes[0] > 0  # at alpha = 0 the device has no equilibrium position
+    usable = axes[0] > 0  # at alpha = 0 the wall exerts no restoring force
     alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))
     at = np.array([row["j"] * usable.sum() + row["i"] - (~usable).sum() for row in known["rows"]])
     exact = {name: np.array([row[f"{name}_discrete"] for row in known["rows"]]) for name in COSTS.values()}
