@@ -28,7 +28,7 @@ def write_map(
     path : Path
     cost_map : CostMap
     progress : callable, optional
-        Told the points done and those in all after each block.
+        Called with (points done, points in all) after each block.
     points : int
         Points of a block, which becomes a row group: memory does not grow with the map.
 

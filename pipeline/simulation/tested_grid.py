@@ -28,7 +28,7 @@ class Grid:
 
 
 def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the walls that a course tests: as the device file says, and where it does not, over those that are stable.
+    """Return the walls that an experiment tests: as in the device file, else over the range of stable ones.
 
     Raises
     ------
