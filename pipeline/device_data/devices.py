@@ -29,7 +29,7 @@ SAMPLES, SAMPLES_OF_REST = 1000, 20
 """Length of a simulated trial, and rest before its step, where a device file says neither [samples]."""
 
 FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
-"""What stands in place of keys that device files had in earlier versions."""
+"""Replacements of keys of device files of earlier versions."""
 
 
 def known_devices() -> dict[str, Device]:
@@ -168,7 +168,7 @@ def read_device(path: Path) -> Device:
 
 
 def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return what a device file says, with what it may leave out."""
+    """Return the contents of a device file, completed by defaults."""
     full = {"name": name, **data}
     full = {"title": full["name"], **full}
     if "experiment" not in full:

@@ -37,7 +37,7 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
 
 
 def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of devices; its label ends with where its loop comes from (``by``)."""
+    """Return an entry for each experiment of devices; its label ends with the source of its loop (``by``)."""
     return [
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices

@@ -56,7 +56,7 @@ Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
 - ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the last grid.
 - ``bounds`` (2, R): between which the guard lies in its region; (2, 0) without friction.
 - ``force`` (n + 3,): force on the motor without friction.
-- The time [s], and whether the state oscillates so slowly that the ends alone show whether it may leave a region.
+- The time [s], and whether the motion is so slow that its end points show whether it may leave a region.
 
 All are products with z: the state, command, force in addition to it, direction of friction.
 """
@@ -102,7 +102,7 @@ def derivative(series: Floats) -> Floats:
 
 @inlined
 def last_zero(series: Floats, end: float) -> float:
-    """Return where a polynomial, not negative at 0 and negative at an end, becomes negative for good."""
+    """Return the last zero of a polynomial that is not negative at 0 and negative at ``end``."""
     slopes, low, high = derivative(series), 0.0, end
     # from the parabola through value and slope at 0 and value at the end
     first, rate = series[0], series[1] * end

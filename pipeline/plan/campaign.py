@@ -58,13 +58,13 @@ AGAIN = 3
 """Growth of the number of logs, as a factor, after which the parts of the device are selected again."""
 
 Look = Callable[[list[Recording]], ChosenParts | None]
-"""What looks for the parts of a device; None as long as that goes on."""
+"""Function that selects the parts of a device; it returns None while a selection is running."""
 
 SAME = 0.002
-"""Difference relative to the largest at which two dampings are one: a tenth of the usual accuracy of a limit."""
+"""Difference, relative to the largest damping, up to which two dampings count as one: a tenth of the usual accuracy."""
 
 AS_SET = 0.25
-"""Part of the distance of dampings by which a rig may set others in their place."""
+"""Share of the spacing of dampings by which the set damping may differ from the requested one."""
 
 START_ERROR = 0.1
 """Error of limits by the parameters of a device file, relative to the largest."""
@@ -73,7 +73,7 @@ NOT_IDENTIFIED = (
     "the logs do not identify a device: mass and force on it cannot be separated. Record the next wall, longer logs, "
     "or {}."
 )
-"""Reason where logs are usable, with what separates these."""
+"""Reason where logs are usable but do not identify a device, with the remedy."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -93,7 +93,7 @@ class LearntDevice:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What the planner is asked for; see `limits.Aim` for accuracy and gentleness.
+    """Options of a plan; see `next_wall.PlanGoal` for accuracy and gentleness.
 
     Parameters
     ----------
@@ -266,10 +266,10 @@ def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Dev
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are looked for: those named, else even ones of the range, or those tried.
+    """Return the dampings at which limits are wanted: the stated ones, else evenly spaced ones, or those tried.
 
-    Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near. For one that
-    the rig answered by another damping that counts.
+    Evenly spaced ones are moved to a near damping that was tried, or that the steps of the device file reach. A damping
+    that the rig replaced by another one is replaced here, too.
     """
     tried = np.unique(campaign.tried.damping)
     of_file = campaign.of_file
@@ -307,7 +307,7 @@ def damping_range(loop: Loop) -> Floats:
 
 
 def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
-    """Return dampings, in place of those that were not tried the nearest that was, where a rig may have set it."""
+    """Return the wanted dampings, each replaced by the nearest tried one if the rig may have set that instead."""
     if not len(tried) or len(wanted) < 2:
         return wanted
     nearest = tried[np.argmin(np.abs(tried[:, None] - wanted), axis=0)]
@@ -315,7 +315,7 @@ def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
 
 
 def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
-    """Return dampings, in place of those for which a rig set another that one, where it is near or was set twice."""
+    """Return the wanted dampings, replaced by those that the rig set instead if these are near or were set twice."""
     near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
     result = wanted.copy()
     for place, damping in enumerate(wanted.tolist()):
@@ -326,7 +326,7 @@ def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
 
 
 def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
-    """Return the trials with a damping that is next to a wanted one counted as that."""
+    """Return the trials, with dampings rounded to a wanted one next to them."""
     wanted = np.array(dampings)
     nearest = wanted[np.argmin(np.abs(tried.damping[:, None] - wanted), axis=1)] if len(tried) else tried.damping
     near = np.abs(nearest - tried.damping) <= SAME * float(wanted.max(initial=0.0))
@@ -334,9 +334,9 @@ def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
 
 
 def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits by the device that the logs show, for the step, else by its file.
+    """Return the limits predicted by the device identified from the logs, for the step, else by the device file.
 
-    None without both, and where the devices that the logs allow have limits too different to count as one.
+    None without either, and where the limits of the devices that the logs allow differ too much.
     """
     wall = np.array(dampings)
     if campaign.found is not None:

@@ -275,7 +275,7 @@ class NextTrial:
 
 @dataclass(frozen=True)
 class DampingState:
-    """One damping: what verdicts and forecast say of its limit, and the wall to try; None where it is done.
+    """One damping: its limit by verdicts and forecast, and the wall to try; None where it is done.
 
     ``estimate`` is None where it is unknown, ``split`` None where a wall is tried again. ``most`` is the stiffest
     wall that may be tried now.
@@ -291,7 +291,7 @@ class DampingState:
 
     @property
     def left(self) -> float:
-        """Trials that are expected until it is done."""
+        """Expected number of trials until this damping is done."""
         return self.split.trials if self.split else float(self.wall is not None)
 
 
@@ -312,7 +312,7 @@ class PlanState:
 def plan_state(
     tried: TriedWalls, goal: PlanGoal, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
 ) -> PlanState:
-    """Return what is known and left to do at each damping.
+    """Return the state of each damping: its limit, and the wall to try next.
 
     Parameters
     ----------
@@ -363,7 +363,7 @@ def plan_state(
 
 
 def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState:
-    """Return a column with a wall that the rig sets; without one where it sets none inside the bracket."""
+    """Return the state with a wall that the rig can set; without a wall where none is inside the bracket."""
     of = column.bracket
     if column.note == "limit of the tests" and (goal.highest == rig.highest or 0 < goal.lowest == rig.lowest):
         return replace(column, note="step of the rig")
@@ -410,10 +410,10 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
 
 
 def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
-    """Return a forecast with what it missed so far.
+    """Return a forecast, corrected by its errors so far.
 
-    What it misses at dampings with both ends of a bracket, shape (n, 2), is carried on to their neighbours as a random
-    function of the damping (kriging) with the misfit as standard deviation and `SMOOTH` of the range as length.
+    Its errors at dampings with both ends of a bracket, shape (n, 2), are interpolated by a Gaussian process over the
+    damping (kriging), with the misfit as standard deviation and `SMOOTH` of the range as length.
     """
     low, high = ends.T
     largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any size where all are none
@@ -568,7 +568,7 @@ def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = F
 
 
 def _longer(damping: float, of: Bracket, inside: TriedWalls) -> DampingState:
-    """Return that the softest of some undecided walls is to be tried again with a longer log."""
+    """Return the state that asks for the softest undecided wall again, with a longer log."""
     return DampingState(damping, of, None, None, float(inside.stiffness.min()), "longer")
 
 
@@ -597,7 +597,7 @@ def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool)
 def answers(
     own: TriedWalls, of: Bracket, everywhere: Floats, *, gentle: bool = False
 ) -> Literal["", "middle", "softer", "step of the rig"]:
-    """Return how a rig seems to answer that was asked for walls inside a bracket.
+    """Return how a rig seems to respond to requests for walls inside a bracket.
 
     Parameters
     ----------
@@ -654,7 +654,7 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
 
 
 def chances(edges: Floats, limit: float, error: float) -> Floats:
-    """Return the chance that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
+    """Return the probability that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
     from scipy.special import ndtr
 
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
@@ -722,7 +722,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
 
 
 def order(columns: tuple[DampingState, ...]) -> list[int]:
-    """Return places of dampings that are left, in the order in which to try them.
+    """Return the indices of dampings that are not done, in the order in which to try them.
 
     Contradictions first; then dampings that were begun, the nearest to its end first; then those farthest from all
     that were tried, where the device is learnt best. Undecided walls that need longer logs are last, unless no trial

@@ -1,4 +1,4 @@
-"""Reads what is stored of an experiment and says which walls to try next."""
+"""Plan of the next walls for an experiment, from its stored trials."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ MOST_MISFIT = 0.2
 
 
 class PlannedWall(Record):
-    """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], what it is expected to show, and why it is asked for."""
+    """A wall to try: K [N/m, Nm/rad], B [Ns/m, Nms/rad], the expected verdict, and the reason."""
 
     stiffness: float
     damping: float
@@ -109,7 +109,7 @@ class BestWall(Record):
 
 
 class Plan(Record):
-    """What to try next, whether that is all, what is known, and how many trials it took and will take.
+    """A plan: the next walls, whether the campaign is done, the limits so far, and the numbers of trials.
 
     ``remarks`` are sentences on the basis of the plan. ``left_out`` names parts of the device file that its limits do
     not include, as long as the plan uses these limits.

@@ -41,7 +41,7 @@ ELSEWHERE = 1e-5
 written: the place of a flat optimum is known to the root of the precision, and what is left of a difference to less."""
 
 NOTHING = 1e-9
-"""Numbers below which all count as zero in such a report: growth of 2e-13 1/s, say, is what rounding left of none."""
+"""Numbers below this count as zero in such a report: a growth of 2e-13 1/s, for example, is rounding."""
 
 MOST_CHARACTERS = 200
 """Characters of a part that are quoted."""

@@ -33,7 +33,7 @@ class WallFilter:
     sentence : str
         What it is, or why it is not known.
     left_out : bool
-        Whether the logs show another velocity than the plain difference that a linear loop cannot have.
+        Whether the logs show an adaptive velocity filter, which a linear loop cannot include.
     """
 
     velocity: VelocityFilter | None

@@ -71,7 +71,7 @@ class LoopBasis:
         return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
 
     def interval(self, name: str) -> Interval:
-        """Return a number with its 95 % interval; that of a file reaches to what the logs show."""
+        """Return a number with its 95 % interval; the interval of a file's number extends to the logs' estimate."""
         by_logs = self.identified.interval(name) if self.identified else None
         if self.nominal is None:
             assert by_logs is not None, "a loop is identified or nominal"

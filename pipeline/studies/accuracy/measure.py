@@ -21,7 +21,7 @@ from pipeline.records.accuracy import Rung
 from pipeline.records.trials import Floats
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
-"""What a method raises that cannot give a number; anything else is a defect here."""
+"""Exceptions of a method that cannot compute a number; any other exception is a defect."""
 
 _SHORT = 2e-3
 """Run time [s] below which a single run is too short for the clock; it is repeated inside the timed loop."""

@@ -63,7 +63,7 @@ MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
     "largest reading",
     "bias off, tail added",
 )
-"""What comparisons use where they can; it stands out in the picture."""
+"""Methods that comparisons prefer; they are emphasised in the picture."""
 
 
 @dataclass(frozen=True, eq=False)
