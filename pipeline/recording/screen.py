@@ -49,22 +49,17 @@ def screened(logs: Sequence[Samples]) -> list[int]:
         ends = np.cumsum([0, *map(len, chosen)])
         conditions = np.array([(log.period, log.stiffness, log.damping / log.period, log.step) for log in chosen])
         found = np.empty(len(chosen), dtype=np.int64)
-        _screen(time, command, position, ends, conditions, _LIMITS, found)
+        _screen((time, command, position), ends, conditions, _LIMITS, found)
         result[walls] = found
     return list(map(int, result))
 
 
-@compiled("void(f8[::1],f8[::1],f8[::1],i8[::1],f8[:,::1],f8[::1],i8[::1])")
+@compiled("void(UniTuple(f8[::1],3),i8[::1],f8[:,::1],f8[::1],i8[::1])")
 def _screen(
-    time: Floats,
-    command: Floats,
-    position: Floats,
-    ends: Integers,
-    conditions: Floats,
-    limits: Floats,
-    found: Integers,
+    rows: tuple[Floats, Floats, Floats], ends: Integers, conditions: Floats, limits: Floats, found: Integers
 ) -> None:
-    """Fill in what a check of each log may find."""
+    """Fill in what a check of each log may find, of the time, command and position of all rows."""
+    time, command, position = rows
     for log in range(len(found)):
         first, behind = ends[log], ends[log + 1]
         found[log] = _found_in(

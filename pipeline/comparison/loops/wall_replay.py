@@ -16,7 +16,7 @@ from pipeline.device.loop import Loop
 from pipeline.measured.cost.costs import settling
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
-from pipeline.measured.identification.identified import FOLDS
+from pipeline.measured.identification.scatter import FOLDS
 from pipeline.measured.signal.release import find_release
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge

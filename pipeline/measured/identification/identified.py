@@ -27,12 +27,10 @@ from pipeline.measured.identification.parts import Choice, ChosenParts, choose_p
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.replay import replay_fit
-from pipeline.measured.identification.scatter import FEWEST, inverse
+from pipeline.measured.identification.scatter import FEWEST, FOLDS, inverse
 from pipeline.measured.identification.search import refined
 from pipeline.measured.identification.segments import segments_of
 from pipeline.records.trials import Floats
-
-FOLDS = 5
 
 MOST_REPLAYED = 40
 """Logs that are replayed, spread over all."""
@@ -311,14 +309,7 @@ def _cut(each: Recording, first: int, behind: int) -> Recording:
 
 def _without_folds(fit: Fit) -> list[Device]:
     """Return the device without each fold of units: one Newton step from the whole fit."""
-    solved, units = fit.solved, len(fit.solved.score)
-    devices = []
-    for fold in range(FOLDS):
-        inside = np.arange(units) % FOLDS == fold
-        rest = solved.total - solved.information[inside].sum(axis=0)
-        step = -inverse(rest) @ solved.score[inside].sum(axis=0)
-        devices.append(replace(fit.device.stepped(step), effects=None))
-    return devices
+    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds]
 
 
 OWN = ("mass", "damping", "delay_samples")

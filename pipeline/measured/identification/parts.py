@@ -38,8 +38,6 @@ SHORTER = (150,)
 STARTS = 2
 """Devices from which a search of whole segments starts: with a spring, and without."""
 
-FOLDS = 5
-
 MOST_TRIALS = 100
 """Most trials by which parts are chosen; all are fitted in the end."""
 
@@ -158,17 +156,11 @@ def held_out(fit: Fit) -> float:
     Each portion of few logs is a fold, and the step that of first order (Takeuchi's criterion).
     """
     solved = fit.solved
-    total, units, lost = solved.total, len(solved.score), 0.0
     if fit.few:
-        known = inverse(total)
-        return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, known, solved.score))
-    for fold in range(FOLDS):
-        inside = np.arange(units) % FOLDS == fold
-        information, score = solved.information[inside].sum(axis=0), solved.score[inside].sum(axis=0)
-        step = -inverse(total - information) @ score
-        # never above 0 but for rounding, where a direction is hardly known
-        lost += min(float(score @ step - 0.5 * step @ information @ step), 0.0)
-    return fit.likelihood + lost
+        return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, inverse(solved.total), solved.score))
+    # never above 0 but for rounding, where a direction is hardly known
+    losses = (float(score @ step - 0.5 * step @ information @ step) for information, score, step in solved.folds)
+    return fit.likelihood + sum(min(loss, 0.0) for loss in losses)
 
 
 def subset(recordings: list[Recording]) -> list[Recording]:

@@ -6,7 +6,7 @@ unknown variances. Restricted maximum likelihood estimates these; a noisier tria
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,9 @@ from pipeline.records.trials import Floats, Integers
 
 FEWEST = 8
 """Trials from which on a scatter between them is estimated: fewer give a variance to a factor of three at best."""
+
+FOLDS = 5
+"""Folds of units, each of which is held out once."""
 
 ROUNDED = 1e-16
 """Share of the motion below which what is left of it is rounding."""
@@ -73,6 +76,14 @@ class Solved:
     likelihood: float
     here: float
     total: Floats
+
+    @property
+    def folds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """Information and score of each fold of units, and Newton's step to the numbers by the other folds."""
+        for fold in range(FOLDS):
+            inside = np.arange(len(self.score)) % FOLDS == fold
+            information, score = self.information[inside].sum(axis=0), self.score[inside].sum(axis=0)
+            yield information, score, -inverse(self.total - information) @ score
 
 
 def inverse(information: Floats) -> Floats:
