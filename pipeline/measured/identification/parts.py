@@ -495,14 +495,14 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
         plain = fit if some is segments else refined(some, alone, far=False)
         # where the noise of readings alone is left, most parts are seen to be none from where a search starts
         least = ROUNDED_ROW * float(some.rows.sum())
-        white = plain if plain.device.noise == WHITE else climbed(some, replace(alone, noise=WHITE))
+        is_white, white = plain.device.noise == WHITE, climbed(some, replace(plain.device, noise=WHITE, effects=None))
         for number, (name, part) in enumerate(left.items()):
             report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
             if part.numbers[0] in alone.names or (part.needs and part.needs not in parts):
                 continue
             start = _having(some, alone, part)
             enough = min(least, CLOSER) if part.needs else least
-            if white is plain and _promise(some, start, part) - _promise(some, plain.device, part) < enough:
+            if is_white and _promise(some, start, part) - _promise(some, plain.device, part) < enough:
                 continue
             other = _candidate(some, start, plain, white)
             if other is None or (part.size and _loss(other, part.size) < WORTH):

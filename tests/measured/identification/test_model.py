@@ -397,6 +397,18 @@ def test_a_lag_is_found_behind_walls():
     assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag_s": 0.003, "delay_samples": 2.4}) == []
 
 
+def test_a_lag_is_found_where_each_trial_has_another_force():
+    """Another force in each trial makes far more likely what has scatter between trials; both sides must have it."""
+    rng = np.random.default_rng(16)
+    logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {"lag": 0.003})
+    forces = 0.02 * rng.standard_normal(16)
+    found = identified([replace(log, command=log.command + f) for log, f in zip(logs, forces, strict=True)])
+    assert set(found.parts) == {"lag"}
+    truth = {"mass": 0.6, "damping": 4.0, "actuator_lag_s": 0.003, "delay_samples": 2.4}
+    assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.01)
+    assert found.scatter["constant_force"] == pytest.approx(forces.std(), rel=0.3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_lag_is_found_in_long_free_motion_with_a_coarse_sensor(seed):
