@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
@@ -15,6 +16,7 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from pipeline.base.wording import counted
 from pipeline.records.findings import Estimate
 from pipeline.rendering import labels
 from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
@@ -27,6 +29,9 @@ from pipeline.service.shared import Service, run_of, service_of
 from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
+
+LONGEST_REASON = 90
+"""Letters of the reason why logs were refused, in the list of jobs."""
 
 LOOK_S = 0.02
 """Time between two looks at a job that a page waits for [s]."""
@@ -42,7 +47,15 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     own = {"short": _short, "when": _when, "ago": _ago, "about": _about, "sorting": _sorting}
-    own |= {"etag": tag_of, "rest": _rest, "page": _page, "in_digits": _in_digits, "value_name": value_name}
+    own |= {
+        "etag": tag_of,
+        "rest": _rest,
+        "page": _page,
+        "in_digits": _in_digits,
+        "value_name": value_name,
+        "did": _did,
+        "lasted": _lasted,
+    }
     own |= {"cost_of": labels.cost_text, "quantity": labels.quantity_name, "label": labels.criterion_label}
     found.filters |= FILTERS | own
     found.globals |= {each.__name__: each for each in (experiment_url, device_url, run_of)} | {"unit_of": labels.UNITS}
@@ -68,9 +81,29 @@ def _when(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
 
 
+def _did(job: Mapping[str, Any]) -> str:
+    """Return in a few words what a job came to; empty before its end."""
+    result = job["result"] or {}
+    if job["state"] == "failed":
+        return str((job["problem"] or {}).get("detail", ""))
+    if job["kind"] == "upload" and result:
+        parts = [f"{result[name]} {name}" for name in ("ingested", "skipped") if result[name]]
+        reasons = Counter(each["reason"] for each in result["quarantined"])
+        parts += [f"{n} refused: {labels.shortened(reason, LONGEST_REASON)}" for reason, n in reasons.most_common(2)]
+        return "; ".join(parts) or "no logs"
+    if job["kind"] == "stages" and result:
+        failed = f", {len(result['failed'])} failed" if result["failed"] else ""
+        return f"{counted(result['computed'], 'experiment')} computed{failed}"
+    return ""
+
+
 def _ago(since: float) -> str:
     """Return how long ago something was."""
-    passed = max(time.time() - since, 0.0)
+    return _lasted(max(time.time() - since, 0.0))
+
+
+def _lasted(passed: float) -> str:
+    """Return a duration [s] in words."""
     if passed < 100:
         return f"{passed:.0f} s"
     return f"{passed / 60:.0f} min" if passed < 6000 else f"{passed / 3600:.0f} h"

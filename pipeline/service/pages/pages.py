@@ -16,7 +16,7 @@ from urllib.parse import quote, unquote, urlencode
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
-from pydantic import field_validator, model_validator
+from pydantic import BaseModel, field_validator, model_validator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.types import Message
@@ -28,7 +28,7 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.criteria import REPORTED
 from pipeline.records.models import Motion
 from pipeline.records.results import Answer, ComparisonResult
-from pipeline.rendering.labels import UNITS
+from pipeline.rendering.labels import UNITS, printed_scale
 from pipeline.rendering.report.page_template import PLOT, PLOT_STYLE, TEMPLATES
 from pipeline.service import device_files, profiles
 from pipeline.service.catalogue import SORTED, WORDS, Selection
@@ -36,7 +36,7 @@ from pipeline.service.database import NEWEST
 from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.profiles import LONGEST
-from pipeline.service.rest import api, lab
+from pipeline.service.rest import api, lab, remarks
 from pipeline.service.rest.answers import refuse_unknown
 from pipeline.service.rest.api import Segment
 from pipeline.service.security import SESSION, cookie
@@ -44,6 +44,9 @@ from pipeline.service.shared import Service, Shared, Who
 from pipeline.store.corrections import in_bin
 
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+
+PLOTTABLE = ("stiffness", "damping", *REPORTED)
+"""Quantities of a trial that are plotted over each other."""
 
 SHOWN, LISTED, OVERLAID = 100, 20, 6
 """Trials in a table, on the page of an experiment, and over each other at most."""
@@ -155,8 +158,21 @@ async def keep_device_file(service: Shared, request: Request, who: Who, device: 
     return RedirectResponse(f"/devices/{segment(device)}/file", 303)
 
 
+class TrialView(BaseModel):
+    """Which trials of an experiment its page lists and plots, and by which quantities."""
+
+    verdict: str = ""
+    tag: str = ""
+    x: Literal[PLOTTABLE] = "stiffness"  # type: ignore[valid-type]
+    y: Literal[PLOTTABLE] = "settle_2pct"  # type: ignore[valid-type]
+    column: list[Literal[tuple(REPORTED)]] = ["settle_2pct", "overshoot"]  # type: ignore[valid-type]
+    all: bool = False
+
+
 @pages.get("/devices/{device}/experiments/{experiment}")
-def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
+def one_experiment(
+    service: Shared, request: Request, device: Segment, experiment: Segment, view: Annotated[TrialView, Query()]
+) -> Response:
     """Show the trials of an experiment in their plane with theory, the results, and the next wall."""
     shown = kept(service, lambda: service.experiment(device, experiment))
     document = shown["drawn"]
@@ -168,7 +184,9 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
     motion: Motion = trials[0]["motion"] if trials else "translation"
     of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
-        service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
+        service, request, "experiment.html.j2", device=device, experiment=experiment, listed=chosen_of(trials, view),
+        view=view, quantities=PLOTTABLE, scatter=scatter(chosen_of(trials, view), view.x, view.y), few=LISTED,
+        tags=sorted({tag for trial in trials for tag in trial["tags"]}), criteria=REPORTED,
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
         plot=clickable(drawn, trials) if drawn else None, found=found, answer=answer_of(document), **shown,
@@ -176,6 +194,60 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],
     )  # fmt: skip
+
+
+def chosen_of(trials: Sequence[Mapping[str, Any]], view: TrialView) -> list[Mapping[str, Any]]:
+    """Return the trials that have the verdict and tag that are asked for."""
+    return [
+        trial
+        for trial in trials
+        if (not view.verdict or trial["verdict"] == view.verdict) and (not view.tag or view.tag in trial["tags"])
+    ]
+
+
+def number_of(trial: Mapping[str, Any], quantity: str) -> float | None:
+    """Return a quantity of a trial: K, B, or a cost as it is printed."""
+    if quantity in ("stiffness", "damping"):
+        found: float | None = trial[quantity]
+        return found
+    cost = trial["costs"].get(quantity)
+    return None if cost is None else cost["value"] * printed_scale(quantity)
+
+
+def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
+    """Return a plot of two quantities over trials, each mark a link to its trial; empty where none has both."""
+    both = [(number_of(trial, x), number_of(trial, y), trial) for trial in trials]
+    points = [(a, b, trial) for a, b, trial in both if a is not None and b is not None]
+    if not points:
+        return Markup("")
+    ends = [(min(values), max(values)) for values in zip(*((a, b) for a, b, _ in points), strict=True)]
+    (x0, x1), (y0, y1) = (((low, high) if high > low else (low - 1, high + 1)) for low, high in ends)
+    left, right, top, bottom = 80, 620, 15, 345
+    parts = [f'<path class="axis" d="M{left} {top}V{bottom}H{right}" />']
+    for share in (0.0, 0.5, 1.0):
+        across, up = left + share * (right - left), bottom - share * (bottom - top)
+        below, beside = (f"{low + share * (high - low):.4g}" for low, high in ((x0, x1), (y0, y1)))
+        parts.append(f'<text x="{across:.0f}" y="{bottom + 20}" text-anchor="middle">{below}</text>')
+        parts.append(f'<text x="{left - 8}" y="{up + 5:.0f}" text-anchor="end">{beside}</text>')
+    for a, b, trial in points:
+        at = left + (a - x0) / (x1 - x0) * (right - left), bottom - (b - y0) / (y1 - y0) * (bottom - top)
+        name = escape(f"trial {trial['id']}: {a:.4g}, {b:.4g}, {trial['verdict'] or 'no verdict yet'}")
+        parts.append(f'<a href="/trials/{quote(trial["id"])}" aria-label="{name}"><title>{name}</title>'
+                     f'<circle class="point" cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="4"/></a>')  # fmt: skip
+    return Markup(f'<svg class="scatter" viewBox="0 0 640 380" role="group" aria-label="Trials">{"".join(parts)}</svg>')
+
+
+@pages.post("/marked")
+def marked(service: Shared, who: Who, fields: Fields) -> Response:
+    """Lay chosen trials over each other, exclude them, or tag them."""
+    chosen, act = fields.get("trial", []), fields.get("act", [""])[0]
+    if act == "overlay":
+        return RedirectResponse(f"/overlay?{urlencode({'trial': chosen}, doseq=True)}", 303)
+    words = fields.get("words", [""])[0].strip()
+    tags = [tag.strip() for tag in words.split(",") if tag.strip()]
+    said: dict[str, Any] = {"reason": words or None} if act == "exclude" else {"tags": tags}
+    remarks.mark(service, who, remarks.Chosen(trials=chosen, **said))
+    return RedirectResponse(_own(fields.get("next", ["/"])[0]), 303)
 
 
 def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
@@ -212,7 +284,7 @@ class TrialForm(api.TrialQuery):
     """The same as a form sends it: an empty field asks for nothing, and one that is not here is refused."""
 
     sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
-    format: Literal["", "csv"] = ""
+    format: Literal["", "csv", "all"] = ""
 
     @model_validator(mode="before")
     @classmethod
@@ -230,8 +302,9 @@ class TrialForm(api.TrialQuery):
 def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query()]) -> Response:
     """Show a list of trials, or its CSV."""
     all_, shown = service.catalogue, asked.model_copy(update={"limit": SHOWN})
-    if asked.format == "csv":
-        return _csv(api.trial_list(all_, shown)["items"])
+    if asked.format:
+        whole = asked.model_copy(update={"limit": max(all_.rows, 1), "cursor": None})
+        return _csv(api.trial_list(all_, shown if asked.format == "csv" else whole)["items"])
 
     def listing() -> tuple[int, Markup]:
         found = api.trial_list(all_, shown)

@@ -195,6 +195,31 @@ _add_places(EXPERIMENT, of_experiment, Change)
 _add_places(DEVICE, of_device, DeviceChange)
 
 
+class Chosen(Form):
+    """Some trials by their ids, and what is done with all of them: a reason to exclude them, or tags to add."""
+
+    trials: Annotated[list[Name], Field(min_length=1, max_length=1000)]
+    reason: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
+    tags: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=100)], ...], Field(max_length=20)] = ()
+
+
+@remarks.post("/trials/marks", response_model=dict[str, int], responses=answers.problems(404, 422))
+def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
+    """Exclude some trials for a reason, or add tags to them; return how many. All are looked for first."""
+    if (asked.reason is None) == (not asked.tags):
+        raise Problem(422, "Give a reason to exclude the trials, or tags to add to them.", where="reason")
+    owners = [of_trial(service, trial) for trial in dict.fromkeys(asked.trials)]
+    for of in owners:
+        if asked.reason is not None:
+            corrections.exclude(service.settings.processed, of[1], asked.reason, CORRECT_S)
+        else:
+            known = service.database.words("tags", of)["value"]
+            keep_words(service, "tags", of, list(dict.fromkeys([*known, *asked.tags])), who, None)
+    if asked.reason is None:
+        return {"trials": len(owners)}
+    return _corrected(service, who, "excluded", ["trials", *(of[1] for of in owners)], len(owners), reason=asked.reason)
+
+
 @remarks.get("/bin", response_model=list[answers.Deleted])
 def bin_(service: Shared) -> list[dict[str, Any]]:
     """List the deleted trials that are stored still."""
