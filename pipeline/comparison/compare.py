@@ -16,7 +16,7 @@ from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
 from pipeline.comparison.figures.maps import departure_figures, map_figures
-from pipeline.comparison.figures.responses import response_figures, trials_of
+from pipeline.comparison.figures.responses import response_figures, trials_of, wall_figure
 from pipeline.comparison.figures.trial_page import trial_page
 from pipeline.comparison.ground_truth import add_ground_truth, truths
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
@@ -182,6 +182,8 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         number = data.scene.experiments.index(told.experiment)
         theory = found.theories.get(told.experiment) if shown.has_overlay("theory") else None
         yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
+    if told is not None and shown.has_figure("response") and (wall := _recommended(data, told, found)) is not None:
+        yield wall
     known = data.device.published_as if data.device is not None else ""
     printed = published_bound(known or data.scene.device) if shown.has_overlay("linear") else None
     yield from boundary_figures(
@@ -197,6 +199,17 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         yield from trend_figure(result)
     if shown.has_figure("residuals"):
         yield from departure_figures(data, found.theories, predictions)
+
+
+def _recommended(data: SceneData, told: ExperimentResult, found: _Found) -> Figure | None:
+    """Return the figure of the recommended wall; None without one, or without an optimum of its theory."""
+    theory = found.theories.get(told.experiment)
+    if told.use is None or theory is None:
+        return None
+    rows = (row for row in found.rows if row.criterion == "settle_2pct" and row.condition == "theory_discrete")
+    best = next((row for row in rows if row.cost is not None and row.delay_samples == theory.loop.delay_samples), None)
+    stages = data.experiments[data.scene.experiments.index(told.experiment)]
+    return None if best is None else wall_figure(stages, told, theory, best)
 
 
 @dataclass(frozen=True)

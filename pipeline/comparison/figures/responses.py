@@ -20,12 +20,21 @@ from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.thesis import first_change
 from pipeline.measured.wall_command.log_rows import LogRows
-from pipeline.records.models import Motion
+from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.trials import Booleans, Floats, Trial
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.figures.overview import thinned
-from pipeline.rendering.labels import UNITS, damping_text, decimal, significant, size_text, stiffness_text
+from pipeline.rendering.labels import (
+    UNITS,
+    cost_text,
+    criterion_label,
+    damping_text,
+    decimal,
+    significant,
+    size_text,
+    stiffness_text,
+)
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import read_trials
 from pipeline.theory.predictions import Theory
@@ -232,6 +241,48 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
     return Figure(
         "response", f"trial-{trial}", f"Trial {trial}", words, panels, size=(440.0, 310.0), simulated=simulated
     )
+
+
+SHOWN_SAMPLES = 150
+"""Samples after the command edge in the figure of the recommended wall: three times a settling time with d = 8."""
+
+
+def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theory, best: ComparisonRow) -> Figure:
+    """Return the response of the recommended wall, logged and by theory, beside that of theory's optimum.
+
+    Parameters
+    ----------
+    stages, result
+        Of an experiment with a recommended wall.
+    theory : Theory
+    best : ComparisonRow
+        Theory's optimum for sampled responses.
+    """
+    assert result.use is not None, "without a recommended wall there is nothing to draw"
+    point = result.use.point
+    (trial,) = load_trials(stages.processed, stages.trials.filter(pc.equal(stages.trials["trial_id"], point.trial_id)))
+    edge = max(find_response(trial).edge_row, 0)
+    shown = slice(edge, edge + SHOWN_SAMPLES)
+    time = MILLI * (trial.time[shown] - trial.time[edge])
+    series = [Series("recommended wall, log", "log", time, trial.displacement[shown] * trial.stiffness / trial.step)]
+    walls = [("recommended wall, theory", "line", point.stiffness, point.damping)]
+    walls += [("optimum by theory", "theory", best.stiffness or 0.0, best.damping or 0.0)]
+    for label, kind, K, B in walls:
+        motion = response(theory, K, B, np.ones(len(time))) * K
+        series.append(Series(label, kind, time, motion))
+    u = UNITS[theory.loop.motion]
+    recommended, optimum = (
+        f"K = {stiffness_text(K)} {u.stiffness}, B = {damping_text(B)} {u.damping}" for _, _, K, B in walls
+    )
+    cost = f"{criterion_label(best.criterion)} {cost_text(best.criterion, best.cost or 0.0)}"
+    caption = (
+        f"Recommended, a tested wall: {recommended}. Optimum: {optimum}, {cost}, the fastest wall of the linear loop, "
+        "tested or not."
+    )
+    names = (TIME, "displacement over F_0/K")
+    panel = Panel("", names, tuple(series), "Responses over time, relative to the final displacement.")
+    return Figure("response", "recommended-wall", "The recommended wall beside theory's optimum", caption, (panel,),
+                  size=(440.0, 290.0))  # fmt: skip
 
 
 def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:

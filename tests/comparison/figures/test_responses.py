@@ -15,6 +15,7 @@ from pipeline.comparison.figures.responses import (
     response_figures,
     softest,
     trial_figure,
+    wall_figure,
 )
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.device.parts import Butterworth, LoopTable
@@ -158,3 +159,17 @@ def test_a_loop_with_filter_and_lag_moves_as_its_equations_say():
     # one step of the integration is 1/2000 of a period: errors of first order
     np.testing.assert_allclose(found, positions, rtol=0, atol=2e-3 * np.abs(positions).max())
     assert np.abs(found).max() > 1e-3
+
+
+def test_the_recommended_wall_is_drawn_beside_theory_s_optimum(falcon, falcon_outcome):
+    """On an ideal log both lines of the recommended wall coincide, and the optimum has settled when theory says."""
+    data = open_scene("falcon", falcon.processed, None, None)
+    result = falcon_outcome.result
+    theory = Theory(result.experiments[0].theory)
+    rows = [row for row in result.tables if row.criterion == "settle_2pct" and row.condition == "theory_discrete"]
+    figure = wall_figure(data.experiments[0], result.experiments[0], theory, rows[0])
+    log, line, best = figure.panels[0].series
+    np.testing.assert_allclose(log.y, line.y, atol=2e-3)
+    outside = np.flatnonzero(np.abs(best.y - 1) > 0.02)
+    assert outside[-1] + 1 - int(theory.loop.delay_samples) == round(rows[0].cost)
+    assert 'id="recommended-wall"' in falcon_outcome.report.read_text(encoding="utf-8")
