@@ -248,7 +248,7 @@ SHOWN_SAMPLES = 150
 
 
 def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theory, best: ComparisonRow) -> Figure:
-    """Return the response of the recommended wall, logged and by theory, beside that of theory's optimum.
+    """Return the response of the recommended wall, logged and by theory, and that of theory's optimum.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theo
     )
     names = (TIME, "displacement over F_0/K")
     panel = Panel("", names, tuple(series), "Responses over time, relative to the final displacement.")
-    return Figure("response", "recommended-wall", "The recommended wall beside theory's optimum", caption, (panel,),
+    return Figure("response", "recommended-wall", "The recommended wall and theory's optimum", caption, (panel,),
                   size=(440.0, 290.0))  # fmt: skip
 
 

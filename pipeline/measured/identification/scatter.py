@@ -18,7 +18,7 @@ FEWEST = 8
 """Trials from which on a scatter between them is estimated: fewer give a variance to a factor of three at best."""
 
 FOLDS = 5
-"""Folds of units, each of which is held out once."""
+"""Folds of units, each of which is left out once."""
 
 ROUNDED = 1e-16
 """Share of the motion below which what is left of it is rounding."""
