@@ -1,10 +1,12 @@
-"""Write ``docs/nomenclature.md``, the numbers of a loop, from `pipeline.device.parameters`; run by ``make docs``."""
+"""Write ``docs/nomenclature.md``: numbers of a loop, criteria, stored columns and terms; run by ``make docs``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from pipeline.device.parameters import PARAMETERS, Parameter
+from pipeline.records.criteria import CRITERIA, Criterion
+from pipeline.records.tables import COLUMNS, TABLES, Column
 
 PAGE = Path(__file__).with_name("nomenclature.md")
 
@@ -35,10 +37,14 @@ EQUATIONS = {
 HEAD = """\
 # Nomenclature
 
-Every number of a loop, in SI. Names are the same in Python (`loop.mode.mass`), JSON and [device files](devices.md);
-only there `force_limit` is `limits.force` and `constant_force` is `simulation.constant_force`. Equations in brackets
-are of Hulin 2017. What is measured and computed is in [definitions.md](definitions.md). This page is made from
-`pipeline.device.parameters` by `make docs`.
+[Numbers of a loop](#numbers-of-a-loop), [criteria](#criteria), [stored columns](#stored-columns), [terms](#terms). Made
+from the code by `make docs`. Equations in brackets are of Hulin 2017. How each number is computed is in
+[definitions.md](definitions.md).
+
+## Numbers of a loop
+
+In SI. Names are the same in Python (`loop.mode.mass`), JSON and [device files](devices.md);
+only there `force_limit` is `limits.force` and `constant_force` is `simulation.constant_force`.
 
 u is the delayed command, f the force on the motor, x its position, v the velocity that the wall takes, F(z) the
 velocity filter.
@@ -46,6 +52,87 @@ velocity filter.
 | symbol | name | unit | meaning | equation or source |
 |---|---|---|---|---|
 """
+
+
+CRITERIA_HEAD = """
+## Criteria
+
+The name is used in commands, files, tables and JSON. With `_discrete` appended it is that of the sampled response.
+
+| name | label | unit | measured column |
+|---|---|---|---|
+"""
+
+COLUMNS_HEAD = """
+## Stored columns
+
+Of the files below `processed/`, by table; the second unit is that of a rotation. Conditions, identity and hashes of a
+trial are left out.
+
+| column | unit | meaning | table |
+|---|---|---|---|
+"""
+
+CONDITIONS = ("trials", "corrections")
+"""Tables of conditions, identity and hashes."""
+
+TERMS = {
+    "adequate": "a loop that predicts walls it was not fitted to: 95 % of their verdicts, and their limits within 5 %",
+    "bracket": "the stiffest stable and the softest unstable trial at a damping, between which the limit lies",
+    "censored": "a number that is only a lower bound, because the tested range ended first",
+    "command edge": "the row in which the command makes the step",
+    "cross-validation": "judging a model by trials that were left out of its fit",
+    "delay of the applied command": "age of the newest command that has arrived; its mean is the delay of the loop",
+    "experiment": "trials of one device in one configuration, behind walls that differ",
+    "identifiable": "a number that the logs determine by itself; else only a combination of numbers is known",
+    "island": "a range of stable walls that is separated from the softer stable ones by unstable walls",
+    "jitter": "standard deviation of the delay of the applied command",
+    "limit": "stiffness from which on walls of a damping are unstable; over all dampings the boundary",
+    "limit cycle": "an oscillation of constant size; of the size of the sensor's resolution it counts as stable",
+    "linear condition": "B + b >= K (d + 1/2) T, the straight part of the boundary near the origin (3.25)",
+    "operator": "a hand or arm, rigidly attached to the motor",
+    "passive wall": "a wall that is stable with every passive operator (ch. 4)",
+    "profile": "a TOML file that describes how a lab's logs are read",
+    "quarantine": "refused logs, with the reason and a remedy",
+    "replay": "simulation of tested walls with the identified device",
+    "scene": "what one comparison shows: a device, its experiments, criteria, delays, operator",
+    "sensor resolution": "step of the position sensor (LSB), q",
+    "stage": "one step of the evaluation, whose results are stored and reused as long as their inputs are unchanged",
+    "trial": "one step response behind one wall; a log is a file with one trial or several",
+    "verdict": "stable, unstable or undecided, from the growth of the motion in a log",
+    "virtual wall": "the rendered spring and damper, stiffness K and damping B",
+    "wall law": "u_k = F_0 - K (x_k - x_0) - B v_k, the command of a virtual wall",
+    "w = 0, 1, 2": "exponent of the weighting by time in the energy costs (5.13): larger ones weight later motion more",
+}
+
+TERMS_HEAD = """
+## Terms
+
+| term | meaning |
+|---|---|
+"""
+
+
+def criterion_row(criterion: Criterion) -> str:
+    """Return the row of a criterion."""
+    column = f"`{criterion.column}`" if criterion.column else "none"
+    return f"| `{criterion.name}` | {criterion.label} | {criterion.family.unit} | {column} |\n"
+
+
+def column_row(name: str, column: Column, table: str) -> str:
+    """Return the row of a stored column."""
+    units = dict.fromkeys((column.unit, column.unit_rotation))
+    return f"| `{name}` | {'; '.join(unit or '–' for unit in units)} | {column.meaning} | {table} |\n"
+
+
+def column_rows() -> str:
+    """Return the rows of the stored columns, each once, in the first table that has it."""
+    skipped = {name for table in CONDITIONS for name in TABLES[table]}
+    rows = {}
+    for table, columns in TABLES.items():
+        if table not in CONDITIONS:
+            rows |= {n: column_row(n, COLUMNS[n], table) for n in columns if n not in skipped and n not in rows}
+    return "".join(rows.values())
 
 
 def unit(parameter: Parameter) -> str:
@@ -63,7 +150,10 @@ def row(parameter: Parameter) -> str:
 
 def page() -> str:
     """Return the text of the page."""
-    return HEAD + "".join(map(row, PARAMETERS.values()))
+    terms = "".join(f"| {term} | {meaning} |\n" for term, meaning in TERMS.items())
+    criteria = "".join(map(criterion_row, CRITERIA.values()))
+    numbers = "".join(map(row, PARAMETERS.values()))
+    return f"{HEAD}{numbers}{CRITERIA_HEAD}{criteria}{COLUMNS_HEAD}{column_rows()}{TERMS_HEAD}{terms}"
 
 
 def main() -> None:
