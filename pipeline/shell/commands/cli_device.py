@@ -87,7 +87,7 @@ def simulate(
     seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
     coarsen: Annotated[int, option("--coarsen", "Take each n-th damping, n times the step in K.")] = 1,
 ) -> None:
-    """Write simulated logs of a device, and the true parameters next to them.
+    """Write simulated logs of a device, and its true parameters.
 
     Logs of an earlier simulation in the folder are replaced, other files never.
 

@@ -53,7 +53,7 @@ def compare(
         Literal["expected", "measured"] | None, option("--final", "Final position of costs: x_0 + F_0/K, or as logged.")
     ] = None,
     momentum_delay: Annotated[
-        int | None, option("--momentum-delay", "Delay of the momentum balance (6.4) [samples].", min=0)
+        int | None, option("--momentum-delay", "Delay of the momentum balance (6.4), in samples.", min=0)
     ] = None,
     momentum_window: Annotated[
         str | None, option("--momentum-window", "Window of the momentum balance (default: '15 ms').")
