@@ -65,7 +65,7 @@ def energy_costs(
     loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
         Normalised virtual stiffness and damping; every point must be stable, with alpha + gamma > 0. Up to a spectral
-        radius of 1 - 1e-12 the sums are right to 1e-9.
+        radius of 1 - 1e-11 the sums are right to 1e-12.
     signal : {"step", "impulse"}
     weights : sequence of float
         Exponents w >= 0.
