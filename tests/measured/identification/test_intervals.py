@@ -30,7 +30,7 @@ def mean_of(values, known, phases=0.0):
         "optima": np.zeros((1, 1)),
         "phases": np.zeros((8, 1)) + np.reshape(phases, (-1, 1)),
     }
-    return Errors.of(SimpleNamespace(device=device, solved=solved, alike=len(values) * known**2, **beside))
+    return Errors.of(SimpleNamespace(device=device, solved=solved, repeats=len(values) * known**2, **beside))
 
 
 def half_width(values, known=1e-6, phases=0.0):
