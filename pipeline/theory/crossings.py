@@ -671,7 +671,7 @@ def branches(loop: NormalisedLoop) -> Branches:
         poles, turning = positive_roots(c.rate, loop.digits), positive_roots(c.bend(c.twist), loop.digits, sharp=False)
         free = np.array([float(root) for root in dict.fromkeys(c.free)])
         inner = np.concatenate([_no_poles(np.append(turning.passed, free), poles), poles.value])
-        inner = np.unique(inner[(inner > _END) & (inner < 1 / _END)])
+        inner = distinct(inner[(inner > _END) & (inner < 1 / _END)])
         edges = np.concatenate([[_END], inner, [1 / _END]])
         middle = np.sqrt(edges[:-1] * edges[1:])
         rises = turning.sign_at(middle) < 0
@@ -688,6 +688,12 @@ def branches(loop: NormalisedLoop) -> Branches:
     last = (known.last, known.slope, *known.bend, 1.0, np.nan)
     columns = np.ascontiguousarray(np.array([last, *lines]).T)
     return Branches((place[:-1].copy(), place[1:].copy(), low, high, gain), tuple(columns), known.unstable)
+
+
+def distinct(values: Floats) -> Floats:
+    """Return values in order, each once; `np.unique` would load numpy's masked arrays."""
+    ordered = np.sort(values)
+    return np.asarray(ordered[np.append(True, np.diff(ordered) > 0)[: len(ordered)]])
 
 
 def _no_poles(roots: Floats, poles: Roots) -> Floats:
@@ -746,7 +752,7 @@ def turning_dampings(loop: NormalisedLoop) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"), many_digits(loop.digits):
         passing = [(alpha - level) / slope for level in levels]
         found = np.concatenate([_dampings(circle_condition(loop), map(Decimal, turns.tolist())), low, high, *passing])
-    return np.unique(found[np.isfinite(found)])
+    return distinct(found[np.isfinite(found)])
 
 
 # --- stable intervals ------------------------------------------------------------------------------------------------
@@ -918,7 +924,7 @@ def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
     with np.errstate(divide="ignore", invalid="ignore"), many_digits(loop.digits):
         passings = _dampings(circle_condition(loop), map(Decimal, ends.tolist()))
         found = np.concatenate([passings, b.cells[2], b.cells[3], (b.lines[0] + loop.gamma) / b.lines[1]])
-    turning = np.unique(found[np.isfinite(found)])
+    turning = distinct(found[np.isfinite(found)])
     nodes = (turning[:-1, None] + np.diff(turning)[:, None] * _SIDES).ravel()
     intervals = _counted_intervals(loop, b, nodes)
     alone = np.array_equal(intervals.index, np.flatnonzero((nodes > start) & (nodes < passings[0])))
