@@ -92,7 +92,7 @@ def test_one_sided_wall(wall):
 @pytest.mark.parametrize("value", [0.7, -0.3])
 def test_constant_beside_the_law(value):
     force = (np.arange(500) >= 20) * 8.0 + value
-    assert f"a constant {value} beside" in only(log(force=force), "constant_force").evidence
+    assert f"a constant {value} in addition" in only(log(force=force), "constant_force").evidence
 
 
 @pytest.mark.parametrize(("quanta", "codes"), [(2, []), (-2, []), (30, ["constant_force"])])
