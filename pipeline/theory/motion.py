@@ -12,7 +12,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy.special import roots_jacobi
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
@@ -104,10 +103,14 @@ def forms_at_nodes(loop: NormalisedLoop, power: float = 0.0) -> tuple[Floats, Fl
     Shape (2, n, q, q): e^2 and v^2 as forms of `NormalisedLoop.seen`, times the weights of Gauss and Legendre; in the
     first piece, where tau^power may have no derivative, of Gauss and Jacobi.
     """
-    times, forms = list[Floats](), list[list[Floats]]()
+    times, forms, at_start = list[Floats](), list[list[Floats]](), leggauss(_GAUSS)
+    if power:
+        from scipy.special import roots_jacobi  # takes longer to load than a theory command to run
+
+        at_start = roots_jacobi(_GAUSS, 0.0, power)
     for piece, given in zip(pieces(loop), starts(loop), strict=True):
         begins = piece.start == 0
-        nodes, weights = roots_jacobi(_GAUSS, 0.0, power) if power and begins else leggauss(_GAUSS)
+        nodes, weights = at_start if begins else leggauss(_GAUSS)
         share, sign = 0.5 * (nodes + 1), power if begins else 0.0
         weights = weights * (0.5 * piece.duration) * (0.5 * piece.duration) ** sign
         time = piece.start + piece.duration * share

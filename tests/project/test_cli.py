@@ -437,7 +437,8 @@ def test_theory_map(call, tmp_path):
     found = document(call(*arguments, "--json"))
     table = pq.read_table(tmp_path / "m.pq")
     assert table.column_names == ["alpha", "beta", "stable", "overshoot", "settle_1pct"]
-    assert found == {"file": "m.pq", "rows": 81, "stable": sum(table.column("stable").to_pylist())}
+    stable = sum(table.column("stable").to_pylist())
+    assert found == {"columns": table.column_names, "file": "m.pq", "rows": 81, "stable": stable}
     assert call(*arguments)[0] == 0
 
 

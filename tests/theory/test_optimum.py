@@ -269,7 +269,7 @@ def test_edge_without_any_overshoot(d: int, printed: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "criterion", ["settle_300pct", "", "energy_step_w3", "damping_discrete", "overshoot_pct", "alpha_max"]
+    "criterion", ["settle_300pct", "", "energy_step_w9", "damping_discrete", "overshoot_pct", "alpha_max"]
 )
 def test_unknown_criteria_are_refused(criterion: str) -> None:
     with pytest.raises(ParameterError, match="expected one of"):
