@@ -203,7 +203,7 @@ class Chosen(Form):
     tags: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=100)], ...], Field(max_length=20)] = ()
 
 
-@remarks.post("/trials/marks", response_model=dict[str, int], responses=answers.problems(404, 422))
+@remarks.post("/marks", response_model=dict[str, int], responses=answers.problems(404, 422))
 def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
     """Exclude some trials for a reason, or add tags to them; return how many. All are looked for first."""
     if (asked.reason is None) == (not asked.tags):
