@@ -1,1 +1,1 @@
-"""One check of a recorded log, before anything is computed from it."""
+"""Checks of a recorded log, made before anything is computed from it."""

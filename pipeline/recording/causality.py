@@ -1,4 +1,5 @@
-"""Does the position respond before its command? Then no delay, and no limit of a wall, follows from the log."""
+"""Check of whether the position responds before its command. If so, the log shows neither a delay nor the limit of a
+wall."""
 
 from __future__ import annotations
 
@@ -10,51 +11,54 @@ from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
 from pipeline.records.findings import Finding, FindingCode
 
 BASELINE = 8
-"""Fewest rows at rest before an edge that show whether the position leaves its rest too early."""
+"""Smallest number of rows at rest before an edge for which an early departure from rest can be detected."""
 
 LIKELIER = 6.0
-"""Logarithm of the likelihood ratio of a growth from rest and a decay that is no chance of a filtered noise."""
+"""Log-likelihood ratio of growth from rest to decay above which filtered noise is excluded as the cause."""
 
 SURE = {False: 10.0, True: 18.0}
-"""Acceleration of a growth at an edge in standard errors, of a plain one and of one that turns: noise that was filtered
-in one direction looks like more than white noise does."""
+"""Threshold of the acceleration of a growth at an edge, in standard errors, for plain and for oscillating growth. It is
+high because noise filtered in one direction is correlated."""
 
 OF_THE_ANSWER = {False: 0.15, True: 0.015}
-"""The same in accelerations of the answer to the edge. A filter of both directions makes up to 0.5 of them, less where
-a mode of vibration answers later; noise, which has no share in the answer, makes next to nothing."""
+"""Threshold of the same acceleration, relative to that of the response to the edge. A zero-phase filter produces up to
+0.5, less if a vibration mode responds later; noise, which is no part of the response, produces almost nothing."""
 
 CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
-"""Way at the edge relative to the largest one in the first half of the rows before it, which of a drift is 2, from
-which on a growth need not be likelier than a decay, as before few rows; and the two measures above for it."""
+"""Displacement at the edge relative to the largest one in the first half of the rows before it (2 for a drift), above
+which a growth need not be likelier than a decay, because there are few rows; then the two thresholds above for this
+case."""
 
 SURELY = 30.0
-"""Logarithm of the likelihood ratio of a growth and a decay before edges within a motion."""
+"""Threshold of the log-likelihood ratio of growth to decay before edges within a motion."""
 
 BETTER = 4.0
-"""Sum of squares that the decay leaves before them relative to that of the growth: of more, both explain parts of the
-device badly."""
+"""Threshold of the residual sum of squares of the decay relative to that of the growth; below it, both are poor models
+of the device."""
 
 SPREAD = (0.1, 0.75)
-"""Acceleration of such a growth in those of the answer."""
+"""Smallest and largest acceleration of such a growth, relative to that of the response."""
 
 EARLY = 0.75
-"""Rows by which a fitted delay is negative from which on the position comes first."""
+"""Number of rows by which a fitted delay must be negative for the position to come first."""
 
 CLEARLY = (1.15, 1.6)
-"""Residual of the best delay of 0 and more relative to that of the best one: where nothing but noise is left, and where
-parts of the device are."""
+"""Threshold of the residual of the best non-negative delay relative to that of the best delay: if only noise remains,
+and if unmodelled parts of the device remain."""
 
 BY_CHANCE = 20.0
-"""Logarithm of the ratio of both likelihoods that is no chance."""
+"""Log-likelihood ratio above which a difference is not attributed to chance."""
 
 MOST_RESIDUAL = 0.06
-"""Largest part of the motion that the best delay may leave: of more, parts of the device may look like a delay."""
+"""Largest residual of the best delay, relative to the motion. Above it, unmodelled parts of the device may look like a
+delay."""
 
 CLEARLY_LATE = 5.0
-"""What the law leaves with the rows as they are relative to that with the command some rows earlier."""
+"""Threshold of the residual of the wall law with the logged rows, relative to that with the command shifted to earlier
+rows."""
 
 MOST_LATE = 128
-"""Largest number of rows by which a command is looked for to be late."""
+"""Largest lateness of a command that is searched for [rows]."""
 
 REMEDY = (
     "Shift the command column {shift} (or take the time stamps of both channels), and leave out zero-phase filters "
@@ -65,9 +69,9 @@ REMEDY = (
 def moves_before_command(samples: Samples) -> Finding | None:
     """Return whether the position responds before its command, and by how many rows.
 
-    From rest the position may not leave its baseline before the edge of the command, nor its way before a later one. In
-    free motion the delay that explains the whole log best, a negative one included, may not be negative. A wall whose
-    command is that of the position in its row acted on that very reading.
+    A position at rest must not leave its baseline before the edge of the command, and a moving one must not leave its
+    path before a later edge. In free motion the best-fit delay of the whole log, searched over both signs, must not be
+    negative. If the command of a wall matches the position in its row, the controller acted on that reading.
     """
     if samples.obeys_wall:
         return None
@@ -104,11 +108,11 @@ def _noncausal(
 
 
 def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
-    """Return the first edge, and the row in which the position leaves its rest before; None where it does not."""
+    """Return the first edge and the row before it in which the position leaves rest; None if it does not."""
     edge = _first_edge(samples)
     if edge < BASELINE or edge >= len(samples) - 2:
         return None
-    if samples.is_free and samples.command[0] != 0:  # which moves the device from the first row on
+    if samples.is_free and samples.command[0] != 0:  # moves the device from the first row on
         return None
     answer = acceleration(samples, edge)
     x = samples.position[: last_at_rest(samples, edge) + 1]
@@ -121,7 +125,7 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
 
 
 def _grows(samples: Samples, edge: int, turning: bool, answer: float, is_convex: bool) -> bool:
-    """Return whether the position grows from its rest towards an edge, as a part of the answer to it."""
+    """Return whether the position grows from rest towards an edge like part of the response to that edge."""
     growth = growth_from_rest(samples, edge, turning=turning)
     if growth is None or growth.acceleration <= OF_THE_ANSWER[turning] * answer:
         return False
@@ -132,7 +136,7 @@ def _grows(samples: Samples, edge: int, turning: bool, answer: float, is_convex:
 
 
 def _turns_early(samples: Samples) -> tuple[int, float] | None:
-    """Return before how many edges a free motion turns towards its answer, and the time constant of that [rows]."""
+    """Return the number of edges before which a free motion turns early, and the time constant [rows]."""
     response = free_response(samples)
     if response is None or response.gain <= 0:
         return None
@@ -144,7 +148,7 @@ def _turns_early(samples: Samples) -> tuple[int, float] | None:
 
 
 def _first_edge(samples: Samples) -> int:
-    """Return the row in which a free command first changes, or in which that of a wall steps; 0 for none."""
+    """Return the row in which the command of a log without wall first changes or that of a wall steps; 0 if none."""
     if samples.is_free:
         changes = np.flatnonzero(samples.jumps)
         return int(changes[0]) + 1 if len(changes) else 0
@@ -152,7 +156,7 @@ def _first_edge(samples: Samples) -> int:
 
 
 def _negative_delay(samples: Samples) -> float | None:
-    """Return by how many rows the position of a free motion comes first; None where a delay explains it as well."""
+    """Return the lead of the position in free motion [rows]; None if a non-negative delay fits as well."""
     response = free_response(samples)
     if response is None or not response.is_driven or response.gain <= 0 or response.delay > -EARLY:
         return None
@@ -165,10 +169,10 @@ def _negative_delay(samples: Samples) -> float | None:
 
 
 def _late_command(samples: Samples) -> int | None:
-    """Return by how many rows the command of a wall is late to its position; None where it is not, or no law fits.
+    """Return how many rows the command of a wall lags its position; None if it does not, or if no law fits.
 
-    Of a controller that applies the wall law u_k = F - K (x_k - x_0) - B (x_k - x_(k-1))/T the command of a row is that
-    of its position. A filter, a clipped or other wall leaves more at any shift.
+    If the controller applies the wall law u_k = F - K (x_k - x_0) - B (x_k - x_(k-1))/T, the command of a row belongs
+    to the position of that row. A filter, clipping or another wall leaves a larger residual at any shift.
     """
     if samples.is_free or samples.obeys_wall:
         return None

@@ -1,4 +1,4 @@
-"""All checks of one log: what is wrong with the recording itself, before anything is computed from it."""
+"""All checks of one log for faults of the recording itself, made before anything is computed from it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
     wrong_sign,
     coarse_sensor,
 )
-"""Checks of a log in which something moves, in the order in which their findings are shown."""
+"""Checks of a log that contains motion, in the order in which their findings are shown."""
 
 SCREENED = {REPEATED_ROWS: repeated_rows, TRAVEL_STOP: travel_stop}
-"""Checks of a log of which a screen shows that no other one has a finding, in the same order."""
+"""Checks to run on a log for which the screen has excluded findings of all other checks, in the same order."""
 
 
 def check_recording(samples: Samples) -> tuple[Finding, ...]:
-    """Return what is wrong with the recording of a log; empty for a good one.
+    """Return the faults of the recording of a log; empty for a good one.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
     Notes
     -----
-    A log in which nothing moves, or that is too short for any model, has that finding, and perhaps that of its period.
-    A position that lies on straight lines between fewer readings moves before its command and changes its speed at
-    once: these are then no further findings.
+    A log without motion, or one too short for any model, has only that finding and possibly that of its sampling
+    period. A position interpolated linearly between fewer readings also seems to move before its command and to change
+    its speed abruptly; these effects are not reported as separate findings.
     """
     nothing = unusable_signal(samples)
     if nothing is None:
@@ -56,7 +56,7 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
 
 def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
-    """Return the findings of each log, as `check_recording`: of hundreds of logs in a tenth of the time.
+    """Return the findings of each log, like `check_recording`, in a tenth of the time for hundreds of logs.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
 
 
 def check_trial(trial: Trial) -> tuple[Finding, ...]:
-    """Return what is wrong with the recording of a trial, as `check_recording`."""
+    """Return the faults of the recording of a trial, like `check_recording`."""
     return check_recording(
         Samples(
             *(trial.time, trial.command, trial.position, trial.sampling_period_s),

@@ -1,8 +1,8 @@
-"""Growth of a position towards edges of its command, which no cause before the edge makes.
+"""Growth of a position towards edges of its command, which cannot be caused by anything before the edge.
 
-Before an edge a device rests or goes on: along a parabola, or with what decays of an earlier motion. A filter of both
-directions spreads the answer over the rows before the edge, where it grows as exp((k - edge)/tau); so does, about, the
-beginning of a motion whose command was logged late. Either is compared with a decay from the first of these rows.
+Before an edge a device is at rest or continues its motion, along a parabola or with a decaying transient. A zero-phase
+filter spreads the response over the rows before the edge, where it grows as exp((k - edge)/tau). The start of a motion
+whose command was logged late looks similar. Either is compared with a decay from the first of these rows.
 """
 
 from __future__ import annotations
@@ -17,53 +17,54 @@ from pipeline.recording.samples import Samples, middle
 from pipeline.records.trials import Floats
 
 TIME_CONSTANTS = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
-"""Time constants of a growth [rows]: filters of less spread an answer over the row before an edge alone."""
+"""Time constants of a growth [rows]. Faster filters spread a response only over the one row before an edge."""
 
 MOST_AT_REST = 96
-"""Rows at rest before the first edge that are used: over more of them sensors drift."""
+"""Largest number of rows at rest before the first edge that are used; over more rows, sensors drift."""
 
 MOST_EDGES = 60
-"""Edges that are looked at: each more costs time, and a dozen are clear."""
+"""Largest number of edges examined. Each costs time, and a dozen give a clear result."""
 
 LARGE = 0.1
-"""Jump of a command relative to the largest one from which on it is an edge."""
+"""Smallest jump of a command, relative to the largest one, that counts as an edge."""
 
 SETTLING = 16
-"""Rows behind an edge that its answer takes to begin: they are left out before the next one."""
+"""Number of rows after an edge in which its response begins; they are left out before the next edge."""
 
 WINDOW = 5.0
-"""Rows before an edge that are used, in time constants."""
+"""Length of the window before an edge, in time constants."""
 
 FEWEST, MOST = 16, 64
-"""The same in rows: fewer are explained by any curve, over more a parabola is none of the motion."""
+"""Smallest and largest length of this window in rows: any curve fits fewer, and a parabola does not fit the motion over
+more."""
 
 BEHIND = 64
-"""Rows behind an edge from which the acceleration by it is taken."""
+"""Number of rows after an edge from which the acceleration due to the edge is estimated."""
 
 SINGULAR = 1e-10
-"""Power of a curve relative to that of the other one of a pair that is nothing but rounding."""
+"""Energy of a curve, relative to that of the other one of a pair, below which it consists of rounding errors."""
 
 LATEST = 32
-"""Largest delay of that acceleration [rows]."""
+"""Largest delay of this acceleration [rows]."""
 
 
 @dataclass(frozen=True)
 class Growth:
-    """How a position grows towards one edge or several.
+    """Growth of a position towards one or more edges.
 
     Parameters
     ----------
     score : float
-        Logarithm of the likelihood of a growth relative to that of a decay, for white noise.
+        Log-likelihood ratio of growth to decay, for white noise.
     ratio : float
-        Sum of squares that the decay leaves relative to that of the growth.
+        Residual sum of squares of the decay relative to that of the growth.
     acceleration, error : float
-        Of the growth in the row of an edge of the largest jump, in the direction of the jump, and its standard error
-        for white noise [position/row^2].
+        Acceleration of the growth in the row of the edge with the largest jump, in the direction of the jump, and its
+        standard error for white noise [position/row^2].
     time_constant : float
-        Of the growth [rows].
+        Time constant of the growth [rows].
     edges : int
-        Edges before which it was looked for.
+        Number of edges examined.
     """
 
     score: float
@@ -75,7 +76,7 @@ class Growth:
 
 
 def last_at_rest(samples: Samples, edge: int) -> int:
-    """Return the last row in which a device at rest may not move: that of the edge, or the one before if polled.
+    """Return the last row in which a device at rest must not have moved: the edge, or one row earlier if polled.
 
     A controller reads the position before it commands, so that a command in row k moves nothing until row k + 1.
     Between two polled rows the command may have changed, and moved the device, before the second one.
@@ -84,10 +85,10 @@ def last_at_rest(samples: Samples, edge: int) -> int:
 
 
 def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | None:
-    """Return the likeliest growth of a position from its rest before an edge; None where nothing changes in it.
+    """Return the maximum-likelihood growth of a position from rest before an edge; None if the position is constant.
 
-    A ``turning`` one is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as the filters of second order make it; the
-    other one is a exp(z). Of polled rows the last one before the edge is left out (`last_at_rest`).
+    With ``turning`` the growth is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as of second-order filters;
+    otherwise it is a exp(z). In polled logs the last row before the edge is left out (`last_at_rest`).
     """
     first = max(edge - MOST_AT_REST, 0)
     x = samples.position[first : last_at_rest(samples, edge) + 1] - samples.position[first]
@@ -99,9 +100,9 @@ def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | 
 
 
 def growth_before_edges(samples: Samples) -> Growth | None:
-    """Return the likeliest growth, a turning one, of a free motion towards all edges, in proportion to their jumps.
+    """Return the maximum-likelihood oscillating growth of a free motion before all edges, scaled by their jumps.
 
-    A growth of each time constant has a window of so many rows before each edge.
+    The length of the window before each edge is proportional to the time constant.
     """
     size = np.abs(samples.jumps)
     edges = np.flatnonzero(size > LARGE * size.max()) + 1
@@ -112,10 +113,10 @@ def growth_before_edges(samples: Samples) -> Growth | None:
 
 
 def acceleration(samples: Samples, edge: int) -> float:
-    """Return the acceleration by the jump of an edge, in its direction [position/row^2]; 0 where there is none.
+    """Return the acceleration due to an edge, in the direction of its jump [position/row^2]; 0 if there is none.
 
-    It is that of the command at the delay that explains the rows behind the edge best. The position at rest is the
-    median over the first half of the rows before the edge, which a motion that begins too early does not reach.
+    It is estimated at the delay for which the command fits the rows after the edge best. The rest position is the
+    median over the first half of the rows before the edge, where a motion that begins too early has not started yet.
     """
     first = max(edge - BEHIND, 0)
     x = samples.position[edge : edge + BEHIND] - middle(samples.position[first : max((first + edge) // 2, first + 1)])
@@ -131,11 +132,12 @@ def acceleration(samples: Samples, edge: int) -> float:
 
 
 _Window = tuple[Floats, float, int]
-"""Positions up to an edge, its jump relative to the largest one, and the degree of the motion without an edge."""
+"""Positions up to an edge, its jump relative to the largest one, and the polynomial degree of the motion without the
+edge."""
 
 
 def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterator[_Window]:
-    """Yield the windows before the edges that have enough rows behind the edge before."""
+    """Yield the windows before those edges that have enough rows after the previous edge."""
     rows = int(min(max(WINDOW * time_constant, FEWEST), MOST))
     largest = float(np.abs(samples.jumps).max())
     before = -SETTLING
@@ -148,7 +150,7 @@ def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterat
 
 
 def _compared(windows: list[_Window], growth: float, decays: Sequence[float], turning: bool) -> Growth | None:
-    """Return how much better a growth of a time constant explains windows than the best one of some decays."""
+    """Compare growth with a given time constant with the best of several decays, for all windows."""
     curves_of_each = 2 if turning else 1
     total, freedom = 0.0, 0
     product = np.zeros((1 + len(decays), curves_of_each))
@@ -166,7 +168,7 @@ def _compared(windows: list[_Window], growth: float, decays: Sequence[float], tu
     ways = np.einsum("kij,kj->ki", inverse, product)
     left = np.maximum(total - np.einsum("ki,ki->k", product, ways), np.finfo(np.float64).eps * total)
     ratio, noise = float(left[1:].min() / left[0]), float(np.sqrt(left[0] / freedom))
-    # of exp(z) (a cos z + b sin z) the second derivative is 2 b at z = 0, of a exp(z) it is a
+    # second derivative at z = 0: 2 b for exp(z) (a cos z + b sin z), a for a exp(z)
     scale = curves_of_each / growth**2
     return Growth(
         score=0.5 * freedom * float(np.log(ratio)),
@@ -180,7 +182,7 @@ def _compared(windows: list[_Window], growth: float, decays: Sequence[float], tu
 
 @lru_cache(maxsize=64)
 def _curves(rows: int, degree: int, constants: tuple[float, ...], turning: bool) -> tuple[Floats, Floats]:
-    """Return an orthonormal basis of polynomials, and a growth and decays without what these explain.
+    """Return an orthonormal polynomial basis, and the growth and the decays projected onto its complement.
 
     Shapes (rows, degree + 1) and (constants, rows, 1 or 2); the first constant is that of the growth.
     """

@@ -1,8 +1,8 @@
-"""Response of a free device to its commands at any delay, a negative one included, by linear regression.
+"""Response of a free device to its commands at any delay, including negative ones, by linear regression.
 
-A mass m with damping b and a spring k under a command u that acts a delay d later obeys, integrated twice,
-m x + b I(x) + k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the start,
-which is linear in all but d.
+A mass m with damping b and a spring k under a command u that acts a delay d later obeys, integrated twice, m x + b I(x)
++ k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state, which is linear in all parameters
+except d.
 """
 
 from __future__ import annotations
@@ -16,58 +16,60 @@ from pipeline.recording.samples import Samples
 from pipeline.records.trials import Floats
 
 BLOCK = 512
-"""Rows of a block, each with its start: over more of them friction and other unmodelled forces add up."""
+"""Number of rows of a block, each with its own initial state; over more rows, friction and other unmodelled forces
+accumulate."""
 
 MOST_ROWS = 4096
-"""Rows that are used, from shortly before the first change of the command on."""
+"""Largest number of rows that are used, starting shortly before the first change of the command."""
 
 LARGEST_SHIFT = 128
-"""Largest delay, of either sign, that is looked for [rows]."""
+"""Largest delay, of either sign, that is searched for [rows]."""
 
 FEWEST = 40
-"""Rows below which a regression of six numbers and a delay says little."""
+"""Smallest number of rows for which a regression of six parameters and a delay is meaningful."""
 
 AT_NOISE = 3.0
-"""Root mean square of what is left, in standard deviations of the noise, of a model that explains a log."""
+"""Largest rms residual, in standard deviations of the noise, of a model that explains a log."""
 
 ARITHMETIC = 1e-9
-"""Residual relative to the motion that a polynomial or friction alone leaves of a motion that has nothing else."""
+"""Residual relative to the motion below which a polynomial or friction alone explains the motion, up to rounding
+errors."""
 
 BY_COMMAND = 4.0
-"""Residual without a command relative to that with it from which on the command is seen in the motion."""
+"""Residual without the command, relative to that with it, above which the motion is attributed to the command."""
 
 LIKELY_SHIFT = 40
-"""Largest delay, of either sign, at which signs are compared [rows]: by more of them a command may repeat itself."""
+"""Largest delay, of either sign, at which signs are compared [rows]; beyond it, a command may repeat itself."""
 
 BETWEEN = 4.0
-"""Residual on the grid of delays relative to that of the other sign up to which both are refined."""
+"""Largest residual on the delay grid, relative to that of the other sign, for which both signs are refined."""
 
 _DEGREE = 2
 
 
 @dataclass(frozen=True)
 class FreeResponse:
-    """How the position follows the command of a log without a wall.
+    """Response of the position to the command of a log without a wall.
 
     Parameters
     ----------
     delay : float
         Delay of the best fit [rows]; negative where the position comes first.
     gain : float
-        Acceleration a unit of command gives [position/row^2]; negative where the signs differ.
+        Acceleration per unit of command [position/row^2]; negative if the signs differ.
     residual : float
         Root mean square of the residual of the best fit.
     residual_causal : float
-        The same for the best delay of 0 and more.
+        The same for the best non-negative delay.
     residual_with, residual_against : float
         The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the
         command in its direction, or against it; infinite where there is none.
     residual_undriven : float
-        The same without any command: of a motion that starts by itself.
+        The same without any command, for a motion driven by its initial state alone.
     largest_jump : float
         Largest jump of the command, in the unit of the gain.
     motion : float
-        Root mean square of the motion apart from the polynomial of its start.
+        Root mean square of the motion without the polynomial of its initial state.
     noise : float
         Standard deviation of a reading.
     rows : int
@@ -87,18 +89,18 @@ class FreeResponse:
 
     @property
     def is_at_noise(self) -> bool:
-        """Whether nothing but noise is left, so that the device has no part that the regression does not."""
+        """Whether only noise remains, so that the regression models every part of the device."""
         return self.residual <= AT_NOISE * self.noise
 
     @property
     def is_driven(self) -> bool:
-        """Whether the motion is seen to be that of the command."""
+        """Whether the motion is caused by the command."""
         return self.residual_undriven > BY_COMMAND * self.residual > ARITHMETIC * self.motion
 
 
 @lru_cache(maxsize=4)
 def free_response(samples: Samples) -> FreeResponse | None:
-    """Return how the position follows the command; None behind a wall, without a change of command, or in few rows.
+    """Return the response of the position to the command; None with a wall, a constant command, or few rows.
 
     Notes
     -----
@@ -114,7 +116,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
     gain = float(fit.residuals(np.array([best[0]]))[1][0])
     likely = np.abs(coarse) <= LIKELY_SHIFT
     by_sign = [float(left[likely & (sign * signs > 0)].min(initial=np.inf)) for sign in (1, -1)]
-    if by_sign[1] < BETWEEN * by_sign[0]:  # between the delays of the grid either may be better
+    if by_sign[1] < BETWEEN * by_sign[0]:  # either sign may be better between the delays of the grid
         for place, sign in enumerate((1, -1)):
             own = likely & (sign * signs > 0)
             by_sign[place] = _refined(fit, coarse[own], left[own], -reach, sign)[1] if own.any() else np.inf
@@ -134,7 +136,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
 
 
 def _prepared(samples: Samples) -> _Regression | None:
-    """Return the regression of a log."""
+    """Return the regression of a log, ready to be solved."""
     if not samples.is_free or not len(samples.jumps) or not samples.jumps.any():
         return None
     first = max(int(np.flatnonzero(samples.jumps)[0]) - LARGEST_SHIFT, 0)
@@ -147,9 +149,9 @@ def _prepared(samples: Samples) -> _Regression | None:
 
 
 def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign: int = 0) -> tuple[float, float]:
-    """Return the delay of the smallest residual, of at least so many rows, to a sixtieth of a row, and what is left.
+    """Return the delay with the smallest residual, at least the given one, to a sixtieth of a row; and the residual.
 
-    With a ``sign`` only delays count at which the position follows the command with it.
+    With a ``sign``, only delays count at which the gain has this sign.
     """
     allowed = shifts >= least
     best, value = float(shifts[allowed][np.argmin(left[allowed])]), float(left[allowed].min())
@@ -165,9 +167,9 @@ def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign:
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
-    """A motion in blocks, without what start, damping, spring and friction explain, and the integrals of its command.
+    """Regression of a motion in blocks, without start, damping, spring and friction, on the integrals of its command.
 
-    ``position`` and ``basis`` (count, numbers) are projected on what the polynomials of each block leave.
+    ``position`` and ``basis`` (count, numbers) are projected onto the complement of the polynomials of each block.
     """
 
     position: Floats
@@ -205,7 +207,7 @@ class _Regression:
         return cls(left, basis, polynomial, index, velocity, double, u, size, reach)
 
     def _driven(self, at: Floats) -> Floats:
-        """Return the twice integrated command at some rows, (delays, blocks, rows), without start, (delays, rows)."""
+        """Return the twice integrated command at rows (delays, blocks, rows), without start, shape (delays, rows)."""
         k = np.clip(np.floor(at).astype(np.int64), 0, len(self.command) - 1)
         part = at - k
         double = self.twice[k] + self.velocity[k] * part + 0.5 * self.command[k] * part * part
@@ -218,7 +220,7 @@ class _Regression:
         return len(self.position)
 
     def residuals(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """Return the root mean square that is left at each delay, and the gain, shape of ``shifts``."""
+        """Return the rms residual and the gain at each delay, both of the shape of ``shifts``."""
         driven = self._driven(self.index[None] - shifts[:, None, None])
         driven -= (driven @ self.basis) @ self.basis.T
         power = np.einsum("ij,ij->i", driven, driven)
@@ -230,7 +232,7 @@ class _Regression:
 
 
 def _without_start(values: Floats, polynomial: Floats) -> Floats:
-    """Return values row by row without the polynomial of each block."""
+    """Return values row by row, with the polynomial of each block removed."""
     length = len(polynomial)
     part = values[: len(values) // length * length].reshape(-1, length)
     return np.asarray((part - (part @ polynomial) @ polynomial.T).ravel())

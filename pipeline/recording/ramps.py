@@ -1,9 +1,9 @@
-"""Ramps of a command between readings of a grid: was it sent so, or were steps inside them joined by lines?
+"""Ramps of a command between grid rows: sent as ramps, or steps that were interpolated when they were logged.
 
-A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with
-z = k - t from t on; a ramp of n rows with a zero-order hold is the mean of n such steps. Around each ramp both are
-compared, with a cubic in time and friction for all other motion. Ramps that were sent share their delay; the
-steps inside ramps of a grid have their own one.
+A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with z =
+k - t from t on; a ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared around
+each ramp, with a cubic in time and friction for all other motion. Ramps that were sent share one delay; a step inside
+an interpolated ramp has a separate delay.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats, Integers
 
 KINK = 1e-3
-"""Change of the slope of a command, relative to its largest change in a row, from which on it bends."""
+"""Smallest change of the slope of a command, relative to its largest change per row, that counts as a kink."""
 
 OWN_STEPS = 1.25
-"""Residual of a command on lines relative to that with a zero-order hold, from which on it was sent as steps."""
+"""Residual of an interpolated command relative to that with a zero-order hold, above which it was sent as steps."""
 
 SAME_DELAY = 2.5
-"""The same of ramps between steps at the grid, which share a delay as ramps do."""
+"""The same for ramps between steps on the grid, which share one delay just as ramps do."""
 
 MOST_RAMPS = 40
-"""Ramps of a command that are looked at one by one."""
+"""Largest number of ramps of a command that are examined individually."""
 
 AROUND = (10, 32)
-"""Fewest and most rows before and behind a ramp that are used: no other ramp lies in them."""
+"""Smallest and largest number of rows used before and after a ramp; they contain no other ramp."""
 
 LAGS = (0.0, 1.0, 2.0, 4.0, 8.0)
 """Lags of a device [rows]."""
@@ -40,31 +40,32 @@ LATEST = 16
 """Largest delay of a device [rows]."""
 
 LIKELIER = (-15.0, 20.0)
-"""Logarithm of the likelihood of steps inside ramps relative to that of the ramps: up to the first the command was a
-ramp, from the second on it was steps."""
+"""Log-likelihood ratio of steps inside ramps to the ramps: up to the first value the command was a ramp, from the
+second value on it was steps."""
 
 BETTER = 2.0
-"""Sum of squares that ramps of one delay leave relative to that of steps from which on the command was steps."""
+"""Residual sum of squares of ramps with one delay, relative to that of steps, above which the command was steps."""
 
 OTHER_DELAYS = 8.0
-"""The same from which on ramps whose shapes fit better are in doubt: their delays are those of steps of a grid."""
+"""The same ratio above which ramps are in doubt although their shapes fit better: their delays are those of grid
+steps."""
 
 ITERATIONS = 6
-"""Of the times of steps and their common gain in turns: three are enough."""
+"""Number of alternating estimates of the step times and their common gain; three are sufficient."""
 
 _DEGREE = 3
 
 
 @dataclass(frozen=True)
 class RampFit:
-    """How steps explain the motion around ramps relative to the ramps themselves.
+    """Fit of steps to the motion around ramps, relative to that of the ramps themselves.
 
     Parameters
     ----------
     score : float
-        Logarithm of the likelihood ratio, for white noise, where each step and each ramp has a gain and a delay.
+        Log-likelihood ratio for white noise, with a separate gain and delay for each step and each ramp.
     ratio : float
-        Sum of squares that ramps of one gain and one delay leave relative to that of steps of one gain.
+        Residual sum of squares of ramps with a common gain and delay, relative to that of steps with a common gain.
     """
 
     score: float
@@ -77,15 +78,15 @@ class RampFit:
 
     @property
     def is_step(self) -> bool:
-        """Whether steps were sent."""
+        """Whether the command was sent as steps."""
         return self.score >= LIKELIER[1] and self.ratio >= BETTER
 
 
 def interpolated_command(samples: Samples) -> Finding | None:
-    """Return whether the command lies on straight lines between fewer values, and its own steps explain the motion.
+    """Return whether the command is interpolated linearly between fewer values, and steps explain the motion.
 
-    The bends of a command that was sampled every n-th row and joined by lines lie n rows apart. A command that is meant
-    to be a ramp explains the motion as it is; where noise hides which of both it is, the finding is a note.
+    A command that was sampled every n-th row and interpolated linearly has kinks n rows apart. A command that is meant
+    to be a ramp explains the motion as logged. If noise hides the difference, the finding is a note.
     """
     if not samples.is_free:
         return None
@@ -128,16 +129,16 @@ def interpolated_command(samples: Samples) -> Finding | None:
 
 
 def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -> RampFit | None:
-    """Return how steps inside some ramps explain the motion relative to these; None where no rows are around any.
+    """Return how well steps inside ramps fit the motion relative to the ramps; None if no ramp has enough rows around.
 
     Parameters
     ----------
     samples : Samples
-        Of a free motion.
+        Samples of a free motion.
     starts : int64, shape (ramps,)
         Last row before each ramp.
     rows, around : int
-        Rows of a ramp, and before and behind it.
+        Number of rows of a ramp, and of those before and after it.
     """
     starts = starts[(starts >= around) & (starts + rows + around < len(samples))]
     if not len(starts):
@@ -161,7 +162,7 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
     gain = min(common)[1]
     inside = min(_of_one_gain(products[group], powers[group], sizes, gain) for group in steps)
     alone = [min(_alone(products[group], powers[group], sizes) for group in kind) for kind in (ramps, steps)]
-    # all that arithmetic leaves of a motion without noise
+    # rounding errors of a motion without noise
     least = (8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())) ** 2 * len(k) * len(starts)
     freedom = len(starts) * (len(k) - _DEGREE - 1)
     score = 0.5 * freedom * float(np.log((alone[0] + least) / (alone[1] + least)))
@@ -169,23 +170,23 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
 
 
 def _steps(k: Floats, times: Floats, lag: float) -> Floats:
-    """Return the motions by a unit step of acceleration at some times, shape (rows, times)."""
+    """Return the responses to a unit step of acceleration at the given times, shape (rows, times)."""
     z = np.maximum(k[:, None] - times, 0.0)
     motion = 0.5 * z * z
     return motion - lag * z - lag * lag * np.expm1(-z / lag) if lag else motion
 
 
 def _ramps(k: Floats, times: Floats, rows: int, lag: float) -> Floats:
-    """Return the motions by a ramp of acceleration over some rows to 1 that begins at some times."""
+    """Return the responses to an acceleration that ramps to 1 over some rows, starting at the given times."""
     return np.asarray(sum(_steps(k, times + row, lag) for row in range(rows)) / rows)
 
 
 def _projected(
     samples: Samples, starts: Integers, jumps: Floats, k: Floats, curves: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return products of curves and motion, and powers, (curves, ramps), and the power of the motion, (ramps,).
+    """Return products of curves and motion and energies (curves, ramps), and the energy of the motion (ramps,).
 
-    All without a polynomial and the motion by a force of constant size against the velocity.
+    A polynomial and the motion due to Coulomb friction are projected out of all of them.
     """
     polynomial = np.polynomial.legendre.legvander(2 * (k - k[0]) / (k[-1] - k[0]) - 1, _DEGREE)
     products, powers = np.empty((curves.shape[1], len(starts))), np.empty((curves.shape[1], len(starts)))
@@ -206,7 +207,7 @@ def _projected(
 
 
 def _of_one_delay(products: Floats, powers: Floats, sizes: Floats) -> tuple[float, float]:
-    """Return the sum of squares that curves of one delay and one gain leave, and the gain."""
+    """Return the residual sum of squares of curves with a common delay and gain, and the gain."""
     product, power = products.sum(axis=1), powers.sum(axis=1)
     explained = np.maximum(product, 0.0) ** 2 / power
     best = int(explained.argmax())
@@ -214,7 +215,7 @@ def _of_one_delay(products: Floats, powers: Floats, sizes: Floats) -> tuple[floa
 
 
 def _of_one_gain(products: Floats, powers: Floats, sizes: Floats, gain: float) -> float:
-    """Return the sum of squares that curves of one gain leave, each with the best delay."""
+    """Return the residual sum of squares of curves with a common gain, each with its best delay."""
     left, each = np.inf, np.arange(len(sizes))
     for _ in range(ITERATIONS):
         rest = sizes - 2 * gain * products + gain * gain * powers
@@ -225,12 +226,12 @@ def _of_one_gain(products: Floats, powers: Floats, sizes: Floats, gain: float) -
 
 
 def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
-    """Return the sum of squares that curves leave, each with the best delay and gain."""
+    """Return the residual sum of squares of curves, each with its best delay and gain."""
     return float((sizes - (np.maximum(products, 0.0) ** 2 / powers).max(axis=0)).sum())
 
 
 def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
-    """Return whether every n-th command, constant up to the next one, leaves far less than lines between them."""
+    """Return whether every n-th command with a zero-order hold leaves a far smaller residual than interpolation."""
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return False

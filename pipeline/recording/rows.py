@@ -1,4 +1,4 @@
-"""Rows that are no readings: repeated ones, a frozen position, and points between fewer readings."""
+"""Rows that are not readings: repeated rows, a frozen position, and interpolated positions."""
 
 from __future__ import annotations
 
@@ -9,59 +9,61 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Integers
 
 MOVES = 3.0
-"""Steps of the sensor that a position changes by before and behind a row that repeats the one before."""
+"""Smallest position change before and after a repeated row, in sensor steps, for which the row counts as repeated."""
 
 CLEAR = 8.0
-"""The same in standard deviations of the noise of a reading."""
+"""The same in standard deviations of a reading."""
 
 NOISY = 3.0
-"""Standard deviation of the noise in steps of the sensor from which on equal readings are no chance."""
+"""Standard deviation of the noise, in sensor steps, above which equal consecutive readings are not attributed to
+chance."""
 
 RARE = 0.15
-"""Share of equal readings in sequence, at most, where the noise is so large."""
+"""Largest share of equal consecutive readings for noise of this size."""
 
 EQUAL = 0.3
-"""Chance of two equal readings in sequence, relative to the sensor's step over the standard deviation of the noise."""
+"""Probability of two equal consecutive readings, divided by the ratio of sensor step to noise standard deviation."""
 
 MADE_UP = 1.3
-"""Change behind a repeated reading relative to the one before it: it makes up for two rows."""
+"""Smallest change after a repeated reading, relative to the one before it: it covers the motion of two rows."""
 
 JUMPS = 5.0
-"""Change behind frozen rows relative to the usual one there, and to the last one before."""
+"""Smallest change after frozen rows, relative to the usual change there and to the last one before."""
 
 FEWEST = 3
-"""Repeated rows that are no accident of a motion that turns."""
+"""Smallest number of repeated rows that is not attributed to a motion that reverses."""
 
 FROZEN = 10
-"""Rows without any change that a position takes from moving to frozen."""
+"""Smallest number of constant rows for which a moving position counts as frozen."""
 
 FEWEST_KNOTS = 4
-"""Bends of a position, or a command, that show a grid of fewer readings."""
+"""Smallest number of kinks of a position or command that shows a grid of fewer readings."""
 
 NO_CHANCE = 7.0
-"""Logarithm of the number of ways in which as many bends lie, of which one is on a grid, that is no chance."""
+"""Logarithm of the number of possible arrangements of the kinks, only one of which is on a grid, above which chance is
+excluded."""
 
 STRAIGHT = 0.4
-"""Share of the moving rows that lie on a straight line with their neighbours where a position is interpolated."""
+"""Share of the moving rows collinear with their neighbours above which a position is interpolated."""
 
 MOVING = 2.0
-"""Change of a row in such bends from which on the position moves in it."""
+"""Change per row, in units of such a kink, above which the position counts as moving."""
 
 NEARLY_STRAIGHT = 0.02
-"""Second difference, relative to the change, below which rows may lie on a line."""
+"""Second difference, relative to the change, below which rows may be collinear."""
 
 BEND = 1e-6
-"""Second difference, relative to the largest change, up to which three rows lie on a line."""
+"""Largest second difference, relative to the largest change, for which three rows are collinear."""
 
 EXACT = 1e-9
-"""The same of rows that were joined by arithmetic, and printed with all digits."""
+"""The same for rows that were interpolated and printed with all digits."""
 
 
 def repeated_rows(samples: Samples) -> Finding | None:
     """Return the rows that repeat the reading before while the device moves.
 
-    Where the noise is finer than the sensor's step, equal readings in sequence are those of one reading; else a
-    position that moves by several steps a row does not rest for one of them, and make up for it in the next.
+    If the noise exceeds the sensor step, equal consecutive readings are copies of one reading. Otherwise a position
+    that moves by several steps per row does not rest for one row and catch up in the next.
     """
     if samples.resting < FEWEST:
         return None
@@ -70,7 +72,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
     if len(single) < FEWEST:
         return None
     rows = single + 1
-    # where noise is that much larger than a step, equal readings are rare
+    # equal readings are rare if the noise is much larger than a step
     noisy = len(single) < RARE * len(size) and samples.is_noisier_than(NOISY * samples.least_change)
     by_chance = EQUAL * len(size) * samples.least_change / samples.noise if noisy else np.inf
     if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
@@ -95,7 +97,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
 
 
 def frozen_position(samples: Samples) -> Finding | None:
-    """Return the rows in which the position stays the same, and behind which it has jumped: no force moves it so."""
+    """Return the rows in which the position is constant before it jumps further than any force could move it."""
     if samples.resting < FROZEN or samples.pauses.max(initial=0) < FROZEN:
         return None
     size, least = samples.size, MOVES * samples.least_change
@@ -118,16 +120,16 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 
 def interpolated_position(samples: Samples) -> Finding | None:
-    """Return whether most positions lie on straight lines between fewer readings, as joined rates leave them.
+    """Return whether most positions are interpolated linearly between fewer readings, as if sampled at a lower rate.
 
-    All bends of the position then lie on a grid of every n-th row, of which by chance one of n^(bends - 1) is.
+    All kinks of the position then lie on a grid of every n-th row; the probability of this by chance is n^-(kinks - 1).
     """
     if samples.obeys_wall or len(samples.size) < 4 * FEWEST_KNOTS:
         return None
     exact = EXACT * samples.fastest + 8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())
     lines = _lines(samples, exact)
     if lines is None and _may_be_printed(samples):
-        # a line between printed readings bends by two digits at most
+        # rounding of printed readings bends a line by two digits at most
         lines = _lines(samples, max(BEND * samples.fastest, 2.1 * last_digit(samples.position)))
     if lines is None:
         return None
@@ -143,7 +145,7 @@ def interpolated_position(samples: Samples) -> Finding | None:
 
 
 def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
-    """Return the distance of the readings that lines join, and the rows on lines; None where bends are no such grid."""
+    """Return the row distance of the interpolated readings and the number of collinear rows; None without a grid."""
     bent = np.abs(samples.bend) > level
     if (bent[1:] & bent[:-1]).any():
         return None
@@ -157,7 +159,7 @@ def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
 
 
 def _may_be_printed(samples: Samples) -> bool:
-    """Return whether as many rows hardly bend as lines between printed readings leave: most rows of a motion do."""
+    """Return whether as many rows are nearly collinear as in interpolated positions that were rounded when printed."""
     size = samples.size
     moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
     straight = int(np.count_nonzero(np.abs(samples.bend) <= NEARLY_STRAIGHT * size[1:]))
@@ -170,5 +172,5 @@ def spacing(rows: Integers) -> int:
 
 
 def ordinal(number: int) -> str:
-    """Return a number as a word of order: ``2nd``."""
+    """Return a number as an ordinal: ``2nd``."""
     return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")

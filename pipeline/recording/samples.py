@@ -1,4 +1,4 @@
-"""The samples of one log with the conditions that its checks need, and what several checks take from them."""
+"""Samples of one log with the trial conditions, and quantities used by several checks."""
 
 from __future__ import annotations
 
@@ -25,39 +25,42 @@ THIRD_MEDIAN = NORMAL_QUARTILE * sqrt(THIRD_GAIN)
 """Median of the size of the third difference of white noise relative to its standard deviation."""
 
 FINE = 1e-6
-"""Step of a sensor relative to the range of the position below which it is none, but that of the digits."""
+"""Smallest sensor step, relative to the range of the position; a smaller one is a printed digit."""
 
 SMALLEST_STEP = 1e-9
-"""Smallest change of the position, relative to its range, that a sensor's step makes; smaller ones are arithmetic."""
+"""Smallest position change, relative to the range, that counts as a step of the sensor; smaller ones are rounding
+errors."""
 
 LAW_RESIDUAL = 0.02
-"""Part of the changes of a wall's command that the stated law leaves, rounding and the sensor included."""
+"""Largest residual of the stated wall law, relative to the changes of the command; it includes rounding and the
+sensor."""
 
 MOST_DECIMALS = 12
-"""Decimals that a position may be printed with and still be seen to be."""
+"""Largest number of decimals for which the last printed digit of a position can be detected."""
 
 ON_DIGIT = 1e-4
-"""Distance from a whole number of digits, in digits, that conversions leave."""
+"""Tolerance of a whole number of digits, in digits, for errors of unit conversion."""
 
 QUIET = 0.15
-"""Part of the step by which the command of a wall may differ from 0 before it, and from the step in its first row."""
+"""Largest command of a wall before the step, and largest deviation from the step in its first row, relative to the
+step."""
 
 
 def middle(values: Floats) -> float:
-    """Return the median of values, of two the larger one, at least one."""
+    """Return the median of at least one value; the larger one of the two middle values."""
     place = len(values) // 2
     return float(np.partition(values, place)[place])
 
 
 def last_digit(position: Floats) -> float:
-    """Return the decimal unit in which all positions (rows,) of a log are printed; 0 where there is none.
+    """Return the decimal unit in which all positions (rows,) of a log are printed; 0 if there is none.
 
     >>> last_digit(np.array([0.25, 0.5]))
     0.01
     """
     digit = 0.0
     largest = np.abs(position).max(initial=0.0)
-    # what is on no fine grid is on no coarser one
+    # values off a fine grid are off every coarser one
     for decimals in range(MOST_DECIMALS, 0, -1):
         scaled = position * 10.0**decimals
         off = np.abs(scaled - np.rint(scaled)).max(initial=0.0)
@@ -68,13 +71,13 @@ def last_digit(position: Floats) -> float:
 
 
 UNEVEN, MOST_UNEVEN = 0.05, 0.1
-"""Relative difference of a time step from the median, and share of such steps, above which the rows were polled: a
+"""Relative deviation of a time step from the median, and share of such steps, above which the rows count as polled: a
 command may then have changed at any time between two rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """One log in SI.
+    """Samples of one log in SI units.
 
     Parameters
     ----------
@@ -132,7 +135,8 @@ class Samples:
 
     @cached_property
     def least_change(self) -> float:
-        """Smallest change of the position that is none of arithmetic: at least the step of a sensor; 0 if it rests."""
+        """Smallest position change that is not a rounding error, at least the sensor step; 0 if the position is
+        constant."""
         if self.fastest == 0:
             return 0.0
         seen = self.size[self.moves] if self.resting else self.size
@@ -149,12 +153,12 @@ class Samples:
 
     @cached_property
     def pauses(self) -> Integers:
-        """Rows without a change behind each change but the last, shape of ``moves`` less one."""
+        """Number of constant rows after each change except the last; one element fewer than ``moves``."""
         return np.asarray(self.moves[1:] - self.moves[:-1] - 1)
 
     @property
     def is_free(self) -> bool:
-        """Whether no wall is rendered, so that the command does not depend on the position."""
+        """Whether there is no wall, so that the command does not depend on the position."""
         return self.stiffness == 0.0 and self.damping == 0.0
 
     def finding(
@@ -177,7 +181,7 @@ class Samples:
 
     @cached_property
     def is_even(self) -> bool:
-        """Whether nearly all rows are equally far apart in time, as those of a controller are."""
+        """Whether nearly all rows are equally spaced in time, as those of a controller are."""
         usual = middle(self.steps)
         return float(np.mean(np.abs(self.steps - usual) > UNEVEN * usual)) <= MOST_UNEVEN
 
@@ -198,13 +202,13 @@ class Samples:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of a reading: of third differences, which motion hardly has, and of rounding."""
+        """Standard deviation of a reading, from rounding and from third differences, in which motion is negligible."""
         of_readings = middle(self.third) / THIRD_MEDIAN if len(self.third) else 0.0
         steps = self.least_change / 12.0**0.5 if self.least_change > FINE * self.range else 0.0
         return max(of_readings, steps)
 
     def is_noisier_than(self, size: float) -> bool:
-        """Return whether the third differences show a noise of more than a size, without looking for their median."""
+        """Return whether the noise seen in third differences exceeds a size, without computing their median."""
         above = int(np.count_nonzero(self.third > size * THIRD_MEDIAN))
         return above >= len(self.third) - len(self.third) // 2 > 0
 
@@ -218,26 +222,26 @@ class Samples:
         return force
 
     def wall_residual(self, sign: float = 1.0) -> float:
-        """Return what the stated wall leaves of the changes of the command (rms), but for the step.
+        """Return the rms residual of the command changes after the stated wall and the step are subtracted.
 
-        With a sign of -1 those of a wall that pushes where the stated one pulls.
+        A sign of -1 reverses the force of the stated wall.
         """
         rest = np.abs(self.jumps + sign * self.wall_steps)
         largest = float(rest.max())
         return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
 
     def wall_residuals(self, most: int) -> Floats:
-        """Return the same for a command that is 0, 1, ... or so many rows late, shape (most + 1,)."""
+        """Return the same for a command that is 0, 1, ... or ``most`` rows late, shape (most + 1,)."""
         count = len(self.jumps)
         rest = self._late_jumps(most) + self.wall_steps
-        for late in range(1, most + 1):  # rows behind the end
+        for late in range(1, most + 1):  # rows after the end
             rest[late, count - late :] = 0.0
         largest = np.maximum(rest.max(axis=1), -rest.min(axis=1))
         power = np.maximum(np.einsum("ij,ij->i", rest, rest) - largest * largest, 0.0)
         return np.asarray(np.sqrt(power / (count - np.arange(most + 1))))
 
     def least_wall_residuals(self, most: int) -> Floats:
-        """Return what `wall_residuals` are at least, by sums of squares and products alone."""
+        """Return lower bounds of `wall_residuals` from sums of squares and products alone."""
         jumps, force, rows = self.jumps, self.wall_steps, np.arange(most + 1)
         products = self._late_jumps(most) @ force
         before = np.concatenate([[0.0], np.cumsum(jumps * jumps)])
@@ -247,12 +251,12 @@ class Samples:
         return np.asarray(np.sqrt(np.maximum(power - largest * largest, 0.0) / (len(jumps) - rows)))
 
     def _late_jumps(self, most: int) -> Floats:
-        """Return the changes of the command 0, 1, ... rows later, 0 behind the end, shape (most + 1, rows - 1)."""
+        """Return the command changes 0, 1, ... rows later, padded with 0 at the end, shape (most + 1, rows - 1)."""
         return np.lib.stride_tricks.sliding_window_view(np.append(self.jumps, np.zeros(most)), len(self.jumps))
 
     @cached_property
     def obeys_wall(self) -> bool:
-        """Whether the command is that of the stated wall with the position of its row, which then is the reading."""
+        """Whether the command matches the stated wall at the position of its row, which then is the reading used."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -260,7 +264,7 @@ class Samples:
 
     @cached_property
     def obeys_reversed_wall(self) -> bool:
-        """Whether the command is that of the stated wall with the position of its row, of which one is reversed."""
+        """Whether the command matches the stated wall at the position of its row after one sign is reversed."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -268,7 +272,7 @@ class Samples:
 
     @cached_property
     def wall_edge(self) -> int:
-        """Row in which the command of a wall steps from about 0 by about the stated step; 0 where it does not."""
+        """Row in which the command of a wall steps from about 0 by about the stated step; 0 if it does not."""
         if self.step_row is not None and self.step_row > 0:
             return self.step_row
         if self.step == 0:
@@ -276,5 +280,5 @@ class Samples:
         near = QUIET * abs(self.step)
         before, behind = np.abs(self.command[:-1]) <= near, np.abs(self.command[1:] - self.step) <= near
         found = int(np.argmax(before & behind))
-        # a wall that answers noise by more than that has no edge in its command alone
+        # if the wall responds to noise by more than that, the command alone shows no edge
         return found + 1 if before[found] and behind[found] and before[:found].all() else 0

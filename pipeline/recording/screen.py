@@ -1,6 +1,6 @@
-"""A screen of many logs in machine code: one pass over the rows of a wall that obeys its law shows that all is well.
+"""Fast screen of many logs in machine code: one pass over the rows shows that a log that obeys its wall has no fault.
 
-What it lets through no check has a finding for: each condition is one that a finding of some check needs (`check`).
+No check has a finding for a log that passes: each condition is necessary for a finding of some check (`check`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN
 from pipeline.records.trials import Floats, Integers
 
 NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
-"""What a check may find: the sum of both in the middle, or anything."""
+"""Possible findings of the checks of a log: none, one or the sum of the two middle values, or any."""
 
 _LIMITS = np.array(
     [
@@ -25,11 +25,11 @@ _LIMITS = np.array(
         *(travel.HARDER, travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
-"""Limits of the checks, in the order in which `_found_in` takes them: machine code would keep those of a module."""
+"""Limits of the checks, in the order in which `_found_in` reads them. Machine code would freeze module constants."""
 
 
 def screened(logs: Sequence[Samples]) -> list[int]:
-    """Return what a check of each log may find: nothing, repeated rows or a travel stop alone, or anything.
+    """Return the possible findings of each log: none, only repeated rows or a travel stop, or any.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def screened(logs: Sequence[Samples]) -> list[int]:
     Returns
     -------
     list of int
-        `NOTHING`, a sum of `REPEATED_ROWS` and `TRAVEL_STOP`, or `ANYTHING`, as of all free motions.
+        `NOTHING`, `REPEATED_ROWS`, `TRAVEL_STOP` or the sum of these two, or `ANYTHING` (all free motions).
     """
     result = np.full(len(logs), ANYTHING, dtype=np.int64)
     walls = [place for place, log in enumerate(logs) if not log.is_free and len(log) >= 2 * travel.BEFORE]
@@ -58,7 +58,7 @@ def screened(logs: Sequence[Samples]) -> list[int]:
 def _screen(
     rows: tuple[Floats, Floats, Floats], ends: Integers, conditions: Floats, limits: Floats, found: Integers
 ) -> None:
-    """Fill in what a check of each log may find, of the time, command and position of all rows."""
+    """Fill in the possible findings of each log from the time, command and position of all rows."""
     time, command, position = rows
     for log in range(len(found)):
         first, behind = ends[log], ends[log + 1]
@@ -69,7 +69,7 @@ def _screen(
 
 @part
 def _found_in(time: Floats, command: Floats, x: Floats, conditions: Floats, limits: Floats) -> int:
-    """Return what a check of one log may find."""
+    """Return the possible findings of one log."""
     fewest_rows, coarse, jump, even, missing, law, smallest = limits[:7]
     fewest, frozen, rare, noisy, moving, made_up = limits[7:13]
     at_extreme, fast, steps_at_stop, slower, impact, strong, harder, still, deviations, ways = limits[13:23]
@@ -143,7 +143,7 @@ def _found_in(time: Floats, command: Floats, x: Floats, conditions: Floats, limi
 
     # travel stop
     near, speed = at_extreme * reach, max(steps_at_stop * least, fast * fastest)
-    noise = 2 * total_third / max(size - 3, 1)  # no median is larger
+    noise = 2 * total_third / max(size - 3, 1)  # upper bound of the median
     hardest = -1.0
     for row in range(10, size - 2):
         if x[row] < high - near and x[row] > low + near:

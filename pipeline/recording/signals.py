@@ -1,4 +1,4 @@
-"""Signals that are missing or constant, logs too short for any model, a coarse sensor, and a sign that is reversed."""
+"""Missing or constant signals, logs too short for any model, a coarse sensor, and a reversed sign."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from pipeline.recording.samples import Samples, middle
 from pipeline.records.findings import Finding
 
 FEWEST_ROWS = 8
-"""Rows below which no model of a device has more equations than numbers."""
+"""Smallest number of rows for which a device model has more equations than parameters."""
 
 COARSE = 0.05
-"""Step of the sensor relative to the range of the position from which on it is coarse."""
+"""Sensor step, relative to the range of the position, above which the sensor is coarse."""
 
 CLEAR = 8.0
-"""Standard deviations of noise, and steps of the sensor, by which a first motion is clear."""
+"""Smallest displacement of a clear first motion, in noise standard deviations and in sensor steps."""
 
 OTHER_SIGN = 2.5
-"""Residual with the sign of the log relative to that with the other one from which on the other one is right."""
+"""Residual with the logged sign, relative to that with the opposite sign, above which the opposite sign is right."""
 
 DRIVEN = 3.0
-"""Residual without a command relative to that with it against the motion from which on the motion is its answer."""
+"""Residual without a command, relative to that with a reversed command, above which the motion is a response to it."""
 
 AS_GOOD = 1.3
-"""Residual of the best likely delay against the motion relative to that of any delay, of either sign, at most."""
+"""Largest residual of the best likely delay with reversed sign, relative to that of the best delay of either sign."""
 
 BASELINE = 5
-"""Fewest rows at rest before a step that show noise."""
+"""Smallest number of rows at rest before a step from which noise can be estimated."""
 
 
 def unusable_signal(samples: Samples) -> Finding | None:
-    """Return why nothing can be computed from a log: too few rows, no motion, or no command."""
+    """Return why a log is unusable: too few rows, no motion, or no command."""
     rows = len(samples)
     if rows < FEWEST_ROWS:
         return samples.finding(
@@ -58,7 +58,7 @@ def unusable_signal(samples: Samples) -> Finding | None:
 
 
 def same_samples(rows: int, other: str) -> Finding:
-    """Return that all samples of a log are those of another one."""
+    """Return the finding that all samples of a log equal those of another one."""
     return Finding(
         code="same_samples",
         first_row=None,
@@ -70,8 +70,8 @@ def same_samples(rows: int, other: str) -> Finding:
 
 
 def coarse_sensor(samples: Samples) -> Finding | None:
-    """Return whether the position takes so few values that its resolution is a large part of the motion."""
-    # values of a fine sensor differ; as many equal ones as steps in the range are those of a coarse one
+    """Return whether the position has so few distinct values that the resolution is a large part of the motion."""
+    # readings of a fine sensor differ; those of a coarse one repeat as often as there are steps in the range
     if samples.least_change <= COARSE * samples.range:
         return None
     values = 1 + np.count_nonzero(np.diff(np.sort(np.round(samples.position / samples.least_change * 64))))
@@ -86,8 +86,8 @@ def coarse_sensor(samples: Samples) -> Finding | None:
 def wrong_sign(samples: Samples) -> Finding | None:
     """Return whether the position moves against its command.
 
-    In free motion by the response to all commands at likely delays; behind a wall by its law, or by the first motion
-    from rest after the step.
+    A free motion is judged by its response to all commands at likely delays; a trial with a wall by the wall law, or by
+    the first motion from rest after the step.
     """
     if samples.obeys_wall:
         return None
@@ -96,7 +96,7 @@ def wrong_sign(samples: Samples) -> Finding | None:
         response = free_response(samples)
         if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
             return None
-        # a motion without noise is explained but for the rounding of its sums
+        # a motion without noise is explained up to rounding errors of the sums
         rounding = ARITHMETIC * response.motion
         if response.residual_with <= max(OTHER_SIGN * response.residual_against, rounding):
             return None
@@ -118,14 +118,14 @@ def wrong_sign(samples: Samples) -> Finding | None:
 
 
 def _first_motion_against(samples: Samples) -> int | None:
-    """Return the row in which the position first leaves its rest, where that is against the step."""
+    """Return the row in which the position first leaves rest if it moves against the step."""
     edge, x = samples.wall_edge, samples.position
     if edge < BASELINE:
         return None
     rest, noise = middle(x[:edge]), float(x[:edge].max() - x[:edge].min())
     moved = x[edge:] - rest
     clear = np.flatnonzero(np.abs(moved) > CLEAR * max(noise, samples.least_change))[:1]
-    # behind a stiff wall a coarse sensor sees the first motion in its first steps, and later any
+    # with a stiff wall, only the first steps of a coarse sensor show the first motion
     first = np.flatnonzero(np.abs(moved) > max(2 * noise, 0.5 * samples.least_change))[:1]
     towards = samples.jumps[edge - 1]
     if not len(clear) or moved[clear[0]] * towards > 0 or moved[first[0]] * towards > 0:

@@ -1,4 +1,4 @@
-"""Time stamps of a log against its stated sampling period, and rows that they skip."""
+"""Checks of the time stamps of a log against its stated sampling period, and for skipped rows."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats
 
 EVEN = 0.01
-"""Part of a period up to which the usual distance of two rows is that of the header: clocks drift by less, and a
-hundredth of the period is two of the mass."""
+"""Largest relative difference between the median time step and the stated period. Clocks drift by less, and 1 % of the
+period changes the mass by 2 %."""
 
 SURE = 4.0
-"""Standard errors of the usual distance of rows by which it differs from the sampling period where one is wrong: by
-chance in 6e-5 of the logs."""
+"""Difference between the median time step and the stated period, in standard errors, above which one of them is wrong
+(by chance in 6e-5 of the logs)."""
 
 MISSING = 1.5
-"""Distance of two rows in periods from which on rows are missing between them."""
+"""Smallest time step, in periods, that indicates missing rows."""
 
 
 def other_period(time: Floats, period: float) -> float | None:
-    """Return the usual distance of rows by their time stamps where it is not the stated sampling period [s].
+    """Return the median time step if it differs from the stated sampling period [s], else None.
 
-    The usual and the mean distance must both differ: lost rows move the mean alone, stamps of few digits the median.
+    The median and the mean must both differ: lost rows change only the mean, time stamps with few digits only the
+    median.
 
     Parameters
     ----------
@@ -46,9 +47,9 @@ def other_period(time: Floats, period: float) -> float | None:
 
 
 def sampling_period(samples: Samples) -> Finding | None:
-    """Return whether the rows are as far apart as stated, by their time stamps.
+    """Return whether the time stamps agree with the stated sampling period.
 
-    Behind a wall the command shows which period the controller used; where that is the stated one, stamps are wrong.
+    With a wall, the command shows which period the controller used; if it is the stated one, the time stamps are wrong.
     """
     period = samples.period
     usual = other_period(samples.time, period)
@@ -82,7 +83,7 @@ def sampling_period(samples: Samples) -> Finding | None:
 
 
 def _shows_period(samples: Samples) -> bool:
-    """Return whether the command is that of the stated wall, and its damping is seen, which depends on the period."""
+    """Return whether the command obeys the stated wall and shows its damping, which depends on the period."""
     damper, jumps = samples.damping / samples.period * samples.bend, samples.jumps
     is_seen = float(damper @ damper) > LAW_RESIDUAL**2 * float(jumps @ jumps)
     return is_seen and samples.obeys_wall

@@ -1,4 +1,4 @@
-"""Travel stops: the position is stopped at an extreme that it reached at speed, or bounces off it."""
+"""Travel stops: the position reaches an extreme at speed and stops there or bounces off."""
 
 from __future__ import annotations
 
@@ -9,44 +9,45 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Booleans
 
 AT_EXTREME = 0.02
-"""Distance from the largest or smallest position, relative to the range, within which rows are at it."""
+"""Distance from the largest or smallest position, relative to the range, within which rows count as at the extreme."""
 
 IMPACT, BRAKE = 3.0, 6.0
-"""Change of the velocity at a stop relative to the largest one in a row before it and behind it: one of both is the
-larger one."""
+"""Smallest ratios of the change of the velocity at a stop to the largest one per row before it and after it; the larger
+ratio applies to one of the two sides."""
 
 BEFORE, BEHIND = 10, 5
-"""Rows before and behind an impact in which the device moves freely."""
+"""Number of rows before and after an impact in which the device moves freely."""
 
 OVER = 3
-"""Rows over which a blow changes the velocity."""
+"""Number of rows over which an impact changes the velocity."""
 
 STAYS = 12
-"""Rows at an extreme from which on the position stays there."""
+"""Smallest number of rows at an extreme for which the position counts as staying there."""
 
 HARDER = 1.4
-"""Change of the velocity at a stop relative to the largest one over as many rows away from the extremes: commands and
-friction may stop a device, too, as hard as they move it elsewhere."""
+"""Smallest change of the velocity at a stop, relative to the largest one over as many rows away from the extremes.
+Commands and friction may also stop a device, as abruptly as they move it elsewhere."""
 
 SLOWER = 1.5
-"""Speed before a stop relative to that behind it: a free motion turns as fast as it came."""
+"""Smallest ratio of the speeds before and after a stop; a free motion reverses with equal speeds."""
 
 FAST = 0.05
-"""Speed at a stop relative to the largest one."""
+"""Smallest speed at a stop, relative to the largest speed."""
 
 STEPS = 8.0
-"""Change of the velocity at a stop in steps of the sensor a row."""
+"""Smallest change of the velocity at a stop, in sensor steps per row."""
 
 STILL = (1.2, 4.0, 0.02)
-"""Distance from a stop at which the position stays: in steps of the sensor, standard deviations of its noise, and in
-rows at the speed before."""
+"""Distance from a stop within which the position counts as staying: in sensor steps, in standard deviations of its
+noise, and in rows at the speed before."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:
-    """Return from which row on a travel stop moves the device.
+    """Return the row from which on a travel stop affects the motion.
 
-    At a stop the velocity changes within two rows by more than the command and friction change it anywhere else, at the
-    largest or smallest position of the log, and the device stays there, or leaves more slowly than it came.
+    At a travel stop the velocity changes within two rows by more than command and friction change it anywhere else.
+    This happens at the largest or smallest position of the log; afterwards the device stays there or leaves more slowly
+    than it arrived.
     """
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:
@@ -62,7 +63,7 @@ def travel_stop(samples: Samples) -> Finding | None:
     for row in rows.tolist():
         hit = float(abs(change[row + 1] - change[row + 1 - OVER]))
         brake, free = _around(samples, row)
-        # a wall's command has no jumps behind its step
+        # the command of a wall does not jump after its step
         is_seen = not samples.is_free and hit > BRAKE * brake and hit > IMPACT * free
         if not is_seen:
             if not (hit > IMPACT * brake and hit > BRAKE * free) and not _stays(samples, row):
@@ -86,14 +87,14 @@ def _hardest(samples: Samples, at_extreme: Booleans) -> float:
     """Return the largest change of the velocity over three rows, away from the extremes."""
     change = samples.change
     over = np.abs(change[OVER:] - change[:-OVER])
-    # rows of which one is at an extreme are those of a stop, and of its way there
+    # differences that include a row at an extreme belong to a stop or its approach
     beyond = np.concatenate([[0], np.cumsum(at_extreme)])
     last = np.minimum(np.arange(len(over)) + OVER + 2, len(at_extreme))
     return float(over[beyond[last] == beyond[: len(over)]].max(initial=0.0))
 
 
 def _around(samples: Samples, row: int) -> tuple[float, float]:
-    """Return the largest change of the velocity in a row before an impact, and behind it."""
+    """Return the largest change of the velocity per row before an impact and after it."""
     before, behind = samples.bend[row - BEFORE : row - 2], samples.bend[row + 1 : row + BEHIND]
     return float(np.abs(before).max()), float(np.abs(behind).max(initial=0.0))
 

@@ -1,4 +1,4 @@
-"""Angles that start again after a turn, or after another modulus, of an encoder: found, and joined."""
+"""Angles that wrap around after a turn or another modulus of the encoder: detected and unwrapped."""
 
 from __future__ import annotations
 
@@ -10,52 +10,54 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.5
-"""Change from row to row, relative to the range of the position, that may be one over the end of a modulus."""
+"""Smallest change per row, relative to the range of the position, that may be a wrap-around."""
 
 SLOW = 0.4
-"""Largest other change from row to row, relative to the modulus, up to which its direction is known."""
+"""Largest other change per row, relative to the modulus, for which its direction is unambiguous."""
 
 SMOOTH = 0.2
-"""Largest difference of the changes on both sides of a jump, relative to the modulus: the motion goes on."""
+"""Largest difference of the changes on both sides of a jump, relative to the modulus, for a continuous motion."""
 
 ALIKE = 0.05
-"""Largest difference of the jumps of a log, without the motion meanwhile, relative to the modulus."""
+"""Largest difference of the jumps of a log, without the motion during the jumps, relative to the modulus."""
 
 SURE = 4.0
-"""Standard errors of the modulus by which a turn may differ from it and be it."""
+"""Largest difference between a standard modulus and the estimated one, in standard errors, for which they count as
+equal."""
 
 UNSEEN = 1e-4
-"""Error of a modulus, relative to it, that its own jumps may not show."""
+"""Relative error of a modulus that its jumps may not reveal."""
 
 FEWEST_STEPS = 16
-"""Steps of the sensor in a modulus: a sensor at rest between two values jumps as well."""
+"""Smallest number of sensor steps in a modulus: a sensor at rest between two values jumps as well."""
 
 MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
-"""Moduli that encoders have [rad]: turns, half and several ones, and +-12.5 rad."""
+"""Moduli of common encoders [rad]: one, half and several turns, and +-12.5 rad."""
 
 SMALL_DOUBT = 3.0
-"""Doubt of another modulus, in errors of a reading, up to which it may be taken as its jumps show it."""
+"""Largest uncertainty of a non-standard modulus, in errors of a reading, for which the value estimated from the jumps
+is accepted."""
 
 LEAST_ROWS = 3
-"""Rows behind the first jump that show that the motion goes on."""
+"""Smallest number of rows after the first jump that shows that the motion continues."""
 
 REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 
 
 def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Floats, Finding | None]:
-    """Return a position without jumps over the end of its modulus, and the finding that says so.
+    """Return a position with its wrap-around jumps removed, and the finding that reports them.
 
     Parameters
     ----------
     position : float64, shape (rows,)
     rule : bool or float, optional
-        A modulus in the unit of the position; False to leave it as it is; else jumps are looked for.
+        A modulus in the unit of the position; False to leave the position as it is; otherwise jumps are detected.
 
     Notes
     -----
-    A modulus is found where every jump leads from near one end of the range to near the other, all jumps are equal but
-    for the motion meanwhile, and the motion is slow enough that its direction is known. Jumps of which that is not sure
-    are left: see `wrapped_position`.
+    A modulus is detected if every jump goes from near one end of the range to near the other, all jumps have the same
+    size apart from the motion during the jump, and the motion is slow enough for its direction to be unambiguous.
+    Uncertain jumps remain in the position: see `wrapped_position`.
     """
     if rule is False or len(position) < 2 * LEAST_ROWS:
         return position, None
@@ -90,13 +92,13 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
 
 
 def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, bool] | None:
-    """Return the modulus that explains all jumps, and whether it is sure; None where none does."""
+    """Return the modulus that explains all jumps, and whether it is certain; None if there is no such modulus."""
     is_jump = np.zeros(len(change), dtype=np.bool_)
     is_jump[jumps] = True
     others = np.flatnonzero(~is_jump)
     if jumps[0] + LEAST_ROWS > len(change) or len(others) < LEAST_ROWS:
         return None
-    # the motion meanwhile: by the nearest changes that are no jump, two on each side
+    # motion during a jump, from the two nearest changes without a jump on each side
     place = np.searchsorted(others, jumps)
     near_by = [change[others[np.clip(place + offset, 0, len(others) - 1)]] for offset in (-2, -1, 0, 1)]
     before, behind = near_by[1], near_by[2]
@@ -117,7 +119,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     inside = float(position.max() - position.min()) <= 1.02 * modulus + fastest
     if not (at_ends and alike and smooth and inside):
         return None
-    # a single jump may be the largest change of a noise, a single row at the other end a wrong reading of any size
+    # a single jump may be a noise peak, a single row at the other end an outlier of any size
     if not known and len(jumps) == 1 and fastest > SLOW * modulus:
         return None
     if not known and len(jumps) > 1 and (np.diff(jumps) == 1).all():
@@ -129,7 +131,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
 
 
 def wrapped_position(samples: Samples) -> Finding | None:
-    """Return that the position still jumps as an angle that starts again: by an unsure modulus, or too fast."""
+    """Return the finding that the position still wraps around: the modulus is uncertain, or the motion too fast."""
     if samples.fastest <= JUMP * samples.range:
         return None
     jumps = np.flatnonzero(samples.size > JUMP * samples.range)
