@@ -1,4 +1,4 @@
-"""What the eye looks for in a recorded column before anything is known of it: jumps, rests, and gaps of the time."""
+"""Features visible in a recorded column without any knowledge of it: jumps, rests, and gaps in time."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pipeline.measured.wall_command.stamps import ODD
 from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.2
-"""Change from one row to the next, relative to the range of the column, that is a jump."""
+"""Smallest change from one row to the next, relative to the range of the column, that counts as a jump."""
 
 MOST_JUMPS = 12
-"""Most jumps of a column that are listed; one with more chatters, and its largest are listed."""
+"""Largest number of jumps listed for a column; of a chattering column only the largest jumps are listed."""
 
 STILL = 0.005
-"""Range of a stretch, relative to that of the column, within which it rests."""
+"""Largest range of a segment at rest, relative to that of the column."""
 
 SHORTEST_REST = 0.05
-"""Length of a rest, relative to that of the column, and at least `FEWEST_ROWS`."""
+"""Smallest length of a rest, relative to that of the column; it is also at least `FEWEST_ROWS`."""
 
 FEWEST_ROWS = 8
 
@@ -28,7 +28,7 @@ def jumps(values: Floats) -> Integers:
     Parameters
     ----------
     values : float64, shape (rows,)
-        NaN where a cell is missing; a change across it is no jump.
+        NaN for a missing cell; a change across it is not a jump.
     """
     size = np.abs(np.diff(values))
     reach = _reach(values)
@@ -40,7 +40,7 @@ def jumps(values: Floats) -> Integers:
 
 
 def rests(values: Floats) -> list[tuple[int, int]]:
-    """Return the stretches in which a column rests, or creeps: first row, and the one behind the last."""
+    """Return the segments in which a column rests or creeps: the first row, and the row after the last one."""
     rows, reach = len(values), _reach(values)
     least = max(FEWEST_ROWS, int(SHORTEST_REST * rows))
     if rows < least:
@@ -52,7 +52,7 @@ def rests(values: Floats) -> list[tuple[int, int]]:
 
 
 def gaps(time: Floats) -> Integers:
-    """Return the rows before which rows are missing, by the stamps; NaN is no gap."""
+    """Return the rows preceded by missing rows, according to the time stamps; NaN is not a gap."""
     step = np.diff(time)
     usual = float(np.nanmedian(step)) if len(step) else 0.0
     return np.flatnonzero(step > (1 + ODD) * usual) + 1 if usual > 0 else np.zeros(0, dtype=np.int64)

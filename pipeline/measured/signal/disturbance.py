@@ -1,7 +1,8 @@
-"""Forces that no command explains: a push, a second load, a drift, found from the balance of forces alone.
+"""Forces that the command does not explain (a push, a second load, a drift), from the force balance alone.
 
-The device of an experiment obeys m a = F(t - t_d) - b v - k x, with the logged command F. Mass, damping, stiffness
-and delay that fit the experiment's trials best are taken for known; what is left over in a trial acts from outside.
+The device of an experiment obeys m a = F(t - t_d) - b v - k x, with the logged command F. Mass, damping, stiffness and
+delay are set to the values that fit the experiment's trials best; the residual force of a trial is an external
+disturbance.
 """
 
 from __future__ import annotations
@@ -17,28 +18,31 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial, Trials
 
 LONGEST_DELAY = 12
-"""Largest delay that is tried [samples], as many as the window of `modes` has room for."""
+"""Largest delay that is tried [samples], the largest for which the window of `modes` is long enough."""
 
 FITTED_TRIALS = 64
-"""Trials that the device is fitted to: more do not improve its three numbers. Those with the smallest hash of their
-samples are used: one more log seldom changes them, and therefore the results of the others."""
+"""Largest number of trials to which the device is fitted; more do not improve its three parameters. Those with the
+smallest hash of their samples are used, so that an additional log rarely changes them, and with them the results of the
+others."""
 
 FITTED_ROWS = 4096
-"""Rows of a longer log that the device is fitted to, from the step on: its rest would outweigh the other logs."""
+"""Largest number of rows of a log to which the device is fitted, counted from the step; a long rest would outweigh the
+other logs."""
 
 SHORTEST_SPAN, LONGEST_SPAN = 8, 40
-"""Bounds of the lag of second differences [samples]: long against sensor noise, short against a push of 20 samples."""
+"""Smallest and largest lag of second differences [samples]: long for little sensor noise, short for a push of 20
+samples."""
 
 SENSOR_FLOORS = 2.3
-"""Largest second difference that the sensor feigns, in floors: two quanta and six standard deviations."""
+"""Largest second difference attributed to the sensor, in sensor floors: two quanta and six standard deviations."""
 
 SMALLEST_FORCE = max(SETTLING_BANDS.values())
-"""Smallest disturbance that is reported, relative to the step, and part of command and own forces that may be wrong:
-what the widest settling band hardly shows, and what the device is fitted to."""
+"""Smallest reported disturbance, relative to the step, and assumed relative error of the command and the device's
+forces: an effect that even the widest settling band hardly shows."""
 
 TYPICAL = 3.0
-"""Factor by which a force must exceed that of the median trial: a force in all trials belongs to the device (friction,
-jitter) and is no event. Used from eight trials on."""
+"""Smallest ratio of a force to that of the median trial for an event. A force in all trials belongs to the device
+(friction, jitter). Used for eight trials or more."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +52,10 @@ class Disturbance:
     Parameters
     ----------
     first_row, largest_row : int
-        First row about which the balance is broken, and row about which that force is largest; -1 where it is not
-        broken, or unknown.
+        First row about which the force balance is violated, and row about which that force is largest; -1 if it is not
+        violated, or unknown.
     force : float
-        Largest such force, with its sign, averaged over some samples [N, Nm]; 0 where there is none.
+        Largest such force, with its sign, averaged over some samples [N, Nm]; 0 if there is none.
     """
 
     first_row: int = NO_ROW
@@ -61,10 +65,11 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class PushResponse:
-    """Device that fits an experiment, for forces that it does not explain: m, b, k and delay [samples].
+    """Device fitted to an experiment for the detection of disturbances: m, b, k and delay [samples].
 
-    Its mass is 0 where trials show no motion. ``span`` are the rows before and after a row that determine its force;
-    ``least`` is the force, in units of the smallest reported one, from which on it is an event, and not the device.
+    The mass is 0 if the trials show no motion. ``span`` is the number of rows before and after a row that determine its
+    force; ``least`` is the smallest force of an event, in units of the smallest reported one; smaller forces are
+    attributed to the device.
     """
 
     mass: float = 0.0
@@ -83,15 +88,15 @@ def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> 
     trial : Trial
     response : Response
     device : PushResponse
-        What was learnt from all trials of the experiment (`fit_push_response`): they share device and delay. From few
-        and disturbed trials less is learnt.
+        Fit to all trials of the experiment (`fit_push_response`), which share device and delay. It is less accurate for
+        few or disturbed trials.
 
     Notes
     -----
-    x_{k+w} - 2 x_k + x_{k-w} is the acceleration between, weighted by a triangle: sensor noise falls with w^2. Where
-    commands are late by differing times, the one before or after may have been in force. Forces below 5 % of the step,
-    and those in the first and last w samples of a log, are not seen. Valid for a device that is one mass in the range
-    of the loop.
+    x_{k+w} - 2 x_k + x_{k-w} is the acceleration in this interval with triangular weights: the effect of sensor noise
+    falls with w^2. If the delay jitters, the previous or next command may have been applied. Forces below 5 % of the
+    step, and those in the first and last w samples of a log, are not detected. Valid for a device that is a single mass
+    in the bandwidth of the loop.
     """
     if not (device.mass > 0 and trial.rows > 2 * device.span):
         return Disturbance()
@@ -104,14 +109,14 @@ def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> 
 
 
 def fit_push_response(trials: Trials, edge_row: Integers, floor: Floats) -> PushResponse:
-    """Fit the device of an experiment to some of its trials, by the least absolute error: disturbed ones hardly count.
+    """Fit the device to trials of an experiment by least absolute errors, which is robust to disturbed trials.
 
     Parameters
     ----------
     trials : Trials
         All trials of the experiment.
     edge_row, floor : shape (n,)
-        Command edge (-1 for none) and sensor floor [m, rad] of each.
+        Command edge (-1 for none) and sensor floor [m, rad] of each trial.
     """
     rows = trials.rows
     usable = np.flatnonzero((edge_row >= 0) & (rows > edge_row + 2 * SHORTEST_SPAN))
@@ -167,9 +172,9 @@ def _late_force(trial: Trial, delay: int) -> Floats:
 
 
 def _ratio(trial: Trial, edge: int, floor: float, device: PushResponse) -> tuple[Floats, Floats]:
-    """Return forces beyond all commands that may be in force, in units of the smallest to be believed, and as such.
+    """Return forces beyond all commands that may be applied, in units of the smallest reported one, and in [N, Nm].
 
-    Shape (rows - 2 span,) each, from row span on [1], [N, Nm]; the former are 0 up to the step.
+    Shape (rows - 2 span,) each, starting at row span [1], [N, Nm]; the former are 0 up to the step.
     """
     span, period = device.span, trial.sampling_period_s
     weight, displacement = float(span * span), trial.displacement
@@ -188,13 +193,13 @@ def _ratio(trial: Trial, edge: int, floor: float, device: PushResponse) -> tuple
 
 
 def _least_absolute(design: Floats, values: Floats) -> tuple[Floats, float]:
-    """Coefficients of a design, shape (q, m), for the least absolute error, by reweighting, and that error."""
+    """Return the least-absolute-error coefficients of a design (q, m), by iterative reweighting, and the error."""
     size = np.sqrt((design * design).sum(axis=1))
     size = np.where(size > 0, size, 1.0)
     scaled, weight = design / size[:, None], np.ones(len(values))
     solution: Floats = np.zeros(len(design))
     error = values
-    for _ in range(6):  # the sixth changes nothing that matters
+    for _ in range(6):  # converged to sufficient accuracy
         weighted = scaled * weight
         solution = np.asarray(np.linalg.lstsq(weighted @ scaled.T, weighted @ values, rcond=None)[0], np.float64)
         error = np.abs(values - solution @ scaled)
@@ -216,20 +221,20 @@ def _late(command: Floats, delay: int) -> Floats:
 
 
 def _held(command: Floats) -> Floats:
-    """Mean of the command over the two intervals at each row: its second difference is exact for a zero-order hold."""
+    """Return the mean command of both intervals at each row: its second difference is exact for a zero-order hold."""
     mean = command.copy()
     mean[1:] += command[:-1]
     return 0.5 * mean
 
 
 def _second_difference(values: Floats, span: int) -> Floats:
-    """Return values_{k+span} - 2 values_k + values_{k-span}, for each row k that has span rows before and behind it."""
+    """Return values_{k+span} - 2 values_k + values_{k-span} for each row k with span rows before and after it."""
     rows = max(len(values) - 2 * span, 0)
     return values[2 * span :][:rows] - 2 * values[span : span + rows] + values[:rows]
 
 
 def _triangle(values: Floats, span: int) -> Floats:
-    """Sum of (span - |i|) values_{k+i}, for each row k that has span rows before and behind it."""
+    """Return the sum of (span - |i|) values_{k+i} for each row k with span rows before and after it."""
     twice = np.zeros(len(values) + 1)
     np.cumsum(np.cumsum(values), out=twice[1:])
     return _second_difference(twice, span)[: max(len(values) - 2 * span, 0)]

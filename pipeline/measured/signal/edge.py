@@ -1,8 +1,8 @@
-"""Where the external force steps in a log: from its previous level to the next, once.
+"""Detection of the single step of the external force in a log, from one level to the next.
 
-The external force is recovered from the log itself: command plus wall force. It is a step, whatever delay, mass and
-sensor do, because the controller computed the wall force from the very positions in the log. It begins at 0, or at the
-level of an operating point; the step of a log is the change.
+The external force is reconstructed from the log itself: command plus wall force. It is a step for any delay, mass and
+sensor, because the controller computed the wall force from the positions in the log. It begins at 0, or at the level of
+an operating point; the step of a log is the change.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
 
 EDGE_SAMPLES = 3
-"""Rows for which the external force must stay above half the step: fewer would take a flicker for it."""
+"""Smallest number of rows for which the external force must stay above half the step; fewer may be a glitch."""
 
 LEVEL = 0.02
-"""Largest distance from a level, relative to the step, of rows on it: sensors and printed digits stay below."""
+"""Largest deviation from a level, relative to the step; sensors and printed digits cause less."""
 
 LEVEL_ROWS = 20
-"""Rows before and behind a jump that show two levels. A velocity over N rows leaves a plateau of N rows behind each
-quantum; with as many rows it is too low to be a step."""
+"""Number of rows before and after a jump that show two levels. A velocity over N rows leaves a plateau of N rows after
+each quantum; with as many rows it is too low to be a step."""
 
 JUMP = 0.1
-"""Smallest change that is a step or a motion, relative to the step of the log; by B, quanta jump by less. Of a wall
-force in another unit, or of another signal, as much is left only where command plus wall force is off its level by more
-than `LEVEL`; two steps that differ by less are the same."""
+"""Smallest change that counts as a step or a motion, relative to the step of the log; quanta amplified by B jump by
+less. A wall force in another unit, or another signal, leaves as much only if command plus wall force deviates from its
+level by more than `LEVEL`; two steps that differ by less are equal."""
 
 UNDAMPED_JUMP = 0.04
-"""The same of a jump between two levels where no B amplifies quanta."""
+"""The same for a jump between two levels if no B amplifies quanta."""
 
 BENT = 1e-3
-"""Departure of a command from the wall law, relative to the step, at one of its limits, by which it is bent: a log in
-few digits is rounded by less."""
+"""Smallest deviation of a command from the wall law, relative to the step, at which the command counts as limited;
+rounding of a log with few digits causes less."""
 
 LISTED_STEPS = 6
-"""Steps that a reason lists."""
+"""Largest number of steps that a reason lists."""
 
 
 NEVER = (
@@ -61,12 +61,13 @@ AGAINST = (
     "no command edge: command plus wall force first jumps against the step ({step:g}), in row {row}; check the sign of "
     "command, position and step"
 )
-"""Why a log has no edge."""
+"""Reason why a log has no edge."""
 
 
 @dataclass(frozen=True)
 class Edge:
-    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and why there is no edge."""
+    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and the reason if there is no
+    edge."""
 
     row: int
     level: float
@@ -84,14 +85,14 @@ def external_force(trial: Trial) -> Floats:
 
 
 def position_change(trial: Trial) -> Floats:
-    """Return the change of the position since the row before, 0 in the first row, shape (rows,) [m, rad]."""
+    """Return the change of the position since the previous row, 0 in the first row, shape (rows,) [m, rad]."""
     change = np.zeros_like(trial.position)
     np.subtract(trial.position[1:], trial.position[:-1], out=change[1:])
     return change
 
 
 def find_edge(trial: Trial) -> Edge:
-    """Find the one step of a trial.
+    """Find the single step of a trial.
 
     Parameters
     ----------
@@ -99,9 +100,9 @@ def find_edge(trial: Trial) -> Edge:
 
     Notes
     -----
-    The edge is the first row from which on the external force stays above half the step. Where it begins on another
-    level than 0, as at an operating point, the edge is the first row in which it leaves that, by the step. Two or more
-    jumps between levels are several steps, which no row can separate.
+    The edge is the first row from which on the external force stays above half the step. If it begins at a level other
+    than 0, as at an operating point, the edge is the first row in which it leaves this level by the step. Two or more
+    jumps between levels are several steps, which a single edge row cannot separate.
     """
     step = trial.step
     if step == 0:
@@ -131,11 +132,12 @@ def find_edge(trial: Trial) -> Edge:
 
 
 def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
-    """Return whether the command itself takes part in a force that reaches half the step.
+    """Return whether the command contributes to the change of a force that reaches half the step.
 
-    Where it has a wrong unit or is another signal, the wall force alone crosses half the step, only later; a chatter
-    before the step may be larger than it, of either sign. Of a slow ramp the wall takes before it reaches half the
-    step; what stays on its level while the command still moves is no wall force either.
+    If the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later.
+    Chatter before the step may be larger than the step, of either sign. With a slow ramp, the wall responds before the
+    ramp reaches half the step; a force that stays at its level while the command still moves is not a wall force
+    either.
     """
     command = np.abs(trial.command)
     if (command[:until] > half).any():
@@ -146,16 +148,16 @@ def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
 
 
 def level_before(force: Floats, row: int, step: float) -> float:
-    """Return the level of a force in the rows before one [N, Nm]; 0 where it is on none, or on one near to 0."""
+    """Return the level of a force in the rows before a row [N, Nm]; 0 if it has none, or one close to 0."""
     near = LEVEL * abs(step)
     level = middle(force[:row]) if row > 0 else 0.0
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
 
 
 def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
-    """Return edge, level before it, and why there is no edge, for a force that begins on a level and jumps to another.
+    """Return edge, level before it, and the reason for no edge, for a force that jumps from one level to another.
 
-    None where it begins near 0, or does not jump.
+    None if the force begins near 0 or does not jump.
     """
     start = level_before(force, EDGE_SAMPLES, step)
     if start == 0:
@@ -175,12 +177,12 @@ def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
 
 
 def first_step_alone(trial: Trial) -> Trial:
-    """Return a trial with several steps up to its second one."""
+    """Return a trial with several steps, truncated before its second step."""
     return trial.window(0, _steps(external_force(trial), trial.step, trial.damping)[1])
 
 
 def _steps(force: Floats, step: float, damping: float) -> list[int]:
-    """Return the rows in which a force jumps from a level to another one."""
+    """Return the rows in which a force jumps from one level to another."""
     smallest = JUMP if damping else UNDAMPED_JUMP
     rows = np.flatnonzero(np.abs(force[1:] - force[:-1]) > smallest * abs(step)) + 1
     if len(rows) >= 2:
@@ -190,17 +192,17 @@ def _steps(force: Floats, step: float, damping: float) -> list[int]:
 
 @compiled("b1[::1](f8[::1], i8[::1], f8, i8, i8)")
 def _between_levels(force: Floats, rows: Integers, near: float, most: int, fewest: int) -> Booleans:
-    """Return whether a force is on a level before and behind each of some rows.
+    """Return whether a force is constant before and after each of the given rows.
 
     Parameters
     ----------
     force : float64, shape (rows of the trial,)
     rows : int64, shape (jumps,)
-        First row behind each jump.
+        First row after each jump.
     near : float
         Largest range of a level [N, Nm].
     most, fewest : int
-        Rows on either side that are looked at, and that there must be.
+        Number of rows examined on either side, and smallest number that must exist.
     """
     result = np.ones(len(rows), dtype=np.bool_)
     for jump in range(len(rows)):
@@ -229,7 +231,7 @@ def _list_steps(force: Floats, steps: list[int]) -> str:
 
 
 def lasting(rows: Booleans, samples: int) -> Booleans:
-    """Return the rows from which on so many are true, shape (rows,)."""
+    """Return the rows from which on ``samples`` consecutive rows are true, shape (rows,)."""
     result = rows.copy()
     for ahead in range(1, samples):
         result[:-ahead] &= rows[ahead:]
@@ -238,7 +240,7 @@ def lasting(rows: Booleans, samples: int) -> Booleans:
 
 
 def first_run(rows: Booleans) -> int:
-    """Return the first row from which on `EDGE_SAMPLES` rows are true, -1 where there is none.
+    """Return the first row from which on `EDGE_SAMPLES` rows are true, -1 if there is none.
 
     >>> first_run(np.array([True, False, True, True, True, True]))
     2

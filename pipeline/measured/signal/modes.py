@@ -1,8 +1,7 @@
-"""Growth rates of the modes in a free motion, from samples alone (matrix pencil).
+"""Growth rates of the modes of a free motion, from samples alone (matrix pencil).
 
-A sum of modes z_m^k seen through a window of samples spans as many directions as there are modes. Moving the
-window multiplies each direction by its mode, so the moduli of the z_m are eigenvalues, and neither plant nor
-controller need be known.
+A sum of modes z_m^k, seen through a window of samples, spans as many directions as there are modes. Shifting the window
+multiplies each direction by its mode, so that the z_m are eigenvalues, and neither plant nor controller need be known.
 """
 
 from __future__ import annotations
@@ -17,50 +16,51 @@ from pipeline.measured.student import SIGMAS
 from pipeline.records.trials import Floats
 
 WINDOW_POINTS = 16
-"""Points of a window, more than the modes of a loop with 12 samples of delay; 2,300 trials cost 0.5 s."""
+"""Number of points of a window, larger than the number of modes of a loop with 12 samples of delay; 2,300 trials take
+0.5 s."""
 
 SHORT_WINDOW_POINTS = WINDOW_POINTS // 2
-"""Points of a window where the motion lasted for too few samples for `WINDOW_POINTS`."""
+"""Number of points of a window if the motion has too few samples for `WINDOW_POINTS`."""
 
 FEWEST_SAMPLES = 12
-"""Shortest motion: a pair of modes, a drift and as many samples again to check them."""
+"""Smallest number of samples of a motion: a pair of modes, a drift, and as many samples again to check them."""
 
 LARGEST_WINDOWS = 256
-"""Most windows over a long motion, evenly spread: more cost time and add little."""
+"""Largest number of windows over a long motion, evenly spread; more cost time and add little information."""
 
 DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
-"""Smallest singular value kept relative to the largest, as in `numpy.linalg.matrix_rank`."""
+"""Smallest singular value that is kept, relative to the largest one, as in `numpy.linalg.matrix_rank`."""
 
 CLEAN_FRACTION = 1e-4
-"""Modes below this fraction of the motion at its end are rounding in a signal that few modes explain."""
+"""Modes below this fraction of the motion at its end are rounding errors, in a signal explained by few modes."""
 
 NOISY_FRACTION = 0.3
-"""Modes below this fraction of the motion at its end say nothing about it in a noisy signal."""
+"""Modes below this fraction of the motion at its end carry no information in a noisy signal."""
 
 WIDE, NARROW = 2, 3
-"""Parts of the motion over which a window is spread (a half, a third): two views of a noisy motion."""
+"""Divisors of the motion for the length of a window (a half, a third): two views of a noisy motion."""
 
 NO_MODES = np.empty((0, 0))
-"""Directions of a window that no modes span."""
+"""Directions of a window without modes."""
 
 UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
-"""Of what a decomposition by reflections returns, the part that is R."""
+"""Mask of the factor R in the result of a Householder decomposition."""
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Fastest growing visible mode of a motion; NaN where no mode is visible.
+    """Fastest growing visible mode of a motion; NaN if no mode is visible.
 
     Parameters
     ----------
     per_sample : float
-        ln|z| of that mode; negative where it decays.
+        ln|z| of that mode; negative if it decays.
     amplitude : float
         Root mean square of that mode at the end of the fit.
     noise : float
-        Standard deviation of what the modes do not explain: the noise given, or more where there is more.
+        Standard deviation of the residual of the modes, at least the given noise.
     clean : bool
-        Whether few modes explain the signal down to rounding.
+        Whether few modes explain the signal up to rounding errors.
     """
 
     per_sample: float
@@ -77,11 +77,11 @@ class _Windows:
     ----------
     values : float64, shape (windows, points)
     late : float64, shape (windows at the end, points)
-        Those in which an amplitude is the root mean square at their last point.
+        Windows at whose last point the rms gives the amplitude of a mode.
     stride : int
-        Samples from point to point.
+        Number of samples from point to point.
     spread : float
-        Largest singular value of noise of 1, sqrt(windows) + sqrt(points); the smallest is some sqrt(windows).
+        Largest singular value of unit noise, sqrt(windows) + sqrt(points); the smallest is about sqrt(windows).
     """
 
     values: Floats
@@ -92,16 +92,16 @@ class _Windows:
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """Directions of a window that modes span.
+    """Directions of a window spanned by modes.
 
     Parameters
     ----------
     noise, clean : float, bool
-        As of `Growth`.
+        As in `Growth`.
     basis : float64, shape (points, rank)
         Directions of a window.
     shift : float64, shape (rank, rank)
-        What the next point makes of them, whose eigenvalues are the modes.
+        Matrix that maps the directions to the next point; its eigenvalues are the modes.
     """
 
     noise: float
@@ -112,23 +112,22 @@ class _Span:
 
 @dataclass(frozen=True, eq=False)
 class MotionWindows:
-    """A free motion seen through windows of samples, and its modes; what is not asked for is not computed.
+    """Free motion seen through windows of samples, and its modes, computed on demand.
 
     Parameters
     ----------
     signal : float64, shape (samples,)
         Motion without a constant part (differences of positions).
     noise : float
-        Standard deviation of the noise of the signal, in its unit; rounding for an ideal log.
+        Standard deviation of the noise of the signal, in its unit; the rounding error for an ideal log.
     part : int
-        A window is spread over the motion divided by this.
+        Divisor of the length of the motion that gives the length of a window.
 
     Notes
     -----
-    The points of one window lie ``stride`` samples apart, and the eigenvalues are z^stride, whose modulus is
-    free of aliasing. A signal whose windows span every direction is no sum of few modes (jitter, friction):
-    what is left over is taken as its noise. Fewer than `FEWEST_SAMPLES` samples, or a motion below the noise,
-    have no mode.
+    The points of one window lie ``stride`` samples apart, and the eigenvalues are z^stride, whose modulus is free of
+    aliasing. A signal whose windows span every direction is not a sum of few modes (jitter, friction): the residual is
+    treated as noise. A motion of fewer than `FEWEST_SAMPLES` samples, or below the noise, has no mode.
 
     Examples
     --------
@@ -146,7 +145,7 @@ class MotionWindows:
     def fastest_growth(self, least_part: float = NOISY_FRACTION) -> Growth:
         """Return the growth of the fastest growing mode that is visible at the end of the motion.
 
-        Modes below ``least_part`` of a noisy motion at its end are not looked at.
+        Modes below ``least_part`` of a noisy motion at its end are ignored.
         """
         span = self._span
         if not len(span.shift):
@@ -167,7 +166,7 @@ class MotionWindows:
         if len(self.signal) < FEWEST_SAMPLES:
             return False
         windows, spread = self._windows.values, self._windows.spread
-        # the largest singular value is none of a mode where that of all of them together is not: s_1^4 <= sum s_i^4
+        # no mode if the bound of the largest singular value is below the noise: s_1^4 <= sum s_i^4
         if np.linalg.norm(windows.T @ windows) <= (self.noise * spread * SIGMAS) ** 2:
             return False
         shift = self._span.shift
@@ -206,13 +205,13 @@ class MotionWindows:
 
     @cached_property
     def _modes(self) -> tuple[Floats, Floats]:
-        """Modulus and amplitude of the modes, shape (rank,) each."""
+        """Return the modulus and amplitude of the modes, shape (rank,) each."""
         basis = self._span.basis
         poles, vectors = np.linalg.eig(self._span.shift)
         projected = (self._windows.late @ basis).T
         try:
             parts = np.linalg.solve(vectors, projected)
-        except np.linalg.LinAlgError:  # two of the vectors are the same: the smallest amounts
+        except np.linalg.LinAlgError:  # two eigenvectors coincide: use minimum-norm amplitudes
             parts = np.linalg.pinv(vectors) @ projected
         modulus = np.maximum(np.abs(poles), np.finfo(np.float64).tiny)
         at_first = np.sqrt(np.mean(np.abs(parts * (basis[0] @ vectors)[:, None]) ** 2, axis=1))

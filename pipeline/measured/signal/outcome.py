@@ -1,7 +1,7 @@
-"""What happened in a trial, from its log alone, with the evidence.
+"""Outcome of a trial with its evidence, from the log alone.
 
-`verdict` says whether the loop is stable; the outcome says what the log shows, and whether it is a response of the
-loop at all: a clipped command, a stop, a push or a missing step are no properties of stiffness and damping.
+`verdict` states whether the loop is stable. The outcome states what the log shows, and whether it is a response of the
+loop at all: a clipped command, a stop, a push or a missing step are not effects of stiffness and damping.
 """
 
 from __future__ import annotations
@@ -29,17 +29,19 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Trial
 
 BAND = SETTLING_BANDS["settle_2pct"]
-"""Half width of the band relative to the final displacement: the settling criterion that the tables use."""
+"""Half-width of the band relative to the final displacement: the settling criterion that the tables use."""
 
 LASTING = 0.8
-"""Smallest ratio of amplitudes of the last and the third fifth of the response, up to its inverse, of an oscillation
-that lasts: those that a sensor keeps up are irregular."""
+"""Smallest ratio of the amplitudes of the last and the third fifth of the response (and largest: its inverse) for a
+sustained oscillation; oscillations sustained by a sensor are irregular."""
 
 LASTING_CHANGE = 0.1
-"""Change of its amplitude over the response by the growth rate of the verdict, up to which it lasts."""
+"""Largest change of the amplitude over the response, from the growth rate of the verdict, for a sustained
+oscillation."""
 
 CROSSINGS = 4
-"""Crossings of the final position in the last three fifths: two periods, fewer show no lasting oscillation."""
+"""Smallest number of crossings of the final position in the last three fifths, i.e. two periods, for a sustained
+oscillation."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Outcome:
     evidence : str
         One sentence with its numbers in SI units.
     band : float
-        Half width of the band about the final position that was used [m, rad]; NaN where K <= 0.
+        Half-width of the band about the final position [m, rad]; NaN if K <= 0.
     amplitude_end : float
         Half the range of the last fifth of the response [m, rad].
     """
@@ -70,7 +72,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _End:
-    """How the response ends."""
+    """End of a response."""
 
     entry: int
     settled: bool
@@ -82,7 +84,7 @@ class _End:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Evidence for the outcome of a trial, and the sentence for every outcome."""
+    """Evidence for the outcome of a trial, with the sentence for every outcome."""
 
     trial: Trial
     response: Response
@@ -99,7 +101,7 @@ class _Evidence:
     short: bool
 
     def growth(self) -> str:
-        """The growth rate as the end of a sentence; nothing where it is unknown."""
+        """Return the growth rate as the end of a sentence; empty if it is unknown."""
         rate = self.verdict.growth_per_s
         return "" if np.isnan(rate) else f"; {'grows' if rate > 0 else 'decays'} by {abs(rate):.3g} per second"
 
@@ -158,22 +160,22 @@ RULES: dict[str, Callable[[_Evidence], tuple[bool, int]]] = {
     "moving": lambda of: (not of.end.settled, NO_ROW),
     "settled": lambda of: (of.end.settled, of.end.entry),
 }
-"""Whether each outcome applies, and the first row of its evidence, by precedence: outcomes that end a log or make it
-useless come before those of the loop."""
+"""Rule that states whether an outcome applies and in which row its evidence begins, in order of precedence: outcomes
+that end a log or make it useless precede those of the loop."""
 
 OUTCOMES = tuple(RULES)
 
 
 def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int, device: PushResponse) -> Outcome:
-    """Say what happened in a trial.
+    """Determine the outcome of a trial.
 
     Parameters
     ----------
     trial, response, verdict : Trial, Response, Verdict
     usual_rows : int
-        `usual_length` of the logs of the experiment, which shows early ends.
+        `usual_length` of the logs of the experiment, to detect early ends.
     device : PushResponse
-        Device of the experiment (`fit_push_response`), which shows disturbances.
+        Device of the experiment (`fit_push_response`), to detect disturbances.
 
     Returns
     -------
@@ -181,12 +183,12 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
 
     Notes
     -----
-    The first that applies, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or at a stop; too
-    few samples of free motion to say anything; command clipped; moved by a force in addition to the command, or
-    at rest elsewhere than at x_0 + F_0/K; growing; an oscillation that lasts outside the band; not yet in the band
-    for good; settled. A limit cycle inside the band is settled.
+    The outcome is the first that applies, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or
+    at a stop; too few samples of free motion; command clipped; moved by a force in addition to the command, or at rest
+    elsewhere than at x_0 + F_0/K; growing; an oscillation sustained outside the band; not yet permanently in the band;
+    settled. A limit cycle inside the band is settled.
 
-    The band is 2 % of the final displacement, or the sensor floor where that is wider. K <= 0 has no final
+    The band is 2 % of the final displacement, or the sensor floor where that is wider. With K <= 0 there is no final
     position: such a trial diverged or moves.
     """
     stepped = trial.stiffness > 0 and trial.step != 0
@@ -226,10 +228,10 @@ def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _En
     crossings = int((late[1:] != late[:-1]).sum())
     lasting = crossings >= CROSSINGS and last > response.floor and has_final
     lasting = lasting and min(third, last) >= LASTING * max(third, last)
-    # above the level that quanta sustain, the verdict's rate is surer than ratios of amplitudes
+    # above the level sustained by quanta, the rate of the verdict is more reliable than amplitude ratios
     if verdict.verdict != "undecided" and last > 2 * REST_FLOORS * response.floor:
         lasting = lasting and not abs(growth) * (trial.rows - edge) > LASTING_CHANGE
-    # an oscillation about the edge of the band leaves it now and then, and a growing one may pass it at its smallest
+    # an oscillation about the edge of the band leaves it occasionally, and a growing one may begin inside it
     settled = settled and not ((lasting or verdict.verdict == "unstable") and entry >= edge + 4 * fifth)
     rests = max(fourth, last) <= AT_REST * response.floor
     elsewhere = rests and has_final and abs(offset) > band + response.floor
@@ -237,5 +239,5 @@ def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _En
 
 
 def _rows(samples: float, edge: int) -> int:
-    """Return the number of whole rows from the edge on that begin before some samples have passed."""
+    """Return the number of whole rows, counted from the edge, that begin within the given number of samples."""
     return math.ceil(edge + samples) - edge

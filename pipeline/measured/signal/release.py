@@ -1,8 +1,9 @@
 """Free motion of a trial without a step: released from a position, or hit.
 
-Command plus wall force is the external force, whatever moves the device. Of a release by the controller it steps to
-another level, of a hit by the controller it comes back to the first one; of a hand that lets go or hits it stays where
-it is. From the row on from which it is constant the motion is free, and its growth shows stability as that of a step.
+The external force is the command plus the wall force, whatever moves the device. If the controller releases the device,
+the external force steps to another level; if the controller hits it, the force returns to the first level; if a hand
+releases or hits it, the force stays constant. Once it is constant the motion is free, and its growth shows stability
+like that after a step.
 """
 
 from __future__ import annotations
@@ -17,43 +18,44 @@ from pipeline.measured.signal.sensor import position_quantum, sensor_floor, whit
 from pipeline.records.trials import Floats, Trial
 
 NOISE_ROWS = 10
-"""Rows at the begin of a log that show the noise of its sensor; a motion that begins in them counts as noise."""
+"""Number of rows at the beginning of a log from which sensor noise is estimated; a motion that begins in them counts as
+noise."""
 
 CONSTANT = 1e-3
-"""Change of the external force relative to the largest force of the wall up to which it is rounding of printed digits:
-a hand moves the device, not the controller."""
+"""Largest change of the external force, relative to the largest wall force, that is attributed to rounding of printed
+digits: a hand, not the controller, then moves the device."""
 
 SUDDEN = 0.25
-"""Part of its first swing in which a device that a hand hits is fastest; one that is let go is so half-way."""
+"""Part of its first swing in which a device hit by a hand is fastest; a released device is fastest half-way."""
 
 HELD = 0.1
-"""Share of the largest command with which a wall pushes against a hand that keeps a device away from it."""
+"""Smallest force of a wall against a hand that keeps a device away from it, relative to the largest command."""
 
 CHANGES = "the external force goes on to change: the motion is not free"
 RESTS = "nothing moves"
 NO_WALL = "without a wall and damping a motion shows no loop"
-"""Why a trial without a step has no free motion to judge."""
+"""Reason why a trial without a step has no free motion to judge."""
 
 
 @dataclass(frozen=True)
 class Release:
-    """What set a trial in motion; nothing does in a trial with a step.
+    """Start of the motion of a trial without a step; empty for a trial with a step.
 
     Parameters
     ----------
     begin : int
-        First row in which the external force has changed, or the last one at rest before a hand moves the device;
-        -1 where there is no free motion.
+        First row in which the external force has changed, or the last row at rest before a hand moves the device; -1 if
+        there is no free motion.
     free : int
-        First row from which on the external force is constant; -1 likewise.
+        First row from which on the external force is constant; -1 if there is no free motion.
     level : float
-        External force from then on, less that before [N, Nm]: 0 after a hit.
+        External force from then on, minus that before [N, Nm]; 0 after a hit.
     size : float
-        Largest change of the external force; where there is none, the force of the wall at the first turn [N, Nm].
+        Largest change of the external force; if it is constant, the wall force at the first reversal [N, Nm].
     kind : {"", "release", "hit"}
         Whether the device was released from a position, or hit.
     reason : str
-        Why there is no free motion; empty where there is.
+        Reason why there is no free motion; empty otherwise.
     """
 
     begin: int = NO_ROW
@@ -73,9 +75,9 @@ def find_release(trial: Trial) -> Release:
 
     Notes
     -----
-    Levels are as near as those of a step (`edge.LEVEL`), relative to the largest change. With a velocity filter the
-    external force is off it while the device moves; then a release or a hit counts whose force stays within half of its
-    size, as an edge does.
+    The tolerance of levels is that of a step (`edge.LEVEL`), relative to the largest change. With a velocity filter the
+    external force deviates from its level while the device moves; a release or a hit then counts if the force stays
+    within half of its size, as for an edge.
     """
     if trial.step != 0:
         return Release()
@@ -102,14 +104,14 @@ def find_release(trial: Trial) -> Release:
 
 
 def _onset(displacement: Floats, quantum: float) -> int | None:
-    """Return the first row in which a device has moved by more than quantum and noise; None where it never does."""
+    """Return the first row in which a device has moved by more than quantum and noise; None if it never does."""
     noise = white_noise(displacement[:NOISE_ROWS]) if len(displacement) > 2 * NOISE_ROWS else 0.0
     moved = np.flatnonzero(np.abs(displacement) > sensor_floor(quantum, noise))
     return int(moved[0]) if len(moved) else None
 
 
 def _bent(change: Floats, onset: int) -> Release:
-    """Return a release or a hit of which the external force stays within half of its size of a level."""
+    """Return a release or a hit whose external force stays within half of its size of a level."""
     early = np.abs(change[: onset + 1])
     size = float(early.max())
     begin = int(np.argmax(early > 0.5 * size)) if size > 0 else 0
@@ -124,10 +126,10 @@ def _bent(change: Floats, onset: int) -> Release:
 
 
 def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
-    """Return a release or a hit by hand: the external force stays, and the motion begins.
+    """Return a release or a hit by hand: the external force stays constant while the motion begins.
 
-    The hand is gone when the device is fastest in its first swing, at the latest. Before a release it keeps the device
-    at the wall, or moves it there.
+    The hand has let go at the latest when the device is fastest in its first swing. Before a release it keeps the
+    device at the wall, or moves it there.
     """
     begin = max(onset - 1, 0)
     speed = np.diff(trial.displacement[begin:])
@@ -141,6 +143,6 @@ def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
 
 
 def at_rest_before(trial: Trial, begin: int) -> tuple[float, float]:
-    """Return the floor of the sensor and its noise by the rows before a motion begins [m, rad]."""
+    """Return the sensor floor and the noise from the rows before a motion begins [m, rad]."""
     noise = white_noise(trial.position[:begin])
     return sensor_floor(position_quantum(trial.position), noise), noise

@@ -1,6 +1,6 @@
-"""Where the step response begins in a log, and how far its motion can still come after the end.
+"""Start of the step response in a log, and largest possible motion after the end of the log.
 
-The edge is that of the external force, which is recovered from the log itself (`edge`).
+The edge is that of the external force, which is reconstructed from the log itself (`edge`).
 """
 
 from __future__ import annotations
@@ -21,35 +21,36 @@ from pipeline.records.trials import Floats, Trial
 
 @dataclass(frozen=True)
 class Response:
-    """Edge, rest positions and resolution of a trial; NaN where there is a reason.
+    """Edge, rest positions and resolution of a trial; NaN if a reason is given.
 
     Parameters
     ----------
     edge_row : int
-        Row of the command edge k0, counted from 0; -1 where there is none.
+        Row of the command edge k0, counted from 0; -1 if there is none.
     level : float
-        External force before the step [N, Nm]; 0 but for a step at an operating point.
+        External force before the step [N, Nm]; 0 except for a step at an operating point.
     steps : int
-        Jumps of the external force from level to level; a log with several has no edge, whatever its metadata say.
+        Number of jumps of the external force between levels; a log with several has no edge, regardless of its
+        metadata.
     position_start : float
-        First position, where the wall rests [m, rad].
+        First position, at which the wall force is zero [m, rad].
     position_final_expected : float
-        x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0, and without a step.
+        x_0 + F_0/K (6.1) [m, rad]; NaN if K <= 0, or without a step.
     position_final_measured : float
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float
-        Step of the grid on which all positions lie [m, rad]; 0 where there is none, and for integrals of a velocity.
+        Step of the grid on which all positions lie [m, rad]; 0 without a grid, and for an integrated velocity.
     sensor_noise : float
         Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
         baseline.
     floor : float
         Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
     baseline_motion : float
-        Peak to peak of the positions before the step where the sensor alone cannot cause it [m, rad], else 0.
+        Peak-to-peak motion before the step if the sensor alone cannot cause it [m, rad], else 0.
     reason : str
-        Why values are missing; empty where all are there.
+        Reason for missing values; empty if none is missing.
     edge_reason : str
-        Why there is no command edge; empty where there is one.
+        Reason why there is no command edge; empty if there is one.
     """
 
     edge_row: int
@@ -86,17 +87,16 @@ def find_response(trial: Trial) -> Response:
     -----
     Level and edge are those of `edge.find_edge`. The external force is exact for a controller that uses the plain
     difference of positions. With a velocity filter or a force limit it is wrong once the device moves, but not before,
-    so that the edge stays right for any delay of at least one sample.
+    so that the edge is correct for any delay of at least one sample.
 
-    A command of wrong sign or size, or another signal, has no edge: the wall force alone would cross half the step,
-    too, only later. Such a log is known by a command that has not reached half the step by then
-    (a chatter may be larger, of either sign), or by a force that first stays beyond half the step on the other side.
+    A command of wrong sign or size, or another signal, has no edge: the wall force alone would also cross half the
+    step, only later. Such a log is detected by a command that has not reached half the step by then (chatter may be
+    larger, of either sign), or by a force that first stays beyond half the step on the other side.
 
-    The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
-    chatters before the step (at high B one quantum commands newtons) hardly adds to them while its period is
-    long: a chatter of amplitude a and period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for
-    p = 35, 5 % for p = 16. A faster chatter still counts as noise. A quantum alone leaves the baseline
-    constant: then the noise is exactly 0.
+    The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that chatters
+    before the step (at high B one quantum commands newtons) hardly contributes to them if its period is long: chatter
+    of amplitude a and a period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for p = 35, 5 % for p = 16.
+    Faster chatter still counts as noise. With quantisation alone the baseline is constant, and the noise is exactly 0.
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
@@ -122,16 +122,16 @@ def find_response(trial: Trial) -> Response:
 
 
 def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
-    """Return the response with the command edge where the trial's metadata say that it is.
+    """Return the response with the command edge declared in the trial's metadata.
 
     Parameters
     ----------
     trial : Trial
     response : Response
     edge_row : int
-        Row in which the command first has the step, counted from 0; it replaces the detected one, and the rows
-        before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves the
-        response as it is, and so do several steps.
+        Row in which the command first has the step, counted from 0; it replaces the detected one, and the rows before
+        it are the baseline. Row 0 is allowed: such a log has no baseline, so that its noise is unknown. With -1, or
+        several steps, the response is returned unchanged.
 
     Returns
     -------
@@ -167,22 +167,22 @@ def _no_final(stiffness: float) -> str:
 
 
 def _baseline(trial: Trial, quantum: float, edge: int) -> tuple[float, float, float]:
-    """Return noise, sensor floor and motion by the rows before the edge [m, rad]."""
+    """Return noise, sensor floor and motion from the rows before the edge [m, rad]."""
     baseline = trial.position[: max(edge, 0)]
     noise = white_noise(baseline)
     floor = sensor_floor(quantum, noise)
-    # the displacement may be rounded to less than the positions
+    # the displacement may have a smaller rounding error than the positions
     moved = baseline - trial.position[:1]
     spread = float(moved.max(initial=0.0) - moved.min(initial=0.0))
     return noise, floor, spread if spread > floor else 0.0
 
 
 SETTLED_SAMPLES = 5
-"""Samples in a band at the end of a log: fewer may be a mere passage of it."""
+"""Smallest number of samples in a band at the end of a log; fewer may be a mere passage through it."""
 
 
 def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noise: float) -> tuple[float, float]:
-    """Return how far from its final position a motion can still come, and the error of that [m, rad].
+    """Return the largest later distance of a motion from its final position, and its error [m, rad].
 
     Parameters
     ----------
@@ -190,19 +190,19 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
     final : float
         Position about which the response swings [m, rad].
     first, entry : int
-        Row in which it begins, and row from which on it is inside the band that is asked for.
+        Row in which the response begins, and row from which on it is inside the required band.
     growth : float
-        Growth rate of its slowest mode per sample, NaN where it is unknown.
+        Growth rate of the slowest mode per sample, NaN if it is unknown.
     noise : float
         Standard error of a late reading [m, rad].
 
     Notes
     -----
-    A swing of angular frequency w that is at e and moves at v comes as far as hypot(e, v/w) at most. The slowest one
-    shows in the longest time on one side of the final position, half a period; of a motion that never passed it the
-    rise time is used: 2.2 time constants of a creep, 1.5 radians and more of a swing that is damped so far. Inwards it
-    has a quarter of a period more to decay in. The last half radian of the log counts, as far as it is inside the band.
-    A motion that does not grow is bounded by its last whole swing, too.
+    An oscillation of angular frequency w with deviation e and velocity v reaches at most hypot(e, v/w). The longest
+    time on one side of the final position is half a period of the slowest oscillation. If the motion never crossed the
+    final position, the rise time is used: 2.2 time constants of a creep, 1.5 radians or more of a heavily damped
+    oscillation. On the inward side the oscillation has another quarter of a period to decay. The last half radian of
+    the log is used, if it is inside the band. A motion that does not grow is also bounded by its last full swing.
     """
     first = min(first, trial.rows - 1)
     error = trial.position[first:] - final
@@ -211,10 +211,11 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
 
 @compiled("UniTuple(f8, 2)(f8[::1], i8, f8, f8, f8, f8)")
 def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high: float) -> tuple[float, float]:
-    """Return the farthest swing after the end of a motion, and its error [m, rad], as `reach`.
+    """Return the largest deviation after the end of a motion, and its error [m, rad], as in `reach`.
 
-    The time of one radian r of its slowest swing is 1/pi of the longest time between two passes of 0, or by the rise
-    time. With the change over a span s of half of that, v/w = (e_k - e_{k-s}) r/s, and a swing comes as far as
+    The time r of one radian of the slowest oscillation is 1/pi of the longest time between two zero crossings, or
+    follows from the rise time. With the change over a span s of half of that, v/w = (e_k - e_{k-s}) r/s, and an
+    oscillation reaches
 
         hypot(e, v/w)    outwards,        max(|e|, exp(growth pi r/2) hypot(e, v/w))    inwards.
 
@@ -223,11 +224,11 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
     e : float64, shape (rows,)
         Distance from the final position, from the first row of the response on [m, rad].
     entry : int
-        Row from which on it is inside the band.
+        Row from which on the motion is inside the band.
     growth, noise : float
-        As for `reach`.
+        As in `reach`.
     low, high : float
-        Shares of the way between which the rise time is counted.
+        Fractions of the displacement between which the rise time is measured.
     """
     n = len(e)
     side, last, longest, passes = 0.0, 0, 0, False
@@ -238,7 +239,7 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
         if now * side < 0:
             passes, longest, last = True, max(longest, k - last), k
             farthest = -1.0
-        if abs(e[k]) > farthest:  # of the swing that has not ended, a quarter is seen up to its farthest reading
+        if abs(e[k]) > farthest:  # a quarter of the unfinished swing is visible up to its farthest reading
             farthest, quarter = abs(e[k]), k - last
         side = now
     if passes:
@@ -249,9 +250,9 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
             share = abs(e[k]) / max(size, 2.2250738585072014e-308)
             begin = k if begin < 0 and share <= 1 - low else begin
             end = k if end < 0 and share <= 1 - high else end
-        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows by which so much of the way is made
+        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows within which this part of the displacement is covered
     falls = 0.0 if np.isnan(growth) else min(growth, 0.0)
-    # a swing that decays is slower than it would be without damping, which is what bounds it
+    # damping slows an oscillation down; the bound is that of the undamped one
     radian = max(radian / np.hypot(1.0, radian * falls), 1.0)
     span = int(min(max(np.rint(radian / 2), 1.0), max(n - 1, 1)))
     decay = np.exp(falls * 0.5 * np.pi * radian)

@@ -1,4 +1,4 @@
-"""How finely a sensor sees: its quantum, its noise, and the amplitude that both can cause."""
+"""Resolution of a sensor: its quantum, its noise, and the amplitude that both can cause."""
 
 from __future__ import annotations
 
@@ -13,56 +13,57 @@ from pipeline.records.trials import Floats
 Size = TypeVar("Size", float, Floats)
 
 BASELINE_SAMPLES = 5
-"""Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
+"""Smallest number of baseline rows for a noise estimate, whose error is then 60 % (25 % for 20 rows)."""
 
 NOISE_FACTOR = 6.0
 """Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
 
 AT_REST = 2.0
-"""Sensor floors within which readings of a device at rest stay: it may lie between two, and beat."""
+"""Largest deviation of readings of a device at rest, in sensor floors: it may lie between two quanta and alternate."""
 
 GRID_TOLERANCE = 1e-3
-"""Largest distance of a change from a multiple of the quantum, relative to the quantum."""
+"""Largest deviation of a change from a multiple of the quantum, relative to the quantum."""
 
 STORED_TOLERANCE = 0.15
-"""As `GRID_TOLERANCE` for positions that were stored in single precision or with few digits: six units of the
-last digit in one quantum still pass."""
+"""Like `GRID_TOLERANCE` for positions stored in single precision or with few digits: six units of the last digit per
+quantum still pass."""
 
 STORED_GAP = 4.0
-"""Ratio between neighbours of the sorted changes that parts one quantum from what the storing rounded."""
+"""Smallest ratio between neighbouring sorted changes that separates one quantum from rounding errors of storage."""
 
 STORED_MULTIPLES = 20.0
-"""Largest multiple that tests a grid in rounded positions: beyond, its own error reaches the tolerance."""
+"""Largest multiple that tests a grid in rounded positions; beyond it, the error of the grid reaches the tolerance."""
 
 FEWEST_ON_GRID = 12
-"""Changes that must lie on such a grid, of a command too: those of a continuous signal all do with a chance of
-0.3^12 = 5e-7."""
+"""Smallest number of changes that must lie on such a grid, also for a command: the probability that those of a
+continuous signal all do is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
-"""Changes of fewer digits than the first are those of print; and the error of a second difference in digits: each of
-four readings is off by half of one."""
+"""Changes of fewer digits than the first value are due to printing; the second is the error of a second difference in
+digits: each of its four readings is off by up to half a digit."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
-"""Logarithm of the inverse chance that changes lie on a grid by accident, that of `FEWEST_ON_GRID`; fewest of them."""
+"""Negative logarithm of the probability that changes lie on a grid by accident, as for `FEWEST_ON_GRID`; and the
+smallest number of changes."""
 
 COARSE_MULTIPLES = 1e3
 """Largest multiple that tests a grid among printed positions."""
 
 ROUNDING_UNITS = 64.0
-"""Changes below this many units of rounding are arithmetic, not the sensor."""
+"""Changes below this many rounding units are numerical errors, not sensor steps."""
 
 
 def sensor_floor(quantum: Size, noise: Size) -> Size:
-    """Return the position amplitude that quantum and noise alone can cause [m, rad]; a noise of NaN counts as none."""
+    """Return the position amplitude that quantum and noise alone can cause [m, rad]; a NaN noise counts as zero."""
     floor: Size = quantum + NOISE_FACTOR * np.fmax(noise, 0.0)
     return floor
 
 
 def position_quantum(position: Floats) -> float:
-    """Return the step of the grid on which positions (rows,) lie: the coarsest one, 0 where there is none.
+    """Return the step of the coarsest grid on which positions (rows,) lie, 0 if there is none.
 
-    Single precision and printed digits put the positions on another, finer grid, whose step is not the
-    sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
+    Single precision and printed digits put the positions on another, finer grid that is not that of the sensor. A
+    coarser grid on which they lie up to that rounding takes precedence.
 
     >>> position_quantum(0.25 * np.array([1.0, 2.0, 2.0, 5.0, 9.0]))
     0.25
@@ -79,9 +80,9 @@ def position_quantum(position: Floats) -> float:
     if not len(size):
         return 0.0
     exact = _grid(change, size[0], GRID_TOLERANCE, np.inf, 1)
-    # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
+    # beyond 1/tolerance multiples, rounding of the positions hides the grid
     quantum = exact = exact if exact > rounding / GRID_TOLERANCE else 0.0
-    # without a gap the smallest change is no candidate: the changes of a smooth motion have common divisors, too
+    # without a gap the smallest change is not a candidate: changes of a smooth motion have common divisors, too
     ratio = size[1:] / size[:-1]
     gap = int(ratio.argmax()) if len(ratio) else 0
     if len(ratio) and ratio[gap] > STORED_GAP:
@@ -100,14 +101,14 @@ def position_quantum(position: Floats) -> float:
 
 @compiled("f8(f8[::1], f8, f8, f8, f8)")
 def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: float) -> float:
-    """Return the step of the grid on which changes of up to ``most`` steps lie, ``fewest`` at least; 0 for none.
+    """Return the step of the grid on which at least ``fewest`` changes of up to ``most`` steps lie; 0 if none.
 
     Parameters
     ----------
     size : float64, shape (changes,)
         Positive changes of a position [m, rad].
     smallest : float
-        Change that is one step, or two or three of them: no single one may have been one step.
+        Change of one, two or three steps, because there may be no change of a single step.
     tolerance : float
         Largest distance of a change from a multiple of the step, relative to the step.
     """
@@ -138,7 +139,7 @@ def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: 
 
 
 def white_noise(position: Floats) -> float:
-    """Return the standard deviation [m, rad] of white noise from second differences; NaN of too few positions."""
+    """Return the standard deviation [m, rad] of white noise from second differences; NaN for too few positions."""
     if len(position) < BASELINE_SAMPLES:
         return np.nan
     return float(np.sqrt(np.mean(np.diff(position, n=2) ** 2) / NOISE_GAIN))

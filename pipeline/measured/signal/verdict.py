@@ -1,8 +1,9 @@
-"""Stable or unstable, judged from the log alone: no mass, no delay, no model of the loop.
+"""Stability verdict from the log alone, without a mass, a delay or a model of the loop.
 
-The free motion after the step is a sum of modes about a resting place; the trial is unstable if a visible mode grows.
-With K = 0 the position runs away at constant force, and the trial is stable if its acceleration decays, at the rate
-(b + B)/m. Either way one growth rate with its standard error decides, by the modes, else by the size of the motion.
+The free motion after the step is a sum of modes about a rest position; the trial is unstable if a visible mode grows.
+With K = 0 the position runs away under a constant force, and the trial is stable if its acceleration decays, at the
+rate (b + B)/m. In both cases one growth rate with its standard error decides, from the modes or else from the size of
+the motion.
 """
 
 from __future__ import annotations
@@ -22,31 +23,33 @@ from pipeline.measured.student import SIGMAS
 from pipeline.records.trials import Floats, Integers, Trial
 
 REST_FLOORS = 8.0
-"""Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
-describing function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within
-0.7 % of the limit."""
+"""Largest final amplitude, in sensor floors, of an oscillation that quanta may sustain in a stable loop. The describing
+function of a quantizer differs from 1 by at most 0.16 (q/A)^1.5, so that a larger oscillation needs a wall within 0.7 %
+of the limit."""
 
 LEAST_FALL = 3.0
-"""Factor by which a motion falls to what is left of it at the floor of the sensor, where a mode of a third of it has
-not grown, and by which the size of a motion without modes changes, to decide."""
+"""Smallest factor by which a motion must decay to the sensor floor to exclude growth of a mode of a third of the
+remainder, and by which the size of a motion without modes must change for a verdict."""
 
 END = 0.8
-"""Part of the motion behind which is its end, by which it has come down to the floor of the sensor."""
+"""Part of the motion after which its end begins; the motion must have reached the sensor floor by then."""
 
 FADES = 0.9
-"""Ratio of the sizes of neighbouring quarters up to which a motion fades: parts of a period make 5 % of difference."""
+"""Largest ratio of the sizes of neighbouring quarters for a fading motion; parts of a period make a difference of 5
+%."""
 
 BLOCKS = 8
-"""Parts of the motion whose size shows a growth rate: half a period each of what a wall does within its log."""
+"""Number of parts of the motion whose sizes show a growth rate: half a period each, for a wall that changes within its
+log."""
 
 NOT_TOLD = "growth rate unknown: the motion has decayed"
 """Reason of a stable trial without a growth rate."""
 
 Views = tuple[MotionWindows, MotionWindows]
-"""A motion by windows of different width, wide and narrow."""
+"""Windows of different width, wide and narrow, over one motion."""
 
 ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
-"""Motion relative to the positions that is rounding in a log without a sensor; relative to its peak a billionth is."""
+"""Motion relative to the positions that is rounding in a log without a sensor; relative to its peak, 1e-9 is."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +61,10 @@ class Verdict:
     verdict : str
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float
-        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where it is unknown.
-        Where K = 0: growth rate of the acceleration, -(b + B)/m for small (b + B).
+        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN if it is unknown. If K = 0, growth
+        rate of the acceleration, -(b + B)/m for small (b + B).
     reason : str
-        Why a trial is undecided, or has no growth rate; empty otherwise.
+        Reason why a trial is undecided, or has no growth rate; empty otherwise.
     """
 
     verdict: str
@@ -76,7 +79,7 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
     ----------
     trial : Trial
     response : Response, optional
-        Of the same trial, if it is there already.
+        Response of the same trial, if already available.
 
     Returns
     -------
@@ -84,13 +87,13 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
 
     Notes
     -----
-    A growth rate that is `SIGMAS` standard errors from zero decides. What comes down to the floor of the sensor from
-    far above it is stable, a limit cycle of quantum size included, unless a mode grows in what is left. An oscillation
-    that lasts above `REST_FLOORS` floors while the command stands at a limit is unstable. What neither grows nor decays
-    by more than its standard errors, a motion that hardly exceeds the floor, and one shorter than `FEWEST_SAMPLES` or
-    still in its first swing cannot be judged; of several steps the response to the first is. A trial without a step is
-    judged by its free motion, as `release.find_release` finds it: a growth rate needs no step. What else moves a device
-    without one, such as a trajectory, says nothing of the loop.
+    A growth rate that is `SIGMAS` standard errors from zero decides. A motion that decays to the sensor floor from far
+    above it is stable, including a limit cycle of quantum size, unless a mode grows in the remainder. A sustained
+    oscillation above `REST_FLOORS` floors with the command at a limit is unstable. A motion cannot be judged if its
+    growth or decay is within its standard errors, if it hardly exceeds the floor, if it is shorter than
+    `FEWEST_SAMPLES`, or if it is still in its first swing. After several steps, the response to the first is judged. A
+    trial without a step is judged by its free motion from `release.find_release`: a growth rate needs no step. Other
+    motion without a step, such as a trajectory, gives no information on the loop.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -104,7 +107,7 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
 
 @dataclass(frozen=True)
 class _Excitation:
-    """What set a trial in motion: row from which on it acts no more (-1: the edge), size of its force, direction."""
+    """Excitation of a trial: row after which it has ended (-1: the edge), size of its force, direction."""
 
     free: int
     size: float
@@ -112,7 +115,7 @@ class _Excitation:
 
 
 def _judge_released(trial: Trial, response: Response) -> Verdict:
-    """Judge a trial without a step by its free motion."""
+    """Return the verdict of a trial without a step from its free motion."""
     release = find_release(trial)
     if release.free < 0:
         return Verdict("undecided", np.nan, f"{response.edge_reason}; {release.reason}")
@@ -141,32 +144,32 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     moving = np.flatnonzero(size > (rest if wall else 2 * rest))
     lasted = int(moving[-1]) + 1 if len(moving) else 0
     begin = _half_range(trial.position[start:])
-    # at a turn a swing looks like rest: its end is no shorter than from one turn to the next
+    # an oscillation looks like rest at a reversal: its end spans at least two reversals
     since = min(END, 1 - _last_swing(signal, moving) / max(count, 1))
     end = _half_range(trial.position[math.ceil(start + since * count) :])
-    # what is left may be a limit cycle of the sensor, if it came down from far above
+    # the remainder may be a limit cycle of the sensor, if the motion decayed from far above
     left = wall and (end <= REST_FLOORS * floor if floor > 0 else lasted < END * count)
     above = not wall or begin >= LEAST_FALL * (end if left else min(end, floor))
     enough = count >= FEWEST_SAMPLES and peak > (0.0 if wall else 4 * floor)
-    # a motion that comes to rest is seen while it lasts, with some rest behind it where that is too short
+    # use the part of a motion before it comes to rest, extended by some rest if that is too short
     seen = max(lasted, min(count, 2 * FEWEST_SAMPLES)) if not wall or left or floor == 0 else count
     # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     noise = (1.0 if wall else np.sqrt(6)) * max(floor / NOISE_FACTOR, 1e-3 * rounding)
     views = _views(signal[:seen], noise)
     rate, error, clean = _growth(views)
     slope, scatter, fades = _slope(signal[:seen], noise)
-    # a motion without modes, or whose views differ, has the rate of its size
+    # use the growth of the size if there are no modes, or if the two views differ
     sized = not clean and not abs(rate) > SIGMAS * error
     change = max(SIGMAS * scatter, np.log(LEAST_FALL) / max(seen, 1))
     falls = slope < -SIGMAS * scatter
-    # a growing mode shows once the others have died away: what fades to its end is braked
+    # a growing mode is visible once the others have decayed: a motion that fades to its end has none
     rises = slope > change if sized else rate > SIGMAS * error and (clean or not fades)
     sinks = slope < -change if sized else rate < -SIGMAS * error
     lasts = wall and not falls and _bent(trial, start, count, cause.size)
     early = wall and not falls and not left and _in_first_swing(trial, response, cause.way)
     rises = (rises or lasts) and enough and not left and not early
     sinks = ((sinks and not lasts) or left) and above and enough and not rises and not early
-    # a mode that the step hardly excites begins below the floor, whatever has died away above it
+    # a mode hardly excited by the step begins below the floor, hidden by modes that decay above it
     hidden = np.nan
     if sinks and wall and floor > 0:
         hidden = _hidden(views if seen == count else _views(signal, noise), response)
@@ -198,10 +201,10 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
 def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, int]:
     """Return the free motion without a constant part, shape (samples,), and its first row.
 
-    The input is constant, from ``free`` on where that is not the edge, and the delay line filled by it: the first
-    movement after the edge shows one delay; after another one the past before the step is forgotten. Behind a wall it
-    is the change from sample to sample; with K = 0 the second difference over a third of the motion, in which the
-    uniform motion leaves nothing.
+    The input is constant (from ``free`` on if that is not the edge) and fills the delay line: the first movement after
+    the edge shows one delay; after a second one, commands from before the step no longer have an effect. With a wall
+    the free motion is the change from sample to sample; with K = 0 it is the second difference over a third of the
+    motion, which removes uniform motion.
     """
     edge = max(response.edge_row, 0)
     moved = np.abs(trial.displacement[edge + 1 :]) > response.floor
@@ -210,7 +213,7 @@ def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, i
     if trial.stiffness != 0:
         position = trial.position[start:]
         return position[1:] - position[:-1], start
-    # without a wall the fast modes of the delay line are forgotten after some more delays
+    # without a wall the fast modes of the delay line decay after some more delays
     start += max(min(3 * max(start - edge, 2), (trial.rows - start) // 4), 0)
     position = trial.position[start:]
     lag = max(len(position) // 3, 1)
@@ -218,19 +221,19 @@ def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, i
 
 
 def _views(motion: Floats, noise: float) -> Views:
-    """Return two views of a motion, by windows of different width."""
+    """Return two views of a motion, with windows of different width."""
     return MotionWindows(motion, noise, WIDE), MotionWindows(motion, noise, NARROW)
 
 
 def _growth(views: Views) -> tuple[float, float, bool]:
-    """Return the growth of the slowest mode and its standard error, per sample, and where few modes explain all.
+    """Return growth and standard error of the slowest mode, per sample, and whether few modes explain all.
 
-    Over n samples that of a mode of amplitude A in the middle is sqrt(6) s/(A n^1.5) by white noise s at least. What
-    neither modes nor sensor explain (jitter, friction) is no independent noise and does not average out: it may move
-    the amplitude over the log by twice itself. Two views, by windows of different width, err by their difference, too:
-    the nearer to zero counts, and none where one grows and one decays.
+    For n samples, white noise s and a mode of amplitude A in the middle, the standard error is at least sqrt(6) s/(A
+    n^1.5). A residual of neither modes nor sensor (jitter, friction) is not independent noise and does not average out:
+    it may change the amplitude over the log by twice its size. The difference of two views, with windows of different
+    width, is an error as well: the rate nearer to zero counts, and neither counts if one grows and one decays.
     """
-    # as far as rounding of positions allows a rate over a log
+    # limit of the rate over a log due to rounding of positions
     samples, noise = len(views[0].signal), views[0].noise
     least = 1e-9 / max(samples, 1)
     wide = views[0].fastest_growth()
@@ -259,8 +262,8 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 def _hidden(views: Views, response: Response) -> float:
     """Return the growth per sample of a component that grows within or below a decaying motion, NaN if unknown.
 
-    Differences show it where a slow motion hides a vibration; their error is twice as large. Quantisation errs by a
-    pattern and not by chance, as far as noise does not blur it: growth must add more than half of a quantum.
+    Differences reveal a vibration hidden by a slow motion; their error is twice as large. The quantisation error is a
+    pattern rather than random, unless noise blurs it: growth must add more than half a quantum.
     """
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)
@@ -283,9 +286,9 @@ def _hidden(views: Views, response: Response) -> float:
 
 
 def _slope(signal: Floats, noise: float) -> tuple[float, float, bool]:
-    """Return the growth per sample of the size of a motion over its parts, with its standard error by their scatter.
+    """Return the growth per sample of the size of a motion over its parts, with its standard error from their scatter.
 
-    And whether it fades: from each of its last quarters to the next.
+    Also return whether the motion fades, from each of its last quarters to the next.
     """
     bounds = [-(-block * len(signal) // BLOCKS) for block in range(BLOCKS + 1)]
     blocks = [signal[first:end] for first, end in pairwise(bounds)]
@@ -302,10 +305,10 @@ def _slope(signal: Floats, noise: float) -> tuple[float, float, bool]:
 
 
 def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
-    """Return whether the command stands at a limit, or at the step alone, late in the motion.
+    """Return whether the command stays at a limit, or at the step alone, late in the motion.
 
-    It does so in two rows or more of the last quarter although the wall law asks for more: it is clipped, or the wall
-    does not push.
+    It does so in two rows or more of the last quarter although the wall law demands more: the command is clipped, or
+    the wall is inactive.
     """
     command, late = trial.command[start:], math.ceil(0.75 * count)
     off = command[late:][np.abs((external_force(trial) - trial.step)[start + late :]) > BENT * size]
@@ -314,19 +317,19 @@ def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
 
 
 def _last_swing(signal: Floats, moving: Integers) -> int:
-    """Return the rows between the last two changes of direction of a motion, by its rows in motion; 0 for fewer."""
+    """Return the number of rows between the last two reversals of a motion, from its rows in motion; 0 for fewer."""
     ahead = signal[moving] > 0
     turns = moving[1:][ahead[1:] != ahead[:-1]]
     return int(turns[-1] - turns[-2]) if len(turns) > 1 else 0
 
 
 def _half_range(position: Floats) -> float:
-    """Return half the range of positions, 0 for none."""
+    """Return half the range of positions, 0 for an empty array."""
     return 0.5 * float(position.max() - position.min()) if len(position) else 0.0
 
 
 def _in_first_swing(trial: Trial, response: Response, way: float) -> bool:
-    """Return whether a motion has neither turned nor passed its final position: behind any wall it speeds up."""
+    """Return whether a motion has neither reversed nor passed its final position: a wall still accelerates it."""
     travel = abs(response.position_final_expected - response.position_start)
     if (trial.displacement * way > travel + response.floor).any():
         return False
