@@ -1,1 +1,1 @@
-"""Comparison of a log's command with the wall law: each departure has a name, or none, never a guess."""
+"""Comparison of a log's command with the wall law; a departure is named only if it is identified, never guessed."""

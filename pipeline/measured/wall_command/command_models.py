@@ -1,7 +1,7 @@
-"""What may have made a logged command: the wall law itself, and the laws that controllers and loggers make of it.
+"""Models of a logged command: the wall law itself, and its variants in controllers and loggers.
 
-A candidate returns the departures of a log from the law (possibly none), or None if it does not explain the log: if in
-a row the command differs by more than the digits of the log leave open.
+A candidate returns the departures of a log from the wall law (possibly none), or None if it does not explain the log
+because the command of some row differs by more than the rounding of the logged digits.
 """
 
 from __future__ import annotations
@@ -26,26 +26,27 @@ from pipeline.measured.wall_command.velocity_filter import (
 from pipeline.records.trials import Booleans, Floats
 
 LONGEST_RAMP = 0.25
-"""Part of the rows after the edge that a ramped step may take."""
+"""Largest part of the rows after the edge for a ramped step."""
 
 ADAPTS = 0.1
-"""Share of the rows of a motion from which on the velocity is not the last change: of the rows behind a lost one, a few
-percent, some window fits by chance."""
+"""Smallest share of the rows of a motion with a filtered velocity; a few percent of the rows, those after a lost row,
+fit some window by chance."""
 
 FEWEST_AT_LIMIT = 3
-"""Rows whose command changes by the same that show a limit of that: two may by rounding."""
+"""Smallest number of rows with equal changes of the command that shows a rate limit; two may be equal by rounding."""
 
 EXPLAINED = 1e-6
-"""Part of what a filter changes that it may leave unexplained, in addition to rounding: a filter is exact or wrong."""
+"""Largest relative residual of a filter's effect, in addition to rounding: a filter is either exact or wrong."""
 
 
 SCALE_TOLERANCE = 0.2
-"""Part by which the factor between two units may be off in a log whose velocity is filtered or clipped."""
+"""Relative tolerance of the conversion factor between two units in a log whose velocity is filtered or clipped."""
 
 
 @dataclass(frozen=True)
 class Departure:
-    """One way in which a log departs from the wall law; ``obeyed`` are K, B and step that another wall has."""
+    """Departure of a log from the wall law; ``obeyed`` contains K, B and step of another wall that the command
+    obeys."""
 
     code: str
     evidence: str
@@ -57,27 +58,27 @@ class Departure:
 Departures = tuple[Departure, ...]
 
 Law = Callable[[LogRows], Departures | None]
-"""A candidate."""
+"""Candidate that returns the departures of a log."""
 
 
 def explanation(log: LogRows) -> Departures | None:
-    """Return the first candidate that leaves nothing in any row; none where each leaves something.
+    """Return the departures of the first candidate that explains all rows; None if there is no such candidate.
 
-    Positions on a grid may be the readings that the controller had, or rounded when they were printed.
+    Positions on a grid may be the readings of the controller, or may have been rounded when they were printed.
     """
     tried = (candidate(reading) for reading in log.readings for candidate in CANDIDATES)
     return next((departures for departures in tried if departures is not None), None)
 
 
 def _wall_law(log: LogRows) -> Departures | None:
-    """The law itself; a wall may rest off the first reading by the error of that."""
+    """Compare with the wall law itself; its rest position may differ from the first reading by the reading's error."""
     error = abs(log.stiffness) * log.floor
     offsets = (0.0, np.clip(np.median(log.residual[log.kept]), -error, error))
     return None if all(log.off(log.command - log.residual + offset) for offset in offsets) else ()
 
 
 def _shifted(law: Law, *shifts: int) -> Law:
-    """Return a law whose command is logged some rows behind its position, or before it where a shift is negative."""
+    """Return a law whose command is logged some rows after its position, or before it if a shift is negative."""
 
     def shifted(log: LogRows) -> Departures | None:
         for shift in shifts:
@@ -90,7 +91,7 @@ def _shifted(law: Law, *shifts: int) -> Law:
 
 
 def hidden(log: LogRows) -> Departures | None:
-    """Return rows that are missing before others by the law alone, None where they do not explain the log."""
+    """Return the rows preceded by missing rows according to the law alone; None if these do not explain the log."""
     rows = hidden_rows(log)
     if not len(rows):
         return None
@@ -102,7 +103,7 @@ def _clipped(log: LogRows) -> Departures | None:
     demand = log.step * log.after - log.wall
     low, high = float(log.command.min()), float(log.command.max())
     if is_equal(np.array([low, high]), log.step).any():
-        return None  # a command that never passes the step is that of a wall that never pulls
+        return None  # a command that never exceeds the step belongs to a wall that never pulls
     below = (demand < low - log.rounding) & is_equal(log.command, low)
     above = (demand > high + log.rounding) & is_equal(log.command, high)
     count = int(below.sum() + above.sum())
@@ -113,14 +114,14 @@ def _clipped(log: LogRows) -> Departures | None:
 
 
 def _rate_limited(log: LogRows) -> Departures | None:
-    """A command that changes by no more than a limit from row to row."""
+    """Explain a command by a limit of its change from row to row."""
     before, of_change = np.append(0.0, log.command[:-1]), log.of_command + np.append(0.0, log.of_command[:-1])
     change = log.command - before
     limit = float(np.abs(change).max())
     at = np.abs(np.abs(change) - limit) <= of_change + ROUNDING * limit
     if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < FEWEST_AT_LIMIT:
         return None
-    # half of a step that rises slowly is late; the first row is at the limit
+    # half of a slowly rising step is late; the first row is at the limit
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
     demand = log.step * log.after - log.wall - before
     if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():
@@ -133,7 +134,7 @@ def _rate_limited(log: LogRows) -> Departures | None:
 
 
 def _one_sided(log: LogRows) -> Departures | None:
-    """A wall that exists on one side of its surface, or that only pushes."""
+    """Explain a command by a wall on one side of its surface, or one that only pushes."""
     rows = int((np.abs(log.residual) > log.rounding).sum())
     inside = log.displacement * np.sign(log.step) > 0
     pushing = np.maximum(log.wall * np.sign(log.step), 0.0) * np.sign(log.step)
@@ -148,7 +149,7 @@ def _one_sided(log: LogRows) -> Departures | None:
 
 
 def _offset(log: LogRows) -> Departures | None:
-    """A constant in addition to the law, from the first row on or from the step on."""
+    """Explain a command by a constant added to the law, from the first row or from the step on."""
     value = _constant(log, log.kept)
     if value is not None:
         text = f"the command includes a constant {value:.4g} in addition to the wall law"
@@ -162,7 +163,7 @@ def _offset(log: LogRows) -> Departures | None:
 
 
 def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
-    """Return the constant that a residual is in some rows, None where it is none."""
+    """Return the constant value of a residual in some rows, None if it is not constant."""
     residual, rounding = log.residual[rows], log.rounding[rows]
     if not len(residual):
         return None
@@ -171,7 +172,8 @@ def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
 
 
 def _other_step(log: LogRows) -> Departures | None:
-    """An external force that rises over several rows, from level to level; several steps have no one edge (`edge`)."""
+    """Explain a command by an external force that rises over several rows; several steps have no single edge
+    (`edge`)."""
     rows = len(log.external)
     turns = np.flatnonzero(np.abs(np.diff(log.external)) > log.rounding[1:] + log.rounding[:-1]) + 1
     if len(turns) < 2 or turns[0] < SETTLED_SAMPLES:
@@ -192,13 +194,13 @@ def _other_step(log: LogRows) -> Departures | None:
 
 
 def _other_wall(log: LogRows) -> Departures | None:
-    """Another stiffness, damping, step or sign than the header's."""
+    """Explain a command by another stiffness, damping, step or sign than in the header."""
     terms = np.stack([log.after.astype(np.float64), -log.displacement, -log.change / log.period], axis=1)
     weight = log.kept / log.rounding
     values = least_squares(terms * weight[:, None], log.command * weight)
     if log.off(terms @ values):
         return None
-    # what moves the command by less than its rounding is nothing
+    # ignore contributions to the command below its rounding
     values[(np.abs(values * terms) <= log.rounding[:, None]).all(axis=0)] = 0.0
     step, stiffness, damping = map(float, values)
     evidence = (
@@ -209,11 +211,11 @@ def _other_wall(log: LogRows) -> Departures | None:
 
 
 def _other_unit(log: LogRows) -> Departures | None:
-    """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
+    """Explain a command by K and B that are a power of ten times the header's, for any velocity filter."""
     terms = np.stack([log.step * log.after, -log.wall], axis=1)
     step, wall = map(float, values := least_squares(terms, log.command))
     rest = log.command - terms @ values
-    # a twentieth of the largest command, and nine tenths of its square, show a factor
+    # commands above 1/20 of the largest one contain 9/10 of the sum of squares: enough for a factor
     shown = wall and np.abs(wall * terms[:, 1]).max() > 0.05 * np.abs(log.command).max(initial=0.0)
     power = 10.0 ** np.rint(np.log10(abs(wall))) if shown else 1.0
     if power == 1.0 or abs(abs(wall) / power - 1) > SCALE_TOLERANCE or rest @ rest > 0.1 * (log.command @ log.command):
@@ -227,13 +229,13 @@ def _other_unit(log: LogRows) -> Departures | None:
 
 
 def _velocity(log: LogRows) -> tuple[Floats, Floats]:
-    """Return the velocity [m, rad a sample] that the command contains, and its error."""
+    """Return the velocity [m, rad a sample] contained in the command, and its error."""
     output = (log.step * log.after - log.stiffness * log.displacement - log.command) * (log.period / log.damping)
     return output, log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
 
 
 def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departures | None:
-    """A filter of the velocity: over N samples, else recursive, of the lowest order; some rows may be clipped."""
+    """Explain a command by a velocity filter: over N samples, or recursive of lowest order; rows may be clipped."""
     if log.damping == 0:
         return None
     output, tolerance = _velocity(log)
@@ -247,8 +249,8 @@ def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departure
 
 
 def _position_filter(log: LogRows) -> VelocityFilterFound | None:
-    """Return the filter of the position that all of the wall acts on, by where it must have seen it in each row."""
-    # behind a lost row where the wall saw it is not known
+    """Return the filter of the position for the whole wall, from the position that it must have used in each row."""
+    # after a lost row, the position used by the wall is unknown
     if log.stiffness <= 0 or log.damping < 0 or not log.kept.all():
         return None
     whole = log.stiffness + log.damping / log.period
@@ -259,7 +261,8 @@ def _position_filter(log: LogRows) -> VelocityFilterFound | None:
 
 
 def _velocity_or_position_filter(log: LogRows) -> Departures | None:
-    """A filter of velocity or position: each is one of the other of a higher order; the one with less free counts."""
+    """Explain a command by the velocity or position filter with fewer parameters: either is one of higher order of the
+    other."""
     velocity = _velocity_filter(log)
     free = np.inf if velocity is None or velocity[0].filter is None else velocity[0].filter.free
     position = _position_filter(log) if free > 1 else None
@@ -270,7 +273,7 @@ def _velocity_or_position_filter(log: LogRows) -> Departures | None:
 
 
 def _adaptive(log: LogRows) -> Departures | None:
-    """A velocity over a window that another length has from row to row (Janabi-Sharifi, Hayward and Chen 2000)."""
+    """Explain a command by a velocity window of variable length (Janabi-Sharifi, Hayward and Chen 2000)."""
     if log.damping == 0:
         return None
     output, tolerance = _velocity(log)
@@ -286,14 +289,14 @@ def _adaptive(log: LogRows) -> Departures | None:
 
 
 def _decimated(log: LogRows) -> Departures | None:
-    """A velocity since a reading between two rows: with that of the row it lies on the grid of the sensor."""
+    """Explain a command by a velocity since a reading between two rows, which lies on the sensor's grid."""
     counts = np.rint(log.change / log.quantum) if log.quantum > 0 else np.zeros(1)
     if log.damping == 0 or not counts.any():
         return None
     quantum = float(log.change @ counts / (counts @ counts))
     output, tolerance = (part[log.kept] for part in _velocity(log))
     steps = np.rint(output / quantum)
-    near = 2 * GRID * quantum  # of a difference of two readings
+    near = 2 * GRID * quantum  # for a difference of two readings
     if (tolerance > near).any() or (np.abs(output - steps * quantum) > tolerance + near).any():
         return None
     every = int(np.gcd.reduce(steps.astype(np.int64)))
@@ -304,8 +307,8 @@ def _decimated(log: LogRows) -> Departures | None:
 
 
 def _filtered_and_clipped(log: LogRows) -> Departures | None:
-    """A filter of the velocity in the rows in which the command is at no limit."""
-    # a command that never passes the step is not clipped there
+    """Explain the unclipped rows of a command by a velocity filter."""
+    # a command that never exceeds the step is not clipped there
     clipped = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
     clipped &= ~is_equal(log.command, log.step)
     limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
@@ -336,4 +339,4 @@ CANDIDATES: tuple[Law, ...] = (
     _filtered_and_clipped,
     _shifted(_velocity_filter, 1),
 )
-"""In the order of the numbers that they leave free: none, a limit or a constant, three, those of a filter."""
+"""Candidates in the order of their number of free parameters: none, a limit or a constant, three, those of a filter."""

@@ -1,7 +1,8 @@
-"""One log as rows: what its printed digits leave open, the residual of its wall law, and rows missing or repeated.
+"""Rows of one log: rounding of printed digits, residual of the wall law, and missing or repeated rows.
 
-A file may print decimals or significant digits, or have single precision, perhaps printed again. Which of these a
-column did shows in its numbers: the fewest digits that have them all. Each leaves half a unit in its last digit open.
+A file may print decimals or significant digits, or have single precision, possibly printed again. The numbers of a
+column show which one applies: the smallest number of digits that represents all of them. Each number has a rounding
+error of up to half a unit in its last digit.
 """
 
 from __future__ import annotations
@@ -20,35 +21,36 @@ from pipeline.measured.student import ROUNDING
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 FULL_DIGITS = int(np.finfo(np.float64).precision)
-"""Digits of a double of any size; more are those of arithmetic."""
+"""Number of significant digits of any double; further digits are rounding errors."""
 
 ROUNDED = 4.0
-"""Units of rounding by which a number may miss its digits: it was read, and perhaps converted to another unit."""
+"""Largest deviation of a number from its printed digits, in rounding units, after parsing and possibly a unit
+conversion."""
 
 FEWEST_NUMBERS = 3
-"""Different numbers that show digits: a column of 0 and 8 shows none."""
+"""Smallest number of different values from which digits can be inferred; a column of 0 and 8 shows none."""
 
 SINGLE_DIGITS = (int(np.finfo(np.float32).precision) + 1, int(np.finfo(np.float32).precision) + 3)
-"""Digits with which single precision is printed."""
+"""Numbers of digits with which single precision is printed."""
 
 SET_DIGITS = 4
-"""Digits that a person sets: a wall, a period, a cut-off. A number with more was cut off rather than chosen."""
+"""Largest number of digits of a value set by a person (wall, period, cut-off); a value with more was truncated."""
 
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
 
 @dataclass(frozen=True, eq=False)
 class Printed:
-    """How a column was printed.
+    """Print format of a column.
 
     Parameters
     ----------
     digits : int
-        Fewest significant digits that have all numbers, at most `FULL_DIGITS`.
+        Smallest number of significant digits that represents all numbers, at most `FULL_DIGITS`.
     decimal : float
-        Half a unit in the last decimal that all numbers have, 0 for none.
+        Half a unit in the last common decimal of all numbers, 0 if there is none.
     single : bool
-        Whether they are, or were before they were printed, of single precision.
+        Whether the numbers are, or were before printing, of single precision.
     half : float64, shape (N,)
         Half a unit in the last digit of each number; 0 for 0.
     """
@@ -60,17 +62,17 @@ class Printed:
 
     @property
     def in_full(self) -> bool:
-        """Whether the digits leave nothing open but rounding of doubles."""
+        """Whether the digits are exact up to the rounding of doubles."""
         return self.digits == FULL_DIGITS and not self.single
 
 
 def printed(values: Floats) -> Printed:
-    """Return how a column was printed, shape (N,), in its own unit or in degrees.
+    """Return the print format of a column, shape (N,), in its own unit or in degrees.
 
     Notes
     -----
-    Numbers with decimals have as many significant digits as their size allows, and few where they are small: of both
-    the coarser counts. No number is better than `FULL_DIGITS` digits.
+    Numbers with a fixed number of decimals have fewer significant digits the smaller they are: the coarser of both
+    resolutions counts. No number is more accurate than `FULL_DIGITS` digits.
     """
     result = _printed(np.abs(values))
     if not result.in_full:
@@ -89,18 +91,18 @@ def _printed(size: Floats) -> Printed:
     half = np.maximum(_half(size, digits), decimal)
     rounded = size.astype(np.float32).astype(np.float64)
     if np.array_equal(rounded, size):
-        # single precision has its own digits; fewer are those of print
+        # single precision has a fixed number of digits; fewer are due to printing
         half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
         return Printed(digits, decimal, True, np.maximum(half, full))
-    near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some lie half way between two of their digits
+    near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some lie half-way between two digits
     single = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool(near.all())
     return Printed(digits, decimal, single, np.maximum(half + 0.5 * _SINGLE * size * single, full))
 
 
 def stated_resolution(values: Floats) -> Floats:
-    """Return half a unit in the last digit of the numbers of a header, 0 where all have few digits.
+    """Return half a unit in the last digit of the numbers of a header, 0 if all have few digits.
 
-    They are printed in the same way: one that ends in zeros has fewer digits than the others.
+    All are printed in the same format: a number that ends in zeros merely seems to have fewer digits.
     """
     size = np.abs(values)
     digits = _digits(size)
@@ -113,7 +115,7 @@ def _digits(size: Floats) -> int:
 
 
 def _exponent(size: Floats) -> Floats:
-    """Return the power of ten of the first digit; 0 for 0."""
+    """Return the exponent (power of ten) of the first digit; 0 for 0."""
     with np.errstate(divide="ignore"):
         result: Floats = np.where(size > 0, np.floor(np.log10(size) + _EPS), 0.0)
     return result
@@ -124,8 +126,8 @@ def _half(size: Floats, digits: int) -> Floats:
 
 
 def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
-    """Return which numbers have so many decimals, up to rounding."""
-    # what overflows lies on no grid
+    """Return which numbers have at most the given number of decimals, up to rounding."""
+    # a number that overflows is not on a grid
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = size * 10.0 ** np.asarray(decimals, dtype=np.float64)
         result: Booleans = np.abs(scaled - np.rint(scaled)) <= ROUNDED * _EPS * scaled
@@ -133,19 +135,19 @@ def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
 
 
 def _of_decimals(size: Floats) -> float:
-    """Return half a unit in the last decimal that all numbers have, 0 where they have more than digits allow."""
+    """Return half a unit in the last common decimal of all numbers, 0 if they exceed the available digits."""
     top = int(_exponent(np.array([size.max()]))[0])
     decimals = next((n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all()), None)
     return 0.0 if decimals is None else 0.5 * 10.0**-decimals
 
 
 def converted(values: Floats, half: float, others: Floats) -> float:
-    """Return the step [N, Nm] of a converter on whose grid all commands (N,) are; 0 for none.
+    """Return the step [N, Nm] of the converter grid on which all commands (N,) lie; 0 if there is none.
 
-    ``half`` is half a unit in their last digit, and ``others`` forces of the wall by one quantum of the sensor.
+    ``half`` is half a unit in their last digit, and ``others`` are wall forces due to one quantum of the sensor.
 
-    Source: Euclid's algorithm. A grid that ``others`` are on as well is theirs: all forces of a wall on a coarse sensor
-    may be multiples of one.
+    Source: Euclid's algorithm. A grid that also contains ``others`` is due to the sensor: with a coarse sensor, all
+    wall forces may be multiples of one force.
     """
     levels = np.unique(values)
     if len(levels) < FEWEST_ON_GRID:
@@ -154,7 +156,7 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     common, *smallest = np.sort(change)[:FEWEST_ON_GRID].tolist()
     left_open = max(ROUNDED * half, GRID_TOLERANCE * common)
     for rest in smallest:
-        while rest > left_open:  # ends: at most half is left of the smaller one
+        while rest > left_open:  # terminates: the remainder at least halves
             common, rest = rest, abs(common - rest * round(common / rest))
     if common < left_open / GRID:
         return 0.0
@@ -166,20 +168,20 @@ def converted(values: Floats, half: float, others: Floats) -> float:
 
 
 ROUNDINGS = 16.0
-"""Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations. One
-unit where commands are of single precision, whose own digit leaves more open."""
+"""Largest residual of the law that is attributed to rounding, in rounding units of its terms: it takes a dozen
+operations. One unit for commands of single precision, whose last digit is coarser."""
 
 CAUGHT_UP = 1.3
-"""Change in the row after a repeated reading, relative to the change before it: twice at an even speed."""
+"""Smallest change in the row after a repeated reading, relative to the change before it; 2 at constant speed."""
 
 
 @dataclass(frozen=True, eq=False)
 class LogRows:
-    """One log: rows as arrays of shape (N,), and its conditions.
+    """Rows of one log as arrays of shape (N,), and its conditions.
 
-    ``of_command`` and ``of_position`` are what the digits of a number leave open, ``coarser`` what those of a position
-    do if it was rounded, though it may be the reading as it was; ``left_open`` what those of K and B do. ``kept`` are
-    the rows that a law must explain.
+    ``of_command`` and ``of_position`` are the rounding errors of the printed numbers, ``coarser`` is that of a position
+    if it was rounded, although it may be the exact reading; ``left_open`` is the effect of rounding of K and B.
+    ``kept`` marks the rows that a law must explain.
     """
 
     stiffness: float
@@ -206,7 +208,7 @@ class LogRows:
         K, B, T = trial.stiffness, trial.damping, trial.sampling_period_s
         forces = response.sensor_quantum * np.array([K, B / T])
         step = converted(trial.command, float(command.half.max()), forces)
-        # of positions with fewer digits than a file has room for, the digits are those of the sensor
+        # positions with fewer digits than the file format allows have the digits of the sensor
         finer = position.digits < command.digits and position.decimal > command.decimal
         read = command.in_full or position.in_full or (finer and not position.single)
         return cls(
@@ -222,41 +224,41 @@ class LogRows:
 
     @property
     def readings(self) -> Iterator[LogRows]:
-        """The log if its positions are what the controller read, where they may be, and if they were rounded."""
+        """Yield the log with its positions as read by the controller, if they may be, and with rounded positions."""
         yield self
         if self.coarser is not None:
             yield replace(self, of_position=self.coarser, coarser=None)
 
     @cached_property
     def change(self) -> Floats:
-        """Change of the position since the row before [m, rad]."""
+        """Change of the position since the previous row [m, rad]."""
         result: Floats = np.diff(self.position, prepend=self.position[:1])
         return result
 
     @cached_property
     def displacement(self) -> Floats:
-        """Position from where the wall rests [m, rad]."""
+        """Position relative to the rest position of the wall [m, rad]."""
         result: Floats = self.position - self.position[0]
         return result
 
     @cached_property
     def wall(self) -> Floats:
-        """Force of the wall by the law [N, Nm]."""
+        """Wall force according to the law [N, Nm]."""
         return self.stiffness * self.displacement + self.damping / self.period * self.change
 
     @cached_property
     def external(self) -> Floats:
-        """Command less the force of the wall [N, Nm]."""
+        """Command minus wall force [N, Nm]."""
         return self.command + self.wall
 
     @cached_property
     def residual(self) -> Floats:
-        """Command less wall and step [N, Nm]."""
+        """Command minus wall force and step [N, Nm]."""
         return self.external - self.step * self.after
 
     @cached_property
     def rounding(self) -> Floats:
-        """Largest residual that the digits of the log leave open in each row [N, Nm]."""
+        """Largest residual in each row that the rounding of the logged digits allows [N, Nm]."""
         K, B = abs(self.stiffness), abs(self.damping) / self.period
         of_displacement = self.of_position + self.of_position[0]
         of_change = self.of_position + np.append(self.of_position[:1], self.of_position[:-1])
@@ -273,30 +275,30 @@ class LogRows:
         return result
 
     def without(self, rows: Booleans) -> LogRows:
-        """Return the log with rows that no law must explain."""
+        """Return the log with the given rows excluded from any comparison with a law."""
         return replace(self, kept=self.kept & ~rows)
 
     def moved(self, rows: int) -> LogRows:
-        """Return the log with commands so many rows earlier; its edge is the first row beyond half the step."""
+        """Return the log with commands shifted to earlier rows; its edge is the first row beyond half the step."""
         later = slice(max(rows, 0), len(self.command) + min(rows, 0))
         earlier = slice(max(-rows, 0), len(self.command) + min(-rows, 0))
         commands = {name: getattr(self, name)[later] for name in ("command", "of_command")}
         readings = {name: getattr(self, name)[earlier] for name in ("time", "position", "of_position")}
         coarser = None if self.coarser is None else self.coarser[earlier]
-        # a row that either part of is left out is left out
+        # a row is excluded if its command or its position is
         log = replace(self, **commands, **readings, kept=self.kept[later] & self.kept[earlier], coarser=coarser)
         return replace(log, edge=int(np.argmax(log.external * np.sign(self.step) > 0.5 * abs(self.step))))
 
     def off(self, predicted: NDArray[np.floating[Any]], rows: Booleans | None = None) -> bool:
-        """Whether the command is not the predicted one, over some rows or all that are kept."""
+        """Return whether the command differs from the predicted one, over the given rows or all kept rows."""
         inside = self.kept if rows is None else self.kept & rows
         return bool((np.abs(self.command - predicted)[inside] > self.rounding[inside]).any())
 
 
 def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
-    """Return the rows from one on that stand still while the device moves by more than ``least`` before and behind."""
+    """Return the constant rows between rows in which the device moves by more than ``least``, from ``first`` on."""
     rows = first + np.flatnonzero(change[first:] == 0)
-    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
+    # the next row catches up with the motion of the constant one; a device that reverses comes back instead
     behind = np.append(change[1:], 0.0)[rows]
     last, last_but_one = (np.take(change, rows - lag, mode="wrap") for lag in (1, 2))
     before = np.where(last != 0, last, last_but_one)
@@ -306,31 +308,32 @@ def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
 
 
 PLATEAU = 2
-"""Rows of equal extreme command that show a limit: two equal numbers are no chance."""
+"""Smallest number of rows of equal extreme command that shows a limit; two equal numbers are not attributed to
+chance."""
 
 STILL_FLOORS = 3.0
-"""Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+"""Smallest change of position on both sides of a row, in sensor floors, that excludes a device at rest in this row."""
 
 STILL_DIGITS = 60.0
-"""The same in half units of the last digit: a quantum of a few of these is not seen as one."""
+"""The same in half units of the last digit; a quantum of a few of these is not detected as one."""
 
 GRID = 0.05
-"""Part of a quantum that a reading may be off its grid."""
+"""Largest deviation of a reading from its grid, in quanta."""
 
 
 def hidden_rows(log: LogRows) -> Integers:
-    """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
+    """Return the rows preceded by missing rows according to the wall law, which the time stamps may not show."""
     off = (np.abs(log.residual) > log.rounding) & log.after
     moving = off & (log.change != 0)
     if not moving.any() or log.damping == 0:
         return np.empty(0, dtype=np.int64)
-    # over a row that is missing the position changed by more than since the row before: the residual is the damping
-    # force of the change that is lost, which is like its neighbours
+    # over a missing row the position changed by more than since its previous reading: the residual is the damping
+    # force of the lost change, which is similar to its neighbours
     lost = log.residual * log.period / log.damping
     near = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
     like = np.mean((np.abs(lost) < 2 * (near + log.floor))[off]) > 0.9
     onward = np.median((lost * log.change)[moving]) > 0
-    # a row that stands still amid a motion is repeated
+    # a constant row within a motion is repeated
     same = (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
     repeated = same & (near > STILL_FLOORS * log.floor)
     single = (off & ~np.roll(off, 1)).sum() >= 0.7 * off.sum() - 1
@@ -339,7 +342,7 @@ def hidden_rows(log: LogRows) -> Integers:
 
 
 def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
-    """Return whether the readings that would be missing lie on the grid of the sensor, to the printed digits."""
+    """Return whether the implied missing readings lie on the grid of the sensor, up to the printed digits."""
     scale = log.period / abs(log.damping)
     tolerance = GRID * log.quantum + scale * log.rounding[off]
     lost = scale * np.abs(log.residual[off])
@@ -349,16 +352,17 @@ def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
 
 
 def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
-    """Return the rows that stand still while the device moves before and behind them, in all two or more.
+    """Return the two or more constant rows before and after which the device moves.
 
-    Then the same with those that only the plain wall law distinguishes from a slow device; one counts, too.
+    Also return them together with rows that only the plain wall law distinguishes from a slow device; there, one is
+    enough.
     """
     digits = STILL_DIGITS * log.of_position
-    # a quantum that print hides is at most the least change
+    # a quantum hidden by printing is at most the smallest change
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
     least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.edge, least)
-    # the row itself is off the law where the device moved before, the row behind where it moves on
+    # the row itself violates the law if the device moved before, the next row if it continues to move
     off = np.abs(log.residual) > log.rounding
     same = np.diff(log.command, prepend=np.nan) == 0
     by_law = log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
@@ -366,6 +370,6 @@ def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
 
 
 def is_equal(values: Floats, limit: float) -> Booleans:
-    """Return which values are the same number as a limit, up to rounding."""
+    """Return which values equal a limit, up to rounding."""
     result: Booleans = np.abs(values - limit) <= ROUNDING * max(abs(limit), 1e-300)
     return result

@@ -1,6 +1,6 @@
-"""Logs on the grid of their sampling period: rows that are missing or repeated are interpolated: a row is a sample.
+"""Logs on the grid of their sampling period: missing or repeated rows are interpolated, so that each row is a sample.
 
-What counts samples or sums them (settling times, energies) would otherwise count rows.
+Quantities that count or sum samples (settling times, energies) would otherwise count rows.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from pipeline.measured.wall_command.wall_law import WallLaw
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 LONGEST_GAP = 8
-"""Missing rows in a row beyond which a motion is not interpolated: a quarter of a period of the fastest walls."""
+"""Largest number of consecutive missing rows that are interpolated: a quarter of a period of the fastest walls."""
 
 MOST_MISSING = 0.1
-"""Largest share of samples that are interpolated."""
+"""Largest share of interpolated samples."""
 
 LARGEST_UNEXPLAINED = 0.005
-"""Part of the way of a device, there and back, that changes may be wrong by without a row that explains it."""
+"""Largest error of the changes that no repeated or missing row explains, relative to the total distance travelled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class SampleGrid:
     Parameters
     ----------
     trial, response : Trial, Response
-        The trial on its grid, interpolated by cubics; the trial itself where no row is in doubt, or too many are. One
-        whose samples cannot be counted has no edge, and its ``edge_reason`` says why.
+        The trial on its grid, interpolated by cubics; the trial itself if no row is in doubt, or too many are. A trial
+        whose samples cannot be counted has no edge, and its ``edge_reason`` gives the reason.
     straight : Trial, optional
-        The same interpolated by straight lines, without measured force and velocity: between both lies what
-        interpolation leaves open, and more. None where nothing is interpolated.
+        The same with linear interpolation, without measured force and velocity: the difference of both bounds the
+        interpolation error. None if nothing is interpolated.
     """
 
     trial: Trial
@@ -51,13 +51,13 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
     ----------
     trial : Trial
     response, law : Response, WallLaw
-        Of the same trial.
+        Response and wall law of the same trial.
 
     Notes
     -----
-    Rows are missing where stamps count them (`stamps`), or where the wall law shows it; those that only the law
-    shows are not counted reliably, and such a trial has no edge any more. A row that repeats the one before, or a
-    reading that was repeated, replaces a sample that is interpolated.
+    Missing rows are found from the time stamps (`stamps`) or from the wall law; those shown only by the law cannot be
+    counted reliably, and such a trial has no edge. A row that repeats the one before, or a repeated reading, is
+    replaced by an interpolated sample.
     """
     account, edge = law.account, response.edge_row
     seen, hidden = np.ones(trial.rows, dtype=np.bool_), 0
@@ -82,10 +82,10 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
 
 
 def _unexplained(log: LogRows, seen: Booleans) -> int:
-    """Number of rows off the wall law that no repeated row explains, where there are some.
+    """Return the number of rows that violate the wall law and that no repeated row explains, if there are any.
 
-    The residual of such a row is the damping force of the way that its change is wrong by: a small part of all of the
-    way counts as none.
+    The residual of such a row is the damping force due to the error of its change; errors that are a small part of the
+    total distance are ignored.
     """
     if seen.all():
         return 0
@@ -98,7 +98,7 @@ def _unexplained(log: LogRows, seen: Booleans) -> int:
 
 
 def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
-    """Why the samples of a trial cannot be counted; empty where they can."""
+    """Return the reason why the samples of a trial cannot be counted; empty if they can."""
     if hidden:
         return f"{hidden} rows are missing or repeated where the stamps do not show it: samples cannot be counted"
     longest = int(np.diff(index).max(initial=1)) - 1
@@ -110,7 +110,7 @@ def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
 
 
 def _interpolated(trial: Trial, index: Integers, seen: Booleans, *, cubic: bool) -> Trial:
-    """Return a trial with a row for every sample, of which those of an index have readings where they are seen."""
+    """Return a trial with a row for every sample; ``index`` and ``seen`` mark the samples that have readings."""
     from scipy.interpolate import make_interp_spline
 
     samples, read = np.arange(index[-1] + 1), index[seen]

@@ -1,7 +1,7 @@
-"""What the time stamps of a log say of its rows: some are missing, the stamps scatter, or the period is another one.
+"""Evaluation of the time stamps of a log: missing rows, scattering stamps, or another sampling period.
 
-Stamps count rows, they do not time them: an operating system writes them late, while control goes on. A row that is
-missing moves all stamps behind it, a late stamp only itself.
+Time stamps count rows but do not time them: an operating system writes them late while control continues. A missing row
+shifts all later stamps, a late stamp only itself.
 """
 
 from __future__ import annotations
@@ -17,37 +17,38 @@ from pipeline.recording.timing import EVEN, other_period
 from pipeline.records.trials import Floats, Integers, Trial
 
 ODD = 0.5
-"""Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
+"""Smallest deviation of the distance of two stamps from a period, in periods, for which missing rows are considered."""
 
 UNEVEN = 0.1
-"""Part of a period by which distances of stamps are off whole numbers of it where they scatter."""
+"""Smallest deviation of stamp distances from whole periods, in periods, for which the stamps scatter."""
 
 WINDOW = 7
-"""Rows among which half may have stamps of a wrong row; fewer have no usual distance."""
+"""Number of rows of which half may have the stamp of a wrong row; fewer rows have no usual distance."""
 
 CATCH_UP = 40
-"""Rows after which stamps that were written late are in time again."""
+"""Number of rows after which late stamps are on time again."""
 
 FOLLOWED = 0.1
-"""Part of what a stamp is off by that the next ones are expected to be off by, too: two clocks drift apart."""
+"""Part of the deviation of a stamp that is expected to persist in the next ones, because two clocks drift apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """What the stamps of a log say.
+    """Result of the evaluation of the time stamps of a log.
 
     Parameters
     ----------
     skipped : int64, shape (N - 1,)
-        Rows that are missing before each row but the first.
+        Number of rows missing before each row except the first.
     period : float
-        Their usual distance where it is not the sampling period [s], else the sampling period.
+        Median distance of the stamps if it differs from the sampling period [s], else the sampling period.
     scatter : float
         Standard deviation from even distances, in periods.
     odd : int
-        Distances that are off by more than half a period though no row is missing.
+        Number of distances that deviate by more than half a period although no row is missing.
     scatters : bool
-        Whether each stamp is off by itself: where control is uneven, what one distance is too long is not made up for.
+        Whether the stamps deviate independently; with uneven control, a distance that is too long is not compensated by
+        the next one.
     """
 
     skipped: Integers
@@ -58,12 +59,12 @@ class Stamps:
 
 
 def read_stamps(time: Floats, period: float) -> Stamps:
-    """Return what the stamps of a log of a sampling period say, both in seconds.
+    """Evaluate the time stamps of a log with a given sampling period, both in seconds.
 
     Notes
     -----
-    A row is late by as many periods as rows are missing before it, and by what its stamp is late and clocks differ.
-    What is left of that among the stamps behind it, at the least, are rows that are missing; the rest comes and goes.
+    The lateness of a row is the number of missing rows before it, in periods, plus the lateness of its stamp and the
+    clock drift. The smallest lateness of the following stamps counts missing rows; the remainder is transient.
     """
     steps = np.diff(time)
     none = np.zeros(len(steps), dtype=np.int64)
@@ -76,7 +77,7 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     late = (time - time[0]) / period - np.arange(len(time))
     stays = late
     whole = np.rint(steps / period)
-    if ((np.abs(steps / period - whole) > UNEVEN) | (whole < 1)).any():  # what is late comes back, lost rows do not
+    if ((np.abs(steps / period - whole) > UNEVEN) | (whole < 1)).any():  # late stamps recover, lost rows do not
         stays = _behind(np.append(late, np.full(WINDOW - 1, np.median(late[-WINDOW:]))), WINDOW, np.median)
         stays = _behind(np.append(stays, np.full(CATCH_UP - 1, np.inf)), CATCH_UP, np.min)
     skipped, level = none, float(np.median(late[:WINDOW]) if stays is not late else late[0])
@@ -92,12 +93,12 @@ def read_stamps(time: Floats, period: float) -> Stamps:
 
 
 def _scatter(values: Floats) -> float:
-    """Return the standard deviation of most values: among stamps that scatter a gap is found a few rows off."""
+    """Return the standard deviation of most values: among scattering stamps a gap is located within a few rows."""
     return float(np.median(np.abs(values - np.median(values))) / NORMAL_QUARTILE)
 
 
 def even(trial: Trial) -> Trial:
-    """Return a trial with the stamps of its samples where those of the log scatter; rows that are missing stay so."""
+    """Return a trial with evenly spaced stamps if those of the log scatter; missing rows remain missing."""
     period = trial.sampling_period_s
     if not (np.abs(np.diff(trial.time) / period - 1) > EVEN).any():
         return trial
@@ -108,5 +109,5 @@ def even(trial: Trial) -> Trial:
 
 
 def _behind(values: Floats, rows: int, of: Callable[..., Floats]) -> Floats:
-    """Return a statistic of each value and those behind it, so many in all."""
+    """Return a statistic of each value and its successors, over the given number of rows."""
     return of(np.lib.stride_tricks.sliding_window_view(values, rows), axis=1)

@@ -1,7 +1,7 @@
-"""The filter that a wall law applies to the velocity, from what goes in and what comes out of it.
+"""Identification of the velocity filter of a wall law from its input and output.
 
-In: the change of position dx_k = x_k - x_{k-1}, from the log. Out: T/B (F_k - K (x_k - x_0) - u_k), which is the
-filtered change. Both are exact, so that a filter that is found leaves nothing.
+Input: the change of position dx_k = x_k - x_{k-1} from the log. Output: T/B (F_k - K (x_k - x_0) - u_k), the filtered
+change. Both are exact, so that the right filter has no residual.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.records.trials import Booleans, Floats
 
 HIGHEST_ORDER = 4
-"""Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
+"""Largest order of a recursive velocity filter that is searched for; the thesis and drives use 1 or 2."""
 
 LONGEST_WINDOW = 64
-"""Samples of the longest difference that is looked for, and of the longest window that adapts."""
+"""Largest number of samples of a difference, and of an adaptive window, that is searched for."""
 
 ROUNDED_CUTOFF = 2.0
-"""Units of rounding that a filter with a cut-off of `SET_DIGITS` may leave unexplained."""
+"""Largest residual, in rounding units, of a filter with a cut-off of `SET_DIGITS` digits."""
 
 FITTED_ROWS = 400
-"""Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
+"""Number of rows, counted from the edge, to which a filter is fitted: ten are needed, and there is no noise."""
 
 
 @dataclass(frozen=True)
 class VelocityFilterFound:
     """Filter b(z)/a(z) of the backward difference, a[0] = 1.
 
-    ``difference`` is N where it is a mean over N samples, ``cutoff_hz`` the cut-off where it is a Butterworth filter.
+    ``difference`` is N for a mean over N samples, ``cutoff_hz`` is the cut-off of a Butterworth filter.
     """
 
     b: tuple[float, ...]
@@ -45,12 +45,12 @@ class VelocityFilterFound:
 
     @property
     def free(self) -> int:
-        """Numbers that are free in it: none of a mean over samples, the cut-off of a Butterworth filter."""
+        """Number of free parameters: none for a mean over samples, the cut-off for a Butterworth filter."""
         return 0 if self.difference else 1 if self.cutoff_hz else len(self.a) + len(self.b) - 2
 
     @property
     def declared(self) -> VelocityFilter:
-        """As a device file would declare it."""
+        """Filter as declared in a device file."""
         if self.difference:
             return Difference(kind="difference", samples=self.difference)
         if self.cutoff_hz:
@@ -58,16 +58,16 @@ class VelocityFilterFound:
         return Coefficients(kind="coefficients", b=self.b, a=self.a)
 
     def gain(self, angles: Floats) -> NDArray[np.complex128]:
-        """Return its complex gain at some frequencies [rad a sample]."""
+        """Return the complex gain at the given frequencies [rad a sample]."""
         from numpy.polynomial.polynomial import polyval
 
         delay = np.exp(-1j * angles)
-        # a pole may be as near to 1 as rounding
+        # a pole may equal 1 up to rounding
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(polyval(delay, self.b) / polyval(delay, self.a))
 
     def words(self) -> str:
-        """Return what the filter does to the velocity."""
+        """Return a description of the filter's effect on the velocity."""
         if self.difference:
             return f"is the mean over {self.difference} samples"
         order = len(self.a) - 1
@@ -79,12 +79,12 @@ class VelocityFilterFound:
 def find_filter(
     change: Floats, output: Floats, rows: Booleans, tolerance: Floats, sampling_period_s: float
 ) -> VelocityFilterFound | None:
-    """Return the filter from a change of position to its filtered value, or None where none explains the rows.
+    """Return the filter from a change of position to its filtered value, or None if none explains the rows.
 
     Parameters
     ----------
     change, output : float64, shape (N,)
-        dx and what the wall law takes for it [m, rad], from rest.
+        dx and the value that the wall law uses for it [m, rad], from rest.
     rows : bool, shape (N,)
         Rows whose output is known: the command is not clipped.
     tolerance : float64, shape (N,)
@@ -94,7 +94,8 @@ def find_filter(
 
     Notes
     -----
-    At an even speed a filter gives that speed: its gain at rest is 1. What has another one is another wall law.
+    At constant speed a filter returns that speed: its static gain is 1. With another static gain the wall law itself
+    differs.
     """
     result = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
     if result is None or result.difference:
@@ -114,7 +115,7 @@ def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Float
 def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
     """Return the filter of lowest order, by y_k - dx_k = sum a_i (dx_k - y_{k-i}) + sum b_j (dx_{k-j} - dx_k).
 
-    That is the equation of a filter whose gain at rest is 1, b_0 = 1 + sum a_i - sum b_j.
+    This is the equation of a filter with a static gain of 1, b_0 = 1 + sum a_i - sum b_j.
     """
     for order in range(1, HIGHEST_ORDER + 1):
         back = range(1, order + 1)
@@ -125,16 +126,16 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
         rows = np.flatnonzero(~unknown)
         if len(rows) < 4 * terms.shape[1] or (np.abs(output - change) <= tolerance)[rows].all():
             return None
-        # a row counts as much as its digits allow
+        # weight each row by its resolution
         fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]
-        if not len(fitted):  # what is known all lies before the motion
+        if not len(fitted):  # all known rows lie before the motion
             return None
         error_sizes = tolerance[fitted]
         coefficients = least_squares(terms[fitted] / error_sizes[:, None], (output - change)[fitted] / error_sizes)
         error = np.abs(terms @ coefficients - (output - change))
         feedback, forward = coefficients[:order], coefficients[order:]
         a, b = (1.0, *feedback.tolist()), (float(1 + feedback.sum() - forward.sum()), *forward.tolist())
-        # one unit of rounding in each term of the sum
+        # one rounding unit in each term of the sum
         allowed = (1 + abs(b[0])) * tolerance + sum((abs(a[i]) + abs(b[i])) * _delayed(tolerance, i) for i in back)
         if (error <= allowed)[rows].all() and np.abs(np.roots(a)).max(initial=0.0) < 1:
             return VelocityFilterFound(b, a)
@@ -144,10 +145,10 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
 def _butterworth(
     change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: Floats, period: float
 ) -> VelocityFilterFound | None:
-    """Return the Butterworth filter near a recursive one, of its order or a higher one, if one explains all rows.
+    """Return the Butterworth filter near a recursive one, of its order or higher, if one explains all rows.
 
-    Low cut-offs make the equations of a recursive filter ill-conditioned: one of lower order then explains the rows,
-    too. Here the filter runs along the log, which is not.
+    Low cut-offs make the equations of a recursive filter ill-conditioned: a filter of lower order then explains the
+    rows, too. Simulating the filter along the log avoids this.
     """
     from scipy.optimize import minimize_scalar
 
@@ -191,7 +192,7 @@ def butterworth(order: int, cutoff: float) -> tuple[Floats, Floats]:
 
 
 def filtered(b: Sequence[float] | Floats, a: Sequence[float] | Floats, x: Floats) -> Floats:
-    """Return what a filter b(z)/a(z), a[0] = 1, makes of a signal (N,) from rest.
+    """Return the response of a filter b(z)/a(z), a[0] = 1, to a signal (N,) from rest.
 
     Examples
     --------
@@ -220,7 +221,7 @@ def _filtered(b: Floats, a: Floats, x: Floats) -> Floats:
 
 
 def least_squares(terms: Floats, values: Floats) -> Floats:
-    """Return the factors of terms, shape (N, terms), whose sum is nearest to values; 0 for a term of zeros."""
+    """Return the coefficients of terms (N, terms) whose sum is closest to values; 0 for a term of zeros."""
     size = np.abs(terms).max(axis=0)
     size[size == 0] = 1.0
     result: Floats = np.linalg.lstsq(terms / size, values, rcond=None)[0] / size
@@ -228,5 +229,5 @@ def least_squares(terms: Floats, values: Floats) -> Floats:
 
 
 def _delayed(values: Floats, samples: int) -> Floats:
-    """Return values some samples later; 0 before the log."""
+    """Return values delayed by some samples, 0 before the log."""
     return np.concatenate([np.zeros(samples), values[: len(values) - samples]]) if samples else values

@@ -1,8 +1,8 @@
-"""Check of a logged command against the wall law, and the reason for a departure, from the log alone.
+"""Comparison of a logged command with the wall law, and the cause of a departure, from the log alone.
 
-The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. Of a
-controller that applies it only rounding remains in u + K (x - x_0) + B dx/T - F. What remains otherwise has a shape
-that shows its cause: `candidates` are compared with the command in the order of the numbers that they leave free.
+The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. If the
+controller applies it, the residual u + K (x - x_0) + B dx/T - F contains only rounding. Otherwise the shape of the
+residual shows its cause: `candidates` are compared with the command in the order of their number of free parameters.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from pipeline.records.findings import MATTERS
 from pipeline.records.trials import Booleans, Integers, Trial
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
-"""Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
+"""Rounding of the law, relative to its largest force, if all numbers are printed in full, as in `LogRows.of`."""
 
 
 @dataclass(frozen=True, eq=False)
 class WallLaw:
-    """Residual of the law of a trial, and why it is not rounding.
+    """Residual of the wall law of a trial, and the reason if it exceeds rounding.
 
     Parameters
     ----------
     residual : float
         Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|; NaN without a command edge.
     rounding : float
-        Largest part of it that rounding of the printed numbers can cause.
+        Largest residual that rounding of the printed numbers can cause.
     departures : tuple of Departure
-        Why it is more, most certain first; empty where the law is obeyed.
+        Reasons for a larger residual, most certain first; empty if the law is obeyed.
     account : Account, optional
-        What explains the rows of a log that was examined row by row.
+        Explanation of the rows of a log that was examined row by row.
     """
 
     residual: float
@@ -60,20 +60,20 @@ class WallLaw:
 
     @property
     def filter(self) -> VelocityFilterFound | None:
-        """Velocity filter; None where the log shows none."""
+        """Velocity filter; None if the log shows none."""
         return next((departure.filter for departure in self.departures if departure.filter is not None), None)
 
 
 @dataclass(frozen=True)
 class OtherWalls:
-    """K, B and step that a command obeys, NaN where they are the stated ones; and in words, empty where they are."""
+    """K, B and step that a command obeys (NaN if as stated), and their description (empty if as stated)."""
 
     obeyed: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     reason: str = ""
 
 
 def other_walls(law: WallLaw) -> OtherWalls:
-    """Return which other wall or step than stated a command obeys: its log says nothing of the stated K and B."""
+    """Return the wall or step that a command obeys instead of the stated one, to which its log then does not apply."""
     if law.residual > MATTERS:
         for departure in law.departures:
             if departure.obeyed is not None:
@@ -87,9 +87,9 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
     Parameters
     ----------
     trial : Trial
-        With the stamps as logged.
+        Trial with its time stamps as logged.
     response : Response
-        Of this trial.
+        Response of this trial.
 
     Returns
     -------
@@ -97,8 +97,8 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
 
     Notes
     -----
-    What the digits of command, position, K and B leave open in a row is no departure (`digits`). A quantum of a sensor
-    is on a grid of decimals, too, and is what the controller saw: a law is tried with positions as they are first.
+    A residual within the rounding of command, position, K and B is not a departure (`digits`). A sensor quantum may
+    also lie on a decimal grid, and the controller used it exactly: a law is first tried with the positions as logged.
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
@@ -119,7 +119,7 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
 
 
 def _has_odd_rows(trial: Trial, response: Response) -> bool:
-    """Return whether a log skips rows by its stamps, or stands still in single rows."""
+    """Return whether a log skips rows according to its stamps, or is constant in single rows."""
     steps = (trial.time[1:] - trial.time[:-1]) / trial.sampling_period_s
     if (np.abs(steps - 1) > ODD).any():
         return True
@@ -130,19 +130,19 @@ def _has_odd_rows(trial: Trial, response: Response) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """What explains a log, row by row.
+    """Explanation of a log, row by row.
 
     Parameters
     ----------
     log : LogRows
-        With the period and the rows that the stamps show.
+        Log with the period and the rows shown by the time stamps.
     stamps : Stamps
     repeated : int64
-        Rows that repeat the one before, or its reading.
+        Rows that repeat the row before, or its reading.
     lost : int
-        Rows before which others are missing by the law, which the stamps do not show.
+        Number of rows preceded by missing rows according to the law that the stamps do not show.
     departures : tuple of Departure, or None
-        Of the law that explains all other rows; None where no law does.
+        Departures of the law that explains all other rows; None if there is no such law.
     """
 
     log: LogRows
@@ -153,10 +153,10 @@ class Account:
 
 
 def account(log: LogRows) -> Account:
-    """Return what explains a log: a law with its rows as they are, then without repeated or with lost ones."""
+    """Return the explanation of a log: a law with all rows as logged, or without repeated rows, or with lost ones."""
     stamps = read_stamps(log.time, log.period)
     log = log.without(np.append(0, stamps.skipped) > 0)
-    if stamps.period != log.period and explanation(log) != ():  # else the control keeps the time of the header
+    if stamps.period != log.period and explanation(log) != ():  # else the controller runs at the period of the header
         log = replace(log, period=stamps.period)
     still, repeated = repeated_rows(log)
     departures = explanation(log)
@@ -173,9 +173,9 @@ def account(log: LogRows) -> Account:
 
 
 def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
-    """Yield what departs from the law: what the stamps show, then the rows and the law that explain the command."""
+    """Yield the departures from the law: those of the stamps, then the rows and the law that explain the command."""
     if rows.departures and rows.departures[0].code == "decimated_rows":
-        yield from rows.departures  # stamps and header may both be right
+        yield from rows.departures  # time stamps and header may both be right
         return
     by_stamps = tuple(_by_stamps(rows.stamps, log))
     yield from by_stamps
@@ -192,7 +192,7 @@ def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
 
 
 def _with_next(rows: Integers, count: int) -> Booleans:
-    """Return those rows and the ones behind them: a change that is too small makes the next too large."""
+    """Return the rows and their successors: a change that is too small makes the next one too large."""
     result = np.zeros(count + 1, dtype=np.bool_)
     result[rows] = result[rows + 1] = True
     return result[:count]
