@@ -1,4 +1,4 @@
-"""Settling time, overshoot and rise time of recorded step responses, each with what its readings leave open.
+"""Settling time, overshoot and rise time of recorded step responses, with intervals that cover the reading errors.
 
 Cost index 0 is sample k0 + d: the response starts at the command edge k0, and its first d samples pass before the
 command reaches the device. Each cost uses only the quantities it needs; its interval covers the effect of reading
@@ -23,14 +23,14 @@ from pipeline.records.stage_records import CostRow, OtherCostRow, OvershootRow, 
 from pipeline.records.trials import Floats, Trial
 
 TAIL = 0.5 * (1 - CONFIDENCE)
-"""Chance of a value beyond each end of an interval."""
+"""Probability of a value beyond each end of an interval."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """A cost of a trial with its 95 % interval; NaN, with a reason, where there is none.
+    """Cost of a trial with its 95 % interval; NaN, with a reason, if there is none.
 
-    ``low`` and ``high`` are NaN, too, where the error of the readings was not given or is not known.
+    ``low`` and ``high`` are also NaN if the error of the readings was not given or is unknown.
     """
 
     value: float = np.nan
@@ -40,12 +40,12 @@ class Cost:
 
 
 def joined(*reasons: str) -> str:
-    """Return different reasons, joined; empty where there is none."""
+    """Return the distinct reasons, joined; empty if there is none."""
     return "; ".join(dict.fromkeys(text for text in reasons if text))
 
 
 def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples: int) -> tuple[int, str]:
-    """Return the row of cost index 0, and why a trial can have no cost: empty where it can.
+    """Return the row of cost index 0, and the reason why a trial has no cost (empty if it has one).
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples
 
 
 def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tuple[int, int]:
-    """Return smallest and largest integer delay factor, the delay itself where no range is given.
+    """Return the smallest and largest integer delay factor; both equal the delay if no range is given.
 
     Raises
     ------
@@ -98,10 +98,10 @@ def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tup
 
 @dataclass(frozen=True, eq=False)
 class _Readings:
-    """Readings of a trial from cost index 0 on, shape (rows,).
+    """Readings of a trial, starting at cost index 0, shape (rows,).
 
-    ``offset`` is their distance from the final position, ``deviation`` their standard error; None, perhaps with a
-    reason, where it is not known.
+    ``offset`` is their distance from the final position, ``deviation`` their standard error; None, possibly with a
+    reason, if it is unknown.
     """
 
     first: int
@@ -115,7 +115,7 @@ class _Readings:
 def _readings(
     trial: Trial, response: Response, verdict: Verdict, delay_samples: int, error: ReadingError | None
 ) -> _Readings | Cost:
-    """Return the readings that a cost is computed from, or no cost and why."""
+    """Return the readings from which a cost is computed, or no cost and the reason."""
     first, reason = cost_start(trial, response, verdict, delay_samples)
     if reason:
         return Cost(reason=reason)
@@ -146,9 +146,9 @@ def settling(
     error : ReadingError, optional
         Of this trial; without it there is no interval.
     delay_range : tuple of int, optional
-        Smallest and largest integer delay factor that the experiment leaves open.
+        Smallest and largest integer delay factor compatible with the experiment.
     bands : mapping of str to float
-        Half widths of the bands relative to the final displacement, by criterion.
+        Half-widths of the bands relative to the final displacement, by criterion.
 
     Raises
     ------
@@ -157,10 +157,11 @@ def settling(
 
     Notes
     -----
-    The band lies about x_0 + F_0/K, not about the last sample; it is not judged where it is narrower than what quantum
-    and noise alone cause. The ends of the interval are the settling times for a band wider and narrower by the error of
-    a reading: the last sample outside decides, and it is one reading. A larger delay moves cost index 0, and so
-    shortens the settling time. There is no upper end where the motion can still leave the band after the log (`reach`).
+    The band is centred at x_0 + F_0/K, not at the last sample; there is no settling time for a band narrower than the
+    effect of quantum and noise alone. The ends of the interval are the settling times for a band that is wider or
+    narrower by the error of one reading, because a single reading, the last one outside, decides. A larger delay shifts
+    cost index 0 and thus shortens the settling time. There is no upper end if the motion can still leave the band after
+    the log (`reach`).
 
     Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
     """
@@ -197,13 +198,13 @@ def settling(
 
 
 def _settled(size: Floats, width: float | Floats) -> int:
-    """Return the index behind the last one outside a band."""
+    """Return the index after the last one outside a band."""
     outside = np.flatnonzero(size > width)
     return int(outside[-1]) + 1 if len(outside) else 0
 
 
 def overshoot_floor(trial: Trial, response: Response) -> float:
-    """Return the overshoot that quantum, noise and a motion before the step can feign; 0 without a wall or a step."""
+    """Return the apparent overshoot due to quantum, noise and motion before the step; 0 without a wall or a step."""
     if trial.stiffness <= 0 or trial.step == 0:
         return 0.0
     return (response.floor + response.baseline_motion) / abs(trial.step / trial.stiffness)
@@ -222,10 +223,10 @@ def overshoot(trial: Trial, response: Response, verdict: Verdict, error: Reading
 
     Notes
     -----
-    Neither delay nor mass is needed. The largest of many noisy readings lies above the largest true position. Its own
-    error bounds the truth from above; from below the largest error of all readings that can have become the largest
-    does: those within twice that error of it. What comes after the end of the log is bounded by `reach`. An interval
-    that begins at 0 says that there may be no overshoot.
+    Neither delay nor mass is needed. The largest of many noisy readings lies above the largest true position. The upper
+    bound follows from the error of this reading; the lower bound from the largest error of all readings within twice
+    that error of it, any of which may be the largest. Motion after the end of the log is bounded by `reach`. If the
+    interval begins at 0, there may be no overshoot.
 
     Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
     """
@@ -249,12 +250,12 @@ def overshoot(trial: Trial, response: Response, verdict: Verdict, error: Reading
 
 
 def _quantile(chance: float) -> float:
-    """Standard normal deviate that is exceeded with a chance."""
+    """Return the standard normal deviate that is exceeded with the given probability."""
     return -NormalDist().inv_cdf(chance)
 
 
 def rise_time(trial: Trial, response: Response, verdict: Verdict, error: ReadingError | None = None) -> Cost:
-    """Return the time from 10 to 90 % of the final displacement, between two readings on a straight line [samples]."""
+    """Return the time from 10 to 90 % of the final displacement, with linear interpolation of readings [samples]."""
     readings = _readings(trial, response, verdict, 0, error)
     if isinstance(readings, Cost):
         return readings
@@ -280,7 +281,7 @@ def rise_time(trial: Trial, response: Response, verdict: Verdict, error: Reading
 
 
 def _reached(share: Floats, level: float) -> float:
-    """Index at which a share is first reached, between two readings on a straight line; NaN for never."""
+    """Return the index at which a share is first reached, linearly interpolated; NaN if it is never reached."""
     index = int(np.argmax(share >= level))
     if share[index] < level:
         return np.nan
@@ -292,14 +293,14 @@ def _reached(share: Floats, level: float) -> float:
 
 @dataclass(frozen=True)
 class ReadingInputs:
-    """What the errors of the readings of a trial take from the whole experiment.
+    """Inputs of the reading errors of a trial that are common to the experiment.
 
     Parameters
     ----------
     delay : int
-        Samples up to which nothing is fed back.
+        Number of samples before any feedback takes effect.
     sensor : float, optional
-        Standard deviation of the error of one reading [m, rad], None where it is not known.
+        Standard deviation of the error of one reading [m, rad], None if it is unknown.
     gain : float
         `usual_gain` of the trials.
     spring : float
@@ -317,15 +318,15 @@ class ReadingInputs:
 
 @dataclass(frozen=True)
 class CostInputs:
-    """What costs of a trial take from the whole experiment.
+    """Inputs of the costs of a trial that are common to the experiment.
 
     Parameters
     ----------
     readings : ReadingInputs
     delay_range : tuple of int, optional
-        Smallest and largest integer delay factor, for costs that are counted from the delay on.
+        Smallest and largest integer delay factor, for costs counted from the end of the delay.
     mass, mass_error : float
-        Mass or inertia that the wall feels, and its standard error [kg, kg m^2]; 0 for costs that need none.
+        Effective mass or inertia at the wall, and its standard error [kg, kg m^2]; 0 for costs that do not need it.
     """
 
     readings: ReadingInputs
@@ -335,11 +336,11 @@ class CostInputs:
 
 
 Measure = Callable[[Trial, Response, Verdict, ReadingError, CostInputs], CostRow]
-"""Stored costs of a family of a trial, from its response, verdict and reading error."""
+"""Measurement of a trial's stored costs of one family, from its response, verdict and reading error."""
 
 
 def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
-    """Return the columns that store costs, by the columns' names."""
+    """Return the stored columns of costs by column name."""
     return {
         f"{name}{end}": value
         for name, cost in costs.items()
@@ -350,7 +351,7 @@ def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
 def settling_row(
     trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
 ) -> SettlingRow:
-    """Return the settling times of a trial as they are stored."""
+    """Return the settling times of a trial in stored form."""
     costs = settling(trial, response, verdict, inputs.readings.delay, error, delay_range=inputs.delay_range)
     return SettlingRow(**_columns(costs), reason=joined(*(cost.reason for cost in costs.values())))
 
@@ -373,12 +374,12 @@ def other_settling(
 def overshoot_row(
     trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: CostInputs
 ) -> OvershootRow:
-    """Return the overshoot of a trial as it is stored."""
+    """Return the overshoot of a trial in stored form."""
     cost = overshoot(trial, response, verdict, error)
     return OvershootRow(cost.value, cost.low, cost.high, overshoot_floor(trial, response), cost.reason)
 
 
 def rise_row(trial: Trial, response: Response, verdict: Verdict, error: ReadingError, _: CostInputs) -> RiseRow:
-    """Return the rise time of a trial as it is stored."""
+    """Return the rise time of a trial in stored form."""
     cost = rise_time(trial, response, verdict, error)
     return RiseRow(cost.value, cost.low, cost.high, cost.reason)

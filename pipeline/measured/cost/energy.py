@@ -1,4 +1,4 @@
-"""Energy cost of measured responses, with its interval by noise, quantum, mass, delay and the end of the log."""
+"""Energy cost of measured responses, with an interval due to noise, quantum, mass, delay and the end of the log."""
 
 from __future__ import annotations
 
@@ -22,48 +22,49 @@ from pipeline.records.stage_records import EnergyRow, OtherCostRow
 from pipeline.records.trials import Floats, Trial
 
 WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
-"""Exponents w of the weighting by time."""
+"""Exponents w of the time weighting."""
 
 LEVEL_SIGMAS = 4.5
-"""Standard errors of a reading above which the response stands: noise alone exceeds them in 0.3 % of 400 samples. The
-bias is taken off the sum, so that it can go further down than a plain sum."""
+"""Distance from the final position, in standard errors of a reading, above which the response is not at rest; noise
+alone exceeds it in 0.3 % of 400 samples. The bias of the sum is corrected, so that the level can be lower than for a
+plain sum."""
 
 LARGEST_LEVEL = 0.1
-"""Level of the horizon relative to the final displacement, from which on the error is not small, as first order
-supposes: beyond it the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
+"""Largest level of the horizon, relative to the final displacement, for which the first-order error propagation is
+valid; above it the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
 
 LARGEST_HALF_WIDTH = 0.5
-"""Half width of the interval, relative to the value, from which on nothing is known but the order of magnitude."""
+"""Half-width of the interval, relative to the value, above which only the order of magnitude is known."""
 
 GROWTH_ERROR, MEAN_ERROR = 0.2, 0.5
-"""Relative error of a decay beyond the horizon: of a growth rate by the modes of the whole motion (95 % of noisy Falcon
-logs stay within it), and of the mean decay since the peak of the energy, where there is none."""
+"""Relative error of a decay beyond the horizon: of a growth rate from the modes of the whole motion (95 % of noisy
+Falcon logs stay within it), and of the mean decay since the peak of the energy if there is no growth rate."""
 
 LARGEST_TAIL = 0.25
-"""Part of the cost that may lie beyond the horizon: with more it depends on the extrapolation more than on the log."""
+"""Largest part of the cost beyond the horizon; above it, the cost depends more on the extrapolation than on the log."""
 
 SHORTEST_HORIZON = 40
-"""Samples of the shortest horizon that shows a decay: half of them contain a swing of the fastest walls."""
+"""Smallest number of samples of a horizon that shows a decay: half of them contain a swing of the fastest walls."""
 
 FIRST_TERMS = 4096
-"""Terms that are summed one by one of a decay with an exponent that is no whole number: what follows is smooth."""
+"""Number of terms that are summed individually for a decay with a non-integer exponent; later terms are smooth."""
 
 LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
-"""Beyond twice that exp overflows."""
+"""Half of the largest exponent for which exp does not overflow."""
 
 
 @dataclass(frozen=True)
 class EnergyInputs:
-    """What the energy cost takes from the experiment.
+    """Inputs of the energy cost that are common to the experiment.
 
     Parameters
     ----------
     delay_samples : int
         Integer delay factor d.
     mass, mass_error : float
-        Mass or inertia that the wall feels, and its standard error [kg, kg m^2].
+        Effective mass or inertia at the wall, and its standard error [kg, kg m^2].
     delay_range : tuple of int, optional
-        Smallest and largest integer delay factor that the experiment leaves open.
+        Smallest and largest integer delay factor compatible with the experiment.
     weights : tuple of float
         Exponents w.
     """
@@ -84,16 +85,16 @@ class EnergyTerms:
     Parameters
     ----------
     first, stop : int
-        Row of cost index 0, and first row behind the horizon; equal where there is no cost.
+        Row of cost index 0, and first row after the horizon; equal if there is no cost.
     error : float64, shape (stop - first,)
         Distance from x_0 + F_0/K [m, rad].
     change : float64, shape (stop - first,)
-        Change since the sample before [m, rad]; 0 at cost index 0.
+        Change since the previous sample [m, rad]; 0 at cost index 0.
     spring, inertia : float
-        Potential energy of a distance of 1 m (rad) [1/m^2, 1/rad^2], and kinetic energy by the change of 1 m (rad) in
-        a sample of a mass of 1 kg (kg m^2).
+        Potential energy at a distance of 1 m (rad) [1/m^2, 1/rad^2], and kinetic energy of a mass of 1 kg (kg m^2) that
+        moves by 1 m (rad) in a sample.
     reason : str
-        Why there can be no cost.
+        Reason why there is no cost.
     """
 
     first: int
@@ -105,7 +106,7 @@ class EnergyTerms:
     reason: str = ""
 
     def summed(self, mass: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
-        """Return the plain sums of k^w E_k/E_0 up to the horizon by w; NaN where there can be no cost."""
+        """Return the plain sums of k^w E_k/E_0 up to the horizon by w; NaN if there is no cost."""
         if self.reason:
             return np.full(len(weights), np.nan)
         energy = self.spring * self.error**2 + mass * self.inertia * self.change**2
@@ -125,8 +126,8 @@ def energy_terms(
     delay_samples : int
         Integer delay factor d of the experiment.
     level : float, optional
-        Distance from the final position above which the response stands [m, rad]; `AT_REST` sensor floors
-        where it is not given.
+        Distance from the final position above which the response is not at rest [m, rad]; default: `AT_REST` sensor
+        floors.
 
     Raises
     ------
@@ -135,8 +136,8 @@ def energy_terms(
 
     Notes
     -----
-    E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2 with x_{-1} = x_0. The horizon is where the response sinks
-    below the level for good, since the floor times k^2 over a long log would swamp the sum; ideal logs are taken to
+    E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2 with x_{-1} = x_0. The horizon is where the response finally
+    falls below the level, since the floor times k^2 over a long log would dominate the sum; ideal logs are used up to
     their end.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
@@ -159,20 +160,20 @@ def energy_terms(
 
 @dataclass(frozen=True, eq=False)
 class EnergyInterval:
-    """Discrete energy cost by exponent w with its 95 % interval; NaN where there is no value.
+    """Discrete energy cost by exponent w with its 95 % interval; NaN if there is no value.
 
     Parameters
     ----------
     value, low, high : float64, shape (w,)
-        Sum over the horizon, less the bias by noise, plus the tail beyond the horizon, and its interval [1].
+        Sum over the horizon, minus the bias due to noise, plus the tail beyond the horizon, and its interval [1].
     bias : float64, shape (w,)
-        What noise and quantum add to the sum on average [1]; it is taken off in ``value``.
+        Mean contribution of noise and quantum to the sum [1]; it is subtracted in ``value``.
     tail : float64, shape (w,)
-        Part of ``value`` that lies beyond the horizon [1], extrapolated.
+        Extrapolated part of ``value`` beyond the horizon [1].
     horizon_samples : int
         Number of samples summed.
     reason : str
-        Why values are missing, exponents named.
+        Reasons for missing values, with their exponents.
     """
 
     value: Floats
@@ -203,16 +204,16 @@ def energy_interval(
 
     Notes
     -----
-    The cost is `EnergyTerms.summed`, but unbiased and complete: noise adds its variance times k^w to the sum, and the
-    sum ends at the horizon. The error by noise is carried on to first order, with the answer of the wall to each error.
-    Independent parts (noise, mass, tail) are added as squares, each side for itself; the range of the delay is added
-    to them as it is: another delay drops samples or takes some in, and moves all indices. So are the energies of a
-    response that rests off its final position, which lie behind the horizon.
+    The cost is `EnergyTerms.summed`, corrected for bias and truncation: noise adds its variance times k^w to the sum,
+    and the sum ends at the horizon. The error due to noise is propagated to first order, including the response of the
+    wall to each error. Independent parts (noise, mass, tail) are added in quadrature, separately for each side. The
+    range of the delay is added linearly: another delay removes or adds samples, and shifts all indices. The energies of
+    a response that rests off its final position, which lie after the horizon, are also added linearly.
 
-    There is no value where the interval is wider than `LARGEST_HALF_WIDTH`, and where noise and quantum are not small
-    against the final displacement. 94 to 97 % of the intervals of the shipped devices contain the cost of the ideal
-    loop, and 90 to 97 % with a quantum and no noise, where errors of slow readings depend on each other. The effect of
-    jitter itself on the cost, and a wrong final position, are not in the interval.
+    There is no value if the interval is wider than `LARGEST_HALF_WIDTH`, or if noise and quantum are not small compared
+    with the final displacement. For the shipped devices, 94 to 97 % of the intervals contain the cost of the ideal
+    loop, and 90 to 97 % with a quantum and no noise, where errors of slow readings are correlated. The effect of jitter
+    itself on the cost, and a wrong final position, are not in the interval.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
@@ -263,7 +264,7 @@ def energy_interval(
 def energy_row(
     trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
 ) -> EnergyRow:
-    """Return the energies of a trial with their intervals as they are stored."""
+    """Return the energies of a trial with their intervals in stored form."""
     known = EnergyInputs(inputs.readings.delay, inputs.mass, inputs.mass_error, inputs.delay_range)
     cost = energy_interval(trial, response, verdict, error, known)
     parts = {"": cost.value, "_low": cost.low, "_high": cost.high, "_bias": cost.bias, "_tail": cost.tail}
@@ -294,7 +295,7 @@ def other_energy(
 
 @compiled("Tuple((f8[:, ::1], f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])")
 def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the slopes of sum k^w E_k to each x_k, shape (w, h), sums over k, shape (4, w), and at the end, (2, 3).
+    """Return the gradient of sum k^w E_k, shape (w, h), sums over k, shape (4, w), and those at the end, (2, 3).
 
     E_k = a x_k^2 + c v_k^2, where v_k = x_k - x_{k-1} and v_0 = 0. Standard errors s_k of x_k and z_k of v_k add
     n_k = a s_k^2 + c z_k^2 to it on average. Rows of the sums: k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2 for each w.
@@ -304,7 +305,7 @@ def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Fl
     Parameters
     ----------
     x, v, s, z : float64, shape (h,)
-        In [m, rad].
+        Positions, changes and their standard errors [m, rad].
     given : float64, shape (2 + w,)
         a and c [1/m^2, 1/rad^2], and the exponents.
     """
@@ -339,13 +340,14 @@ def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Fl
 def _tail(
     at_end: Floats, beyond: tuple[int, tuple[float, ...]], growth: float, *, sunk: bool
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the energies beyond the horizon, sum k^w E_k/E_0, and both ends of their interval, shape (w,) each.
+    """Return the energies beyond the horizon, sum k^w E_k/E_0, and the ends of their interval, shape (w,) each.
 
-    ``at_end`` as of `_sums`, ``beyond`` are the horizon and the exponents.
+    ``at_end`` is that of `_sums`, ``beyond`` contains the horizon and the exponents.
 
-    A stable response is its slowest mode there, whose energy falls by a constant factor a sample: by its growth
-    rate, else by the halves of the last half of the horizon, else, where it has sunk into the noise, by its mean
-    decay since the peak of its energy. It is carried on from the sum over that last half.
+    Beyond the horizon a stable response consists of its slowest mode, whose energy falls by a constant factor per
+    sample. The factor is given by the growth rate, else by the two halves of the last half of the horizon, else, below
+    the noise, by the mean decay since the peak of the energy. The energy is extrapolated from the sum over that last
+    half.
     """
     horizon, weights = beyond
     nothing, endless = np.zeros(len(weights)), np.full(len(weights), np.inf)
@@ -360,20 +362,20 @@ def _tail(
     if by_growth := growth < 0 and long and (clear or not above):
         decay = -growth
     else:
-        # of an ideal response that has died away rounding is left
+        # only rounding remains of an ideal response that has decayed
         rest = max(total + unsure, ROUNDING**2 * peak) / width
         since = 2 * max(horizon - width // 2 - int(at), 1)
         mean = math.log(peak / rest) / since if peak > rest and (sunk or rest < ROUNDING * peak) else 0.0
         decay = by_halves if clear else mean
     doubt = (GROWTH_ERROR if by_growth or clear else MEAN_ERROR) * decay
     if by_growth and clear:
-        # one departure shows the size of others to a factor of two
+        # one deviation shows the size of others within a factor of two
         departure = 2 * abs(by_halves - decay)
         doubt = min(doubt, 0.25 * doubt + departure + its_error)
     else:
         doubt += its_error
     doubt = min(max(doubt, departure - its_error), decay - (1 - GROWTH_ERROR) * min(by_halves, decay))
-    # the energy of both halves swings about the decay by as much, and so does what follows, from no more than its mean
+    # the energy of both halves oscillates about the decay by as much, and so does the tail, from at most its mean
     swing = math.exp(min(max(departure - its_error, 0.0) * width, LARGEST_EXPONENT))
     most = 2 * (max(after, 0.0) + 2 * unsure) / width
     ends = []
@@ -395,7 +397,7 @@ def _tail(
 
 
 def _moments(horizon: int, decay: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
-    """Sum over j >= 0 of (h + j)^w exp(-2 decay j) by w."""
+    """Return the sum over j >= 0 of (h + j)^w exp(-2 decay j), by w."""
     if weights != WEIGHTS:
         return np.array([_moment(horizon, 2 * decay, w) for w in weights])
     h, ratio, rest = float(horizon), math.exp(-2 * decay), -math.expm1(-2 * decay)
@@ -404,13 +406,13 @@ def _moments(horizon: int, decay: float, weights: tuple[float, ...] = WEIGHTS) -
 
 
 def _moment(horizon: int, rate: float, w: float) -> float:
-    """Sum over j >= 0 of (h + j)^w exp(-rate j): its first terms, and behind them Euler's and Maclaurin's formula."""
+    """Return the sum over j >= 0 of (h + j)^w exp(-rate j): first terms, then the Euler-Maclaurin formula."""
     from scipy.special import gamma, gammaincc
 
     j = np.arange(FIRST_TERMS + 1, dtype=np.float64)
     terms = (horizon + j) ** w * np.exp(-rate * j)
     start, last = rate * (horizon + FIRST_TERMS), float(terms[-1])
-    if start > LARGEST_EXPONENT:  # (1 + u/start)^w is as good as its first powers
+    if start > LARGEST_EXPONENT:  # the first powers approximate (1 + u/start)^w
         integral = last / rate * (1 + w / start + w * (w - 1) / start**2 + w * (w - 1) * (w - 2) / start**3)
     else:
         integral = math.exp(rate * horizon) * float(gammaincc(w + 1, start) * gamma(w + 1)) / rate ** (w + 1)
@@ -419,10 +421,10 @@ def _moment(horizon: int, rate: float, w: float) -> float:
 
 
 def _at_rest(trial: Trial, response: Response, terms: EnergyTerms, weights: tuple[float, ...]) -> Floats:
-    """Return the energies behind the horizon of a response that rests off its final position, shape (w,).
+    """Return the energies after the horizon of a response that rests off its final position, shape (w,).
 
-    Friction keeps it there: the plain sum grows by them as long as the log lasts. An offset below the sensor floor
-    counts as none.
+    Friction keeps it there: these energies make the plain sum grow with the length of the log. An offset below the
+    sensor floor is ignored.
     """
     first, stop = terms.first, terms.stop
     offset = float((trial.position[stop:] - response.position_final_expected).sum()) / max(trial.rows - stop, 1)
@@ -435,9 +437,10 @@ def _at_rest(trial: Trial, response: Response, terms: EnergyTerms, weights: tupl
 def _sensor_variance(
     terms: EnergyTerms, error: ReadingError, inertia: float, slopes: Floats, noise_squares: Floats
 ) -> Floats:
-    """Variance of the sum by noise and quantum, shape (w,).
+    """Return the variance of the sum due to noise and quantum, shape (w,).
 
-    The slope of the sum to each reading, correlated with the wall's answer to an error, is the slope to each error.
+    The gradient with respect to each error is the gradient with respect to each reading, correlated with the response
+    of the wall to an error.
     """
     rows, first = len(error.weight), terms.first
     length = 1 << (2 * rows - 1).bit_length()
@@ -450,7 +453,7 @@ def _sensor_variance(
     start = max(first, 1)
     resting, moved = slopes[:, 1:start], slopes[:, start:rows]
     at_rest, in_motion = resting.sum(axis=1), moved.sum(axis=1)
-    # the first reading is the reference of all others, which share what lasts of its error until the device moves;
+    # the first reading is the reference of all others, which share the lasting part of its error until the device moves;
     # the wall pulls the device towards the first reading
     alone = _squares(resting) + (at_rest + in_motion) ** 2
     variance = error.sensor**2 * (_squares(moved) + error.wandering * alone + error.lasting * in_motion**2)
@@ -478,9 +481,9 @@ def _difference_gain(frequencies: int) -> Floats:
 
 
 def _shifted(value: Floats, shift: int) -> Floats:
-    """Sum for a delay that is larger by a shift: before the device moves, each sample has the energy E_0."""
+    """Return the sum for a delay that is larger by a shift: before the device moves, each sample has the energy E_0."""
     s0, s1, s2 = value.tolist()
     steps = range(1, abs(shift) + 1)
-    # samples that a larger delay drops had negative indices, those that a smaller one takes in have indices from 0
+    # samples removed by a larger delay had negative indices, those added by a smaller one have indices from 0
     e0, e1, e2 = (-sum((-k) ** w for k in steps) if shift > 0 else sum((k - 1) ** w for k in steps) for w in WEIGHTS)
     return np.array([s0 + e0, s1 - shift * s0 + e1, s2 - 2 * shift * s1 + shift**2 * s0 + e2])
