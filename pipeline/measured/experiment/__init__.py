@@ -1,1 +1,2 @@
-"""An experiment's trials together: values with intervals, boundary, optima, and the stages that store them."""
+"""Joint evaluation of an experiment's trials: values with intervals, boundary, optima, and the stages that store
+them."""

@@ -20,43 +20,45 @@ from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAREST = 10
-"""Trials next to the limit that are fitted: two coarse and the fine steps of the sweep (6.1.1), and some more."""
+"""Largest number of trials next to the limit that are fitted: two coarse and the fine steps of the sweep (6.1.1), and a
+few more."""
 
 FEWEST_FOR_CURVATURE = 6
-"""Trials from which on a parabola is fitted: its three coefficients and as many again to estimate its error."""
+"""Smallest number of trials for a parabola: its three coefficients and as many again to estimate its error."""
 
 SEEN = 8.0
-"""Growth with which a mode is surely seen, relative to the slowest that was: one that begins a thousand times smaller
-needs exp(7) more of it."""
+"""Growth rate at which a mode is certainly detected, relative to the slowest detected growth: a mode that begins a
+thousand times smaller must grow by another factor exp(7)."""
 
 TYPICAL_BEND = 1 / float(NORMAL_QUARTILE * np.sqrt(NOISE_GAIN))
-"""Standard deviation of rates, relative to the median size of their second difference."""
+"""Standard deviation of growth rates, relative to the median size of their second difference."""
 
 FARTHEST = 0.25
-"""Distance of a fitted trial from the limit relative to it: beyond it another mode may be the fastest growing one."""
+"""Largest distance of a fitted trial from the limit, relative to it; beyond it another mode may grow fastest."""
 
 NEIGHBOURS = 2
-"""Dampings on either side whose scatter of the growth rates is looked at too."""
+"""Number of dampings on either side whose scatter of the growth rates is also used."""
 
 SHARED = 0.7
-"""Part of the error of a single growth rate that all rates of a damping have in common. By simulation: without it 80 %
-of limits are covered instead of 95 %, with it 97.7 % (93 to 100 % by device, sensor and steps; 1,344 limits)."""
+"""Part of the error of a single growth rate that is common to all rates of a damping. In simulations 80 % of the limits
+are covered without it instead of 95 %, and 97.7 % with it (93 to 100 % by device, sensor and steps; 1,344 limits)."""
 
 ROUNDS = 3
-"""Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
-can miss the limit by more than its width."""
+"""Number of fits of the growth rate, each around the zero of the previous one; the bracket of the verdicts, where the
+first one starts, can miss the limit by more than its width."""
 
 LINE_REACH = 3.0
-"""Distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, up to which a
-line through few rates may find it."""
+"""Largest distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, for a
+line through few rates."""
 
 BEND = 1.0
-"""Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
-0.6: by that times the distances of its trials from the zero a line through few rates is off."""
+"""Half of the largest second derivative of the growth rate over K, relative to its slope over K (up to 0.6 in
+simulations). Multiplied by the distances of its trials from the zero, it gives the error of a line through few
+rates."""
 
 WITNESSES = 2
-"""Trials that say the same at a stiffness or beyond, from which on it is believed although each may err: with jitter
-one decided verdict in 100 is another in the next run. As many stable ones outvote an undecided one below."""
+"""Number of trials with the same verdict, at a stiffness or beyond, that makes it reliable although each may err: with
+jitter one decided verdict in 100 differs in the next run. As many stable ones overrule an undecided one below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +73,10 @@ class _Columns:
 
 @dataclass(frozen=True, eq=False)
 class _Crossing:
-    """Zero of the growth rate over K of each damping, shape (dampings,), NaN where it is unknown.
+    """Zero of the growth rate over K of each damping, shape (dampings,), NaN if it is unknown.
 
-    ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K, ``bend``
-    what a line misses of a rate that bends [N/m, Nm/rad].
+    ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K, ``bend`` the
+    error of a line due to the curvature of the rate [N/m, Nm/rad].
     """
 
     zero: Floats
@@ -97,14 +99,14 @@ def boundary_band(
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float64, shape (n,)
-        Growth rate of each trial as `verdict.judge` returns it [1/s]; NaN where it is not known.
+        Growth rate of each trial as returned by `verdict.judge` [1/s]; NaN if it is unknown.
 
     Returns
     -------
     tuple of BoundaryPoint
-        As `boundary.measured_boundary`, with ``estimate``, ``low``, ``high`` and ``trials`` (K > 0 at that damping).
-        A point that is censored, or without a conclusive unstable trial, has ``low`` alone: the stiffest trial that
-        is surely stable, or 0. One without a surely stable trial has ``low`` 0 and ``high``, and no ``estimate``.
+        As `boundary.measured_boundary`, with ``estimate``, ``low``, ``high`` and ``trials`` (K > 0 at that damping). A
+        point that is censored, or without a conclusive unstable trial, has only ``low``: the stiffest certainly stable
+        trial, or 0. A point without a certainly stable trial has ``low`` 0 and ``high``, and no ``estimate``.
 
     Raises
     ------
@@ -114,17 +116,17 @@ def boundary_band(
     Notes
     -----
     The growth rate of up to `NEAREST` trials is fitted over K by a parabola (a line with fewer than
-    `FEWEST_FOR_CURVATURE`); its zero is the value. Three errors add in squares: that of the fit, with Student's factor,
-    `SHARED` of that of a single rate, since the sensor shifts the rates of one damping together, which more trials do
-    not average out, and the error of a straight line where the rate bends.
+    `FEWEST_FOR_CURVATURE`); its zero is the value. Three errors are added in quadrature: that of the fit, with
+    Student's factor; the part `SHARED` of that of a single rate, since the sensor shifts the rates of one damping
+    together, which does not average out over trials; and the error of a straight line due to curvature.
 
-    The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
-    softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
-    that `WITNESSES` stiffer ones do not outvote. Verdicts within `SIGMAS` standard errors of zero growth that
-    fewer than `WITNESSES` share, and those that the sign of the growth contradicts, are not counted. Where the scatter
-    of the rates is unknown, as with two of them, the allowed range is the interval and the interpolation of two
-    rates, or the middle of what verdicts bracket, the value; a zero outside of it widens it. The limit can therefore
-    lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
+    The interval is restricted to the range allowed by the verdicts: from the stiffest stable trial below all unstable
+    ones to the softest unstable one above all stable ones. Repeated trials that disagree widen it, and so do undecided
+    ones unless `WITNESSES` stiffer trials overrule them. Verdicts within `SIGMAS` standard errors of zero growth that
+    fewer than `WITNESSES` share, and those contradicted by the sign of the growth, are not counted. If the scatter of
+    the rates is unknown, as for two rates, the interval is the allowed range, and the value is the interpolation of two
+    rates or the middle of the verdicts' bracket; a zero outside the range widens it. The limit can therefore lie
+    outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -149,14 +151,14 @@ def boundary_band(
     scatter = _pooled(found.scatter)
     low, high = _allowed(columns, np.where(np.isnan(found.zero), nothing, scatter))
     single = NORMAL_95 * scatter / found.slope
-    # two rates leave no degree of freedom for an error: only the verdicts count then (error is NaN)
+    # two rates leave no degree of freedom for an error: then only the verdicts count (error is NaN)
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
-    # what may grow below the zero is another mode than the one that grows there
+    # growth below the zero is that of another mode than the one that crosses zero
     told &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     between = np.isfinite(columns.growth) & (columns.stiffness >= low[:, None]) & (columns.stiffness <= high[:, None])
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
-    # of more rates than two an interpolation would pick any two; a range that begins at 0 has no middle
+    # an interpolation is ambiguous for more than two rates; a range that begins at 0 has no middle
     interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
     # rates that contradict the verdicts: a mode that grows below the sensor's floor next to one that decays
     apart = ~told & ~interpolated
@@ -167,7 +169,7 @@ def boundary_band(
         np.where(told, np.fmin(found.zero + reach, high), high),
     )
     limited = np.isfinite(high)
-    # without a surely stable trial the middle of 0 and the first unstable one is no limit
+    # without a certainly stable trial the middle between 0 and the first unstable one is not a limit
     located = limited & (told | interpolated | (low > 0))
     counts = np.isfinite(columns.stiffness).sum(axis=1)
     return tuple(
@@ -184,7 +186,7 @@ def boundary_band(
 
 
 def _middle(c: _Columns, low: Floats, high: Floats) -> Floats:
-    """Return the middle of what verdicts bracket, conclusive or not; where they contradict each other, of the range."""
+    """Return the middle of the bracket of all verdicts, or of the allowed range if verdicts contradict each other."""
     stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)
     softest = np.where(c.unstable, c.stiffness, np.inf).min(axis=1)
     agree = (stiffest > 0) & (stiffest < softest) & np.isfinite(softest)
@@ -215,11 +217,11 @@ def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_],
 
 
 def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
-    """Return the range of the limit that conclusive verdicts leave; 0 and infinity where they leave it open.
+    """Return the range of the limit allowed by conclusive verdicts; 0 and infinity where it is open.
 
-    Where no scatter of the growth rates is known (NaN), a verdict counts unless the sign of the growth contradicts it;
-    where it is, or where a trial that is not decided rather grows, one without a growth rate does not count: its motion
-    may have been too small to be seen growing.
+    If the scatter of the growth rates is unknown (NaN), a verdict counts unless the sign of the growth contradicts it.
+    If it is known, or if an undecided trial tends to grow, a verdict without a growth rate does not count: its motion
+    may have been too small for growth to be detected.
     """
     doubt = np.nan_to_num(SIGMAS * scatter)[:, None]
     grows = _may_grow(c, scatter)
@@ -234,15 +236,15 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
 
 
 def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
-    """Trials that are not decided and rather grow, unless outvoted, and stable ones behind a peak of the growth rate.
+    """Return undecided trials that tend to grow, unless overruled, and stable ones beyond a peak of the growth rate.
 
-    The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
-    that had been rising may go on, below the floor of another one.
+    With increasing K, the slowest mode of a rigid loop first decays faster and then slower. If the rate falls again,
+    the mode whose rate was rising may continue to rise below the floor of another one.
     """
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], SIGMAS * scatter[:, None]
-    # with jitter rates scatter more where the loop is fast than at the limit, which their bends show
+    # with jitter, rates scatter more where the loop is fast than at the limit, as their curvature shows
     bends = np.abs(np.diff(g, n=2, axis=1))
     sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
@@ -260,7 +262,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
 
 
 def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
-    """Return of each rate from the third to the last but one whether its rising mode may go on below the floor.
+    """Return for each rate, third to last but one, whether its rising mode may continue below the floor.
 
     By its last two rises it would grow at the stiffest stable trial no faster than `SEEN` times the slowest growth that
     was seen; with a faster one the peak is a rate that is off.
@@ -273,22 +275,23 @@ def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
 
 
 def _outvoted(c: _Columns, sure: Booleans) -> Floats:
-    """Return the stiffness of each damping above which fewer than `WITNESSES` trials are surely stable."""
+    """Return the stiffness of each damping above which fewer than `WITNESSES` trials are certainly stable."""
     found: Floats = np.sort(np.where(sure, c.stiffness, 0.0), axis=1)[:, -WITNESSES:]
     return found[:, 0] if found.shape[1] == WITNESSES else np.zeros(len(found))
 
 
 def _witnessed(stiffness: Floats, said: Booleans) -> Booleans:
-    """Return of each trial whether `WITNESSES` of its verdict, itself included, are at its stiffness or beyond."""
+    """Return for each trial whether `WITNESSES` trials, itself included, share its verdict at its stiffness or
+    beyond."""
     far = np.sort(np.where(said, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
     found: Booleans = said & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
     return found
 
 
 def _pooled(scatter: Floats) -> Floats:
-    """Scatter of single rates, at least the median of neighbouring dampings: few trials estimate it badly.
+    """Return the scatter of single rates, at least the median of neighbouring dampings: few trials estimate it badly.
 
-    Not that of all dampings: with jitter rates scatter a hundred times more where the loop is fast.
+    The median of all dampings is not suitable: with jitter, rates scatter a hundred times more where the loop is fast.
     """
     if not np.isfinite(scatter).any():
         return scatter
@@ -300,7 +303,7 @@ def _pooled(scatter: Floats) -> Floats:
 
 
 def _medians(rows: Floats) -> Floats:
-    """Median of what is known in each row, NaN where nothing is."""
+    """Return the median of the known values in each row, NaN if there are none."""
     if rows.shape[1] == 0:
         return np.full(len(rows), np.nan)
     known = np.isfinite(rows).sum(axis=1)
@@ -338,7 +341,7 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     root, step = np.zeros(len(g)), np.zeros(len(g))
     farthest = np.where(curved, 1.0, LINE_REACH)
-    for _ in range(20):  # Newton's method; a parabola that is nearly a line takes three or four steps
+    for _ in range(20):  # Newton's method; an almost straight parabola takes three or four steps
         slope = a[:, 1] + 2 * a[:, 2] * root
         step = (a[:, 0] + a[:, 1] * root + a[:, 2] * root**2) / np.where(slope > 0, slope, np.inf)
         root = np.clip(root - step, -farthest, farthest)
@@ -355,7 +358,7 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
 
 
 def _steadiness(growth: Floats, use: Booleans) -> Floats:
-    """Weight of each growth rate, 1 near zero: the faster a motion decays or grows, the fewer samples show its rate."""
+    """Return the weight of each growth rate, 1 near zero: fast growth or decay is visible in fewer samples."""
     size = np.sort(np.where(use, np.abs(growth), np.inf), axis=1)
     typical = np.take_along_axis(size, np.maximum(use.sum(axis=1, keepdims=True) - 1, 0) // 2, axis=1)
     typical = np.where(np.isfinite(typical) & (typical > 0), typical, 1.0)
@@ -373,12 +376,13 @@ def measured_boundary(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad] of the trials.
     verdict : array of str, shape (n,)
-        ``stable``, ``unstable`` or ``undecided``; the last is no evidence for either, and counted below a stable one.
+        ``stable``, ``unstable`` or ``undecided``; the last is not evidence for either, and is counted below a stable
+        one.
 
     Returns
     -------
     tuple of BoundaryPoint
-        One for each damping with trials at K > 0; censored where none of them is unstable.
+        One for each damping with trials at K > 0; censored if none of them is unstable.
 
     Raises
     ------
@@ -387,8 +391,8 @@ def measured_boundary(
 
     Notes
     -----
-    A pair (K, B) that was tried several times is unstable if it was unstable once. Trials at K <= 0 are no
-    boundary points: K = 0 shows the damping of the device. Neither delay nor mass is needed.
+    A pair (K, B) that was tried several times is unstable if it was unstable once. Trials at K <= 0 are not boundary
+    points: K = 0 shows the damping of the device. Neither delay nor mass is needed.
 
     Source: Hulin 2017, secs. 6.1.1 (procedure) and 6.1.3.
     """
@@ -420,7 +424,7 @@ def measured_boundary(
 
 
 def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most: int) -> Integers:
-    """Return the indices of at most ``most`` usable trials, evenly from the order of damping and stiffness."""
+    """Return the indices of at most ``most`` usable trials, evenly spaced in the order of damping and stiffness."""
     index = np.flatnonzero(usable)
     order = index[np.lexsort((stiffness[index], damping[index]))]
     if len(order) <= most:
@@ -429,11 +433,11 @@ def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most
 
 
 LARGEST_UNLOCATED = 0.1
-"""Part of the area at dampings without a stable trial, or with none that surely grows, up to which the area is
-reported, with the range that they leave open."""
+"""Largest part of the area, at dampings without a stable trial or a certainly growing one, for which the area is
+reported, including the range that they leave open."""
 
 FAR = 2.0
-"""Stiffness, relative to that of the softest trial that seems to grow, beyond which no limit lies."""
+"""Upper bound of a limit, relative to the stiffness of the softest trial that seems to grow."""
 
 
 def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> Estimate:
@@ -442,22 +446,23 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     Parameters
     ----------
     points : sequence of BoundaryPoint
-        As `boundary_band` returns them.
+        As returned by `boundary_band`.
     unit : str
-        Of stiffness times damping.
+        Unit of stiffness times damping.
 
     Returns
     -------
     Estimate
-        Its standard error is (high - low)/(2 `NORMAL_95`). No value, but a lower bound in ``low``, where a point has
-        no upper end, or an upper bound in ``high`` where those without an estimate are more than
-        `LARGEST_UNLOCATED` of it. ``trials`` is the number of dampings.
+        Its standard error is (high - low)/(2 `NORMAL_95`). If a point has no upper end, there is no value but a lower
+        bound in ``low``; if points without an estimate make up more than `LARGEST_UNLOCATED` of the area, there is an
+        upper bound in ``high``. ``trials`` is the number of dampings.
 
     Notes
     -----
-    Trapezoids between the tested dampings, from the first to the last of them. An interval of width w stands for a
-    standard error of w/sqrt(12), that of a uniform distribution, which is more than that of a normal one; errors of
-    different dampings are taken as independent. What the boundary does between the dampings is no part of the error.
+    Trapezoids between the tested dampings, from the first to the last of them. An interval of width w counts as a
+    standard error of w/sqrt(12), that of a uniform distribution, which is larger than that of a normal one; errors of
+    different dampings are assumed to be independent. The error does not include the shape of the boundary between the
+    dampings.
     """
     method = "trapezoids between the limits at the tested dampings"
     used = [p for p in points if p.low is not None]
@@ -499,7 +504,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
 
 
 def _far_end(point: BoundaryPoint) -> float:
-    """Return the stiffness beyond which a limit does not lie: its end, or `FAR` times that of a trial that may grow."""
+    """Return the upper bound of the stiffness limit: its end, or `FAR` times the stiffness of a trial that may grow."""
     if point.high is not None:
         return point.high
     return np.inf if point.censored or point.unstable is None else FAR * point.unstable

@@ -1,4 +1,4 @@
-"""Recommended estimates of an experiment: those of the likeliest device, and those by the thesis's methods."""
+"""Recommended estimates of an experiment: from the maximum-likelihood device, and with the methods of the thesis."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
 from pipeline.records.findings import MATTERS, Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05
-"""Distance [samples] from a whole number beyond which a delay is none, however wide its interval: 2 % of the limit."""
+"""Distance [samples] from a whole number above which a delay is not whole, however wide its interval: 2 % of the
+limit."""
 
 LEAST_OFFSET = 0.01
-"""Distance [samples] from a whole number up to which a delay is one: a fit is not known to be less biased."""
+"""Distance [samples] from a whole number up to which a delay is whole: the bias of a fit may be as large."""
 
 MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over the second half of that"}
-"""Windows of the momentum balance by the end of their columns, and in words: later ones are irregular (6.1.2)."""
+"""Windows of the momentum balance by column suffix, with their description: later ones are irregular (6.1.2)."""
 
 BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "model_delay"}
-"""Parameters that are identified by trial, and their columns."""
+"""Parameters that are identified for each trial, and their columns."""
 
 
 def whole_delay(estimate: Estimate, at: float | None = None) -> float:
-    """Return the value of a delay, or the whole number of samples next to it if its interval contains that.
+    """Return the value of a delay, or the nearest whole number of samples if its interval contains that.
 
-    Another number inside the interval may be given in its place.
+    Another number inside the interval may be given instead.
 
     >>> whole_delay(Estimate(value=3.97, low=3.93, high=4.01, unit="samples", method="model"))
     4.0
@@ -48,7 +49,7 @@ def whole_delay(estimate: Estimate, at: float | None = None) -> float:
 
 
 def by_model(of: Stored, name: str) -> Estimate:
-    """Return a parameter of the identified loop, with what single trials say of it: scatter, and drift with the wall.
+    """Return a parameter of the identified loop, with the scatter of single trials and the drift with the wall.
 
     ``name`` is one of `PARAMETERS`.
     """
@@ -69,7 +70,7 @@ def by_model(of: Stored, name: str) -> Estimate:
     spread = float(np.sqrt(max(excess, 0.0)))
     trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
-    # 2 % of nothing is nothing: for a value that may be 0, a drift within the error of one trial is small
+    # a relative threshold fails for a value that may be 0: there, a drift within the error of one trial is small
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]
@@ -81,7 +82,7 @@ def by_model(of: Stored, name: str) -> Estimate:
 
 
 def with_sign_warning(estimate: Estimate) -> Estimate:
-    """Return the estimate of a quantity that cannot be negative with a warning where it is, or where it may be 0."""
+    """Return the estimate of a nonnegative quantity with a warning if it is negative, or if it may be 0."""
     value, low, high = estimate.value, estimate.low, estimate.high
     if value is None or low is None or high is None or low > 0:
         return estimate
@@ -91,7 +92,7 @@ def with_sign_warning(estimate: Estimate) -> Estimate:
 
 
 def first_change(of: Stored) -> Estimate:
-    """Return the integer delay factor by the first position change (6.2, 6.3)."""
+    """Return the integer delay factor from the first position change (6.2, 6.3)."""
     rows = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
     found = thesis.estimate_delay(rows)
     if found.value is None:
@@ -100,11 +101,11 @@ def first_change(of: Stored) -> Estimate:
 
 
 def delay_factor(of: Stored) -> tuple[int, int, int] | None:
-    """Return the least, the likely and the largest integer delay factor, from which costs count; None without one.
+    """Return the smallest, most likely and largest integer delay factor, from which costs count; None without one.
 
-    That of the model, rounded down: a delay that ends just before a whole sample is that one, as far as a fit can be
-    off. Where the delay jitters its mean is rounded, and the first changes give the range. Without a model these are
-    used.
+    The delay of the model is rounded down, except that a delay just below a whole number counts as that number, within
+    the accuracy of a fit. If the delay jitters, its mean is rounded, and the first changes give the range. Without a
+    model, the first changes are used.
     """
     plain, model = of.once(first_change), by_model(of, "delay_samples")
     device = of.once(identified_loop)
@@ -121,23 +122,23 @@ def delay_factor(of: Stored) -> tuple[int, int, int] | None:
 
 
 def delay_estimate(of: Stored) -> Estimate:
-    """Return the integer delay factor of an experiment; ``by_method`` has the delay by the model, not rounded.
+    """Return the integer delay factor of an experiment; ``by_method`` has the delay of the model, not rounded.
 
     Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer.
     """
     plain, model, factor = of.once(first_change), by_model(of, "delay_samples"), of.once(delay_factor)
     methods = {"model": model, "first_change": plain}
     if factor is None or model.value is None:
-        # behind a coarse sensor, or friction, the first change is late: alone it is an upper bound
+        # with a coarse sensor or friction the first change is late: alone it is an upper bound
         return plain.model_copy(update={"low": None if plain.value is None else 0.0, "by_method": methods})
     first, value, last = (float(whole) for whole in factor)
-    # (6.3) leaves the position inside the period open
+    # (6.3) leaves the position within the period open
     ends: dict[str, Any] = {"value": value, "low": first, "high": last + 1, "method": f"{METHOD}, in whole samples"}
     return model.model_copy(update={**ends, "by_method": methods})
 
 
 def mass_estimate(of: Stored) -> Estimate:
-    """Return the mass of an experiment, and that of the thesis's momentum balance (6.4)."""
+    """Return the mass of an experiment, and that from the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
     methods = {"model": model}
@@ -151,7 +152,7 @@ def mass_estimate(of: Stored) -> Estimate:
 
 
 def damping_estimate(of: Stored) -> Estimate:
-    """Return the viscous damping of an experiment, and that by the limit at K = 0 (3.25, 6.1.2)."""
+    """Return the viscous damping of an experiment, and that from the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
     model = by_model(of, "damping")
@@ -179,7 +180,7 @@ def jitter_estimate(of: Stored) -> Estimate:
 
 
 def model_check(of: Stored) -> ModelCheck:
-    """Return how well the likeliest device explains the logs of an experiment."""
+    """Return the goodness of fit of the maximum-likelihood device to the logs of an experiment."""
     device = of.once(identified_loop)
     trials = len(of.texts("model", "trial_id"))
     return ModelCheck(
@@ -188,7 +189,7 @@ def model_check(of: Stored) -> ModelCheck:
 
 
 def standard_error(estimate: Estimate) -> float:
-    """Return the standard error that an interval of 95 % stands for; 0 where there is none."""
+    """Return the standard error that corresponds to a 95 % interval; 0 if there is none."""
     if estimate.low is None or estimate.high is None:
         return 0.0
     return (estimate.high - estimate.low) / (2 * NORMAL_95)

@@ -1,4 +1,4 @@
-"""The loop that is identified from all trials of an experiment, as the stage `device` stores it."""
+"""Loop identified from all trials of an experiment, as stored by the stage `device`."""
 
 from __future__ import annotations
 
@@ -29,83 +29,84 @@ NOMINAL = (
     *("mode.frequency_hz", "mode.damping_ratio", "mode.mass", "mode.load_damping", "friction.coulomb"),
     "constant_force",
 )
-"""Numbers of a loop in a file that a nominal loop has."""
+"""Parameters that a nominal loop has, i.e. the loop of a file."""
 
 ABSENT = ("actuator_lag_s", "constant_force")
-"""Numbers of these that are parts: a loop where they are 0 does not have them."""
+"""Those of them that belong to optional parts: a loop in which they are 0 does not have the part."""
 
 NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
-"""Reason of a number that logs leave open, with the remedy."""
+"""Reason why the logs do not identify a parameter, with the remedy."""
 
 ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts have the same effect"
 ANY_SPRING = "any spring that is too soft to be seen in these motions explains them as well"
 OPEN = "other parts of the device explain these logs as well"
 
 MORE = "more logs of several sizes and directions"
-"""Remedy where no better one is known."""
+"""Default remedy if no better one is known."""
 
 FEWEST_LOGS = 3
-"""Logs below which what they show is an accident."""
+"""Smallest number of logs whose common property is not attributed to chance."""
 
 NOT_NEEDED = "the logs are explained as well without it"
-"""Reason of a parameter that logs do not ask for."""
+"""Reason for a parameter that the logs do not require."""
 
 MOST = 0.5
-"""Share of the logs of an experiment from which on their common property is the experiment's: its device, its filter,
+"""Smallest share of the logs of an experiment whose common property is that of the experiment: its device, its filter,
 the reason why it is not identified."""
 
 SMALLEST = 1e-3
-"""Least share of the mass on a side of a mode, of a positive number at the end of an interval, and of a sample that is
-a lag: less moves no limit by a thousandth."""
+"""Smallest share of the mass on a side of a mode, of a positive parameter at the end of an interval, and of a sample
+for a lag; less changes no limit by a thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedLoop:
-    """The likeliest loop of all trials of an experiment, per unit of command, with the covariance of its numbers.
+    """Maximum-likelihood loop of all trials of an experiment, per unit of command, with the covariance of its
+    parameters.
 
     Parameters
     ----------
     values : dict of str to float
-        Its numbers in SI by name and in the order of `PARAMETERS`.
+        Parameters in SI by name, in the order of `PARAMETERS`.
     covariance : float64, shape (P, P)
-        Of these: what the loop does not explain is in it.
+        Covariance of the parameters, which includes the effect of unmodelled behaviour.
     sampling_period_s : float
         T [s].
     motion : {"translation", "rotation"}
-        Decides the units.
+        Kind of motion, which determines the units.
     parts : tuple of str
         Parts in addition to mass, damper and delay: ``friction``, ``spring``, ``saturation``, ``lag``, ``mode``,
         ``load damping``.
     mode_sensor : {"motor", "load"}
         Side of a mode at which the position is read.
     velocity : VelocityFilter, optional
-        Filter of the velocity that the controller computes.
+        Velocity filter of the controller.
     explained, trials : int, tuple of str
-        Number of trials that it explains with its noise; ids of those it was fitted to, in the order of the folds.
+        Number of trials explained by the loop and its noise; ids of the fitted trials, in the order of the folds.
     saturated : float
-        Share of the stable trials that command more force than it has.
+        Share of the stable trials that command more force than the device can produce.
     unidentifiable : tuple of str
-        Names of its numbers whose value cannot be identified.
+        Names of parameters whose value cannot be identified.
     combinations : tuple of IdentifiableCombination
-        What is known of these together.
+        Identifiable combinations of these parameters.
     scatter : dict of str to float
         Standard deviations from run to run by name.
     folds : tuple of dict of str to float
-        Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
+        Values without every fifth trial, starting at the first, the second ...; empty if unknown.
     bounds : dict of str to float
-        Upper ends of numbers that it does not have, and the other end of a delay that may be part of a lag of less than
-        a sample, or have one as a part.
+        Upper ends of parameters that it does not have, and the other end of a delay that may be part of a lag below one
+        sample, or include such a lag.
     jitter : tuple of float
-        Standard deviation of the delay within a trial [samples], and the error of it.
+        Standard deviation of the delay within a trial [samples], and its error.
     fit_percent : float or None
-        Median fit of its free runs to logs that it was not fitted to.
+        Median fit of its free runs to logs that were not used for the fit.
     command, step, travel : float
-        Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 where
-        not known.
+        Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 if
+        unknown.
     remedy : str
         What to record to separate parts with the same effect.
     directions : int
-        Directions in which it moves in its logs, 1 or 2.
+        Number of directions of motion in its logs, 1 or 2.
 
     Examples
     --------
@@ -140,11 +141,11 @@ class IdentifiedLoop:
 
     @cached_property
     def loop(self) -> Loop:
-        """The likeliest loop, with friction and a constant force."""
+        """Maximum-likelihood loop, with friction and a constant force."""
         return self.at(self.values)
 
     def at(self, values: Mapping[str, float]) -> Loop:
-        """Return the loop with other values of its numbers; a damping, stiffness or delay below 0 counts as 0."""
+        """Return the loop with other parameter values; a damping, stiffness or delay below 0 counts as 0."""
         mass, damping, mode = values["mass"], max(values["damping"], 0.0), None
         if "mode.mass" in values:
             mode = Mode(
@@ -184,14 +185,14 @@ class IdentifiedLoop:
 
     @cached_property
     def axes(self) -> Floats:
-        """Half axes of the 95 % range of the numbers, a row each, shape (P, P)."""
+        """Half-axes of the 95 % region of the parameters, one per row, shape (P, P)."""
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         size = np.where(scale > 0, scale, 1.0)
         variance, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
         return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0))[:, None] * axes.T * size)
 
     def shifted(self, step: Floats) -> Loop:
-        """Return the loop with its numbers changed by a step, shape (P,); mass and frequency stay positive."""
+        """Return the loop with its parameters changed by a step, shape (P,); mass and frequency stay positive."""
         now = np.array(list(self.values.values()))
         positive = np.isin(list(self.values), ("mass", "mode.frequency_hz"))
         moved = np.where(positive, np.maximum(now + step, SMALLEST * now), now + step)
@@ -199,7 +200,7 @@ class IdentifiedLoop:
 
     @property
     def tells(self) -> bool:
-        """Whether it explains enough trials for its parts to be real."""
+        """Whether the loop explains enough trials for its parts to be real."""
         return self.explained >= MOST * len(self.trials)
 
     @property
@@ -209,11 +210,11 @@ class IdentifiedLoop:
         return "friction.coulomb" in self.values or unseen > UNSEEN_FRICTION * self.step
 
     def interval(self, name: str) -> Interval:
-        """Return one of the numbers that it has with its 95 % interval."""
+        """Return one of the loop's parameters with its 95 % interval."""
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
         end = self.bounds.get(name, value)
-        if self.trials:  # no number of a fit is known better than it is computed
+        if self.trials:  # a fitted parameter is not known better than its numerical accuracy
             reach = max(reach, ROUNDING * abs(value))
         low, high = min(value, end) - reach, max(value, end) + reach
         if not PARAMETERS[name].may_seem_negative and value >= 0:
@@ -221,11 +222,11 @@ class IdentifiedLoop:
         return Interval(value, low, high)
 
     def why_unknown(self, name: str) -> str:
-        """Return why a number, or the bound of one that it does not have, means nothing, with the remedy; else ''."""
+        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy; otherwise ''."""
         number = self.interval(name) if name in self.values else None
         wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if PARAMETERS[name].dimension == "force":
-            # the largest of what it is known by: a force that is known to no better is not known
+            # compare with the largest force in the logs: a force with a larger error is unknown
             by, most = ("command", self.command) if name == "force_limit" else ("step", self.step)
             if not wide <= most:
                 return NOT_IDENTIFIABLE.format(ANY_FORCE.format(by, most), self.remedy)
@@ -234,7 +235,7 @@ class IdentifiedLoop:
         return ""
 
     def estimate(self, name: str, unit: str) -> Estimate:
-        """Return one of its numbers as an estimate; of one that it does not have at most a bound."""
+        """Return a parameter as an estimate; at most a bound if the loop does not have it."""
         number, count = self.interval(name) if name in self.values else None, len(self.trials)
         if why := self.why_unknown(name):
             return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
@@ -251,14 +252,14 @@ class IdentifiedLoop:
 
 
 def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["motor", "load"]]:
-    """Return the parts of a loop, and the side at which its mode is read, by the gains of the model's parts."""
+    """Return the parts of a loop, and the side at which its mode is measured, from the gains of the model's parts."""
     names = [name for name, gain in gains.items() if gain > 0]
     parts = tuple({"stiffness": "spring", "mode at the load": "mode"}.get(name, name) for name in names)
     return parts, "load" if "mode at the load" in names else "motor"
 
 
 def identified_loop(of: Stored) -> IdentifiedLoop | None:
-    """Return the loop of an experiment from its stage `device`, None where its mass is not identified."""
+    """Return the loop of an experiment from its stage `device`, None if its mass is not identified."""
     (row,) = of.table("device").to_pylist()
     return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)
 
@@ -304,7 +305,7 @@ def loop_from_row(row: Mapping[str, Any], sampling_period_s: float, motion: Moti
 
 
 def nominal_loop(loop: Loop) -> IdentifiedLoop:
-    """Return the loop of a file as the wall feels it: operator and gain are in its numbers, which are exact.
+    """Return the effective loop of a file at the wall: operator and gain are included in its exact parameters.
 
     >>> loop = Loop(mass=0.5, damping=3.0, sampling_period_s=0.001, delay_samples=4, operator={"mass": 0.1})
     >>> nominal_loop(loop).values["mass"], nominal_loop(loop).ends

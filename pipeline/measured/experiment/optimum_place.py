@@ -1,4 +1,4 @@
-"""Uncertainty of the place of an optimum: walls that are nearly as good, and the scatter of the cost map."""
+"""Uncertainty of the location of an optimum: walls that are nearly as good, and the scatter of the cost map."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pipeline.records.findings import NearOptimum
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAR = 0.05
-"""Part of the cost, or of the stiffness without overshoot, within which a wall is nearly as good as the best."""
+"""Largest relative difference of the cost, or of the stiffness without overshoot, of a wall that is nearly as good as
+the best."""
 
 NEIGHBOURS = 20
-"""Trials to which a parabola is fitted: a wall and those around it on a grid, three times as many as it has terms."""
+"""Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three times as many as terms."""
 
 _TO_DEVIATION = 1.482602218505602
-"""Standard deviation of a normal distribution over its median absolute deviation."""
+"""Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
 
 def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float, free: Booleans) -> Booleans:
@@ -23,13 +24,13 @@ def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float
     Parameters
     ----------
     cost, stiffness : float64, shape (n,)
-        NaN where a trial has no cost.
+        NaN if a trial has no cost.
     best : float
         Cost of the best trial.
     stiffest : float
         Its stiffness [N/m, Nm/rad].
     free : bool, shape (n,)
-        Trials without overshoot; where there are any, the stiffest of them is best.
+        Trials without overshoot; if there are any, the stiffest of them is best.
     """
     if free.any():
         return free & (stiffness >= (1 - NEAR) * stiffest)
@@ -37,7 +38,7 @@ def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float
 
 
 def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOptimum:
-    """Return the box of the walls that are nearly as good as the best; at least one is."""
+    """Return the bounding box of the walls that are nearly as good as the best; there is at least one."""
     K, B = stiffness[near], damping[near]
     return NearOptimum(
         stiffness_low=float(K.min()),
@@ -49,24 +50,25 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:
-    """Return the scatter of a cost map in percent of the cost: what one trial differs from those around it.
+    """Return the scatter of a cost map in percent of the cost: the deviation of a trial from its neighbours.
 
     Parameters
     ----------
     cost : float64, shape (n,)
-        NaN where a trial has none; zeros are left out.
+        NaN if a trial has none; zeros are left out.
     stiffness, damping : float64, shape (n,)
 
     Returns
     -------
     float or None
-        Robust standard deviation (1.48 times the median) of the relative residual, freed of the part that the fit
-        takes; None for fewer trials than `NEIGHBOURS`.
+        Robust standard deviation (1.48 times the median) of the relative residual, corrected for the degrees of freedom
+        of the fit; None for fewer trials than `NEIGHBOURS`.
 
     Notes
     -----
-    To each trial and the nearest ones (distances in units of the tested steps) a parabola in K and B is fitted to the
-    logarithm of the cost. A smooth map leaves little, a noisy one (6.1.4) the noise of single trials.
+    For each trial and its nearest neighbours (distances in units of the tested steps), a parabola in K and B is fitted
+    to the logarithm of the cost. A smooth map has small residuals, a noisy one (6.1.4) those of the noise of single
+    trials.
     """
     some = np.isfinite(cost) & (cost > 0)
     if some.sum() < NEIGHBOURS:
@@ -76,7 +78,7 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
     around = _neighbours(place)
     u, v = np.moveaxis(place[around] - place[:, None], 2, 0)
     parabola = np.stack([np.ones(u.shape), u, v, u * u, u * v, v * v], axis=2)
-    # of the fit only the value in the middle, which is the first term, and how far the own trial decides it
+    # only the fitted value at the centre (first term) and the leverage of the central trial are needed
     weight = np.linalg.pinv(parabola)[:, 0]
     free = 1 - (weight * (around == np.arange(len(value))[:, None])).sum(axis=1)
     left = value - (weight * value[around]).sum(axis=1)
@@ -86,9 +88,9 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
 
 
 def _neighbours(place: Floats) -> Integers:
-    """Return the nearest `NEIGHBOURS` of each place (n, 2), itself among them, shape (n, `NEIGHBOURS`).
+    """Return the nearest `NEIGHBOURS` of each place (n, 2), including itself, shape (n, `NEIGHBOURS`).
 
-    Of those equally far the first by their places, whatever the order of the trials.
+    Ties are resolved by place, independently of the order of the trials.
     """
     from scipy.spatial import cKDTree
 
@@ -99,6 +101,6 @@ def _neighbours(place: Floats) -> Integers:
 
 
 def _step_of(values: Floats) -> float:
-    """Return the usual distance between neighbouring tested values; 1 where there is only one value."""
+    """Return the median distance between neighbouring tested values; 1 if there is only one value."""
     levels = np.unique(values)
     return float(np.median(np.diff(levels))) if len(levels) > 1 else 1.0

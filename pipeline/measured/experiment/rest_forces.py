@@ -1,4 +1,4 @@
-"""Where settled devices rest: at x_0 + F_0/K, or away from it by a force or by a spring on the device."""
+"""Rest positions of settled devices: x_0 + F_0/K, or displaced by a force or by a spring on the device."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from pipeline.records.findings import MATTERS
 from pipeline.records.trials import Booleans, Floats
 
 RESTS = 3.0
-"""Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
+"""Smallest distance from x_0 + F_0/K, in sensor floors, for which a device rests elsewhere."""
 
 SLIGHT = 0.1 * MATTERS
-"""Force relative to the step that is none, and more than the motion that is left."""
+"""Displacing force, relative to the step, below which it is negligible; it is larger than the remaining motion."""
 
 OFTEN = 0.2
-"""Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
+"""Smallest share of logs that rest elsewhere that is not accidental (trials that still move)."""
 
 ALIKE = 0.5
-"""Largest relative difference of the displacing forces from their median up to which they are one force: the sensor
-adds to them."""
+"""Largest relative difference of the displacing forces from their median for which they are one force, sensor error
+included."""
 
 LASTING = 12.0
-"""Decay, in time constants over the log, after which nothing of the motion is left in the mean of its last tenth."""
+"""Decay, in time constants over the log, after which the mean of its last tenth contains no motion."""
 
 
 @dataclass(frozen=True)
 class RestForces:
     """Forces K (x_end - x_0) - F_0 that displace a device from the rest position of the wall.
 
-    ``typical`` is their median [N, Nm], ``off`` the number of logs of ``of`` that rest farther off than their sensor
-    can resolve; ``constant`` means that they are one force, not friction: it acts along the step. ``spring`` is
-    the stiffness k [N/m, Nm/rad] of a device whose logs all rest at x_0 + F_0/(K + k), 0 where they do not.
+    ``typical`` is their median [N, Nm], ``off`` the number of logs out of ``of`` whose displacement exceeds the sensor
+    resolution; ``constant`` means that they are one force along the step, not friction. ``spring`` is the stiffness k
+    [N/m, Nm/rad] of a device whose logs all rest at x_0 + F_0/(K + k), 0 if they do not.
     """
 
     typical: float
@@ -47,7 +47,7 @@ class RestForces:
 
     @property
     def tells(self) -> bool:
-        """Whether so many logs rest elsewhere that the loop has another force, a spring or friction."""
+        """Whether enough logs rest elsewhere to show that the loop has another force, a spring or friction."""
         return _are_many(self.off, self.of)
 
 
@@ -56,8 +56,8 @@ def rest_forces(of: Experiment) -> RestForces:
 
     Notes
     -----
-    A spring pulls by -k (x_end - x_0), less the stiffer the wall is; a constant force and friction do not depend on the
-    wall. A spring is reported where it explains what a constant force does not.
+    A spring exerts -k (x_end - x_0), which decreases with the stiffness of the wall; a constant force and friction do
+    not depend on the wall. A spring is reported if it explains the forces and a constant force does not.
     """
     settled = _settled(of)
     stiffness = of.column("response", "stiffness")[settled]
@@ -77,7 +77,7 @@ def rest_forces(of: Experiment) -> RestForces:
 
 
 def rest_spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad] of the device: as declared, else by where it rests; 0 for none."""
+    """Return the stiffness k [N/m, Nm/rad] of the device, as declared or else from its rest positions; 0 for none."""
     return of.spring or of.once(rest_forces).spring
 
 
@@ -86,17 +86,17 @@ def _are_many(off: int, of: int) -> bool:
 
 
 def _spring(force: Floats, moved: Floats, reach: Floats) -> float:
-    """Return k of force = -k moved where that explains the forces and none that is the same in all logs does."""
+    """Return k of force = -k moved if it explains the forces and a constant common to all logs does not."""
     weight = 1 / np.maximum(reach, SMALLEST) ** 2
     k = -float((weight * moved) @ force) / float((weight * moved) @ moved)
-    # soft walls decide; at one stiffness friction looks like a spring: the constant is theirs, too
+    # soft walls decide; at a single stiffness friction looks like a spring, so the constant is theirs, too
     constant = float(weight @ force) / float(weight.sum())
     left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - constant))
     return k if k > 0 and not _are_many(left, len(force)) and _are_many(same, len(force)) else 0.0
 
 
 def _settled(of: Experiment) -> Booleans:
-    """Which trials have a final position that their motion has reached: stable ones that decayed within their log."""
+    """Return the trials whose motion has reached a final position: stable ones that decayed within their log."""
     rows = dict(zip(*(of.trials.column(name).to_pylist() for name in ("trial_id", "rows")), strict=True))
     duration = np.array([rows[name] for name in of.texts("response", "trial_id")], dtype=np.float64)
     decay = np.nan_to_num(of.column("response", "growth_per_s")) * duration * of.sampling_period_s

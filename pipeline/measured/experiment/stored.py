@@ -26,7 +26,7 @@ class Verdicts:
 
 
 class Stored(Protocol):
-    """What the estimates of an experiment are made from: stored columns of its stages."""
+    """Stored columns of the stages of an experiment, from which its estimates are computed."""
 
     @property
     def sampling_period_s(self) -> float:
@@ -50,11 +50,11 @@ class Stored(Protocol):
         """Text column of a stage, null as an empty string."""
 
     def once(self, function: Callable[[Any], Result]) -> Result:
-        """What a function finds in the experiment; it is called once."""
+        """Return the result of a function of the experiment, which is called only once."""
 
 
 class Experiment(Stored, Protocol):
-    """What there is of an experiment: its samples, and what the stages before found."""
+    """Contents of an experiment: its samples and the results of previous stages."""
 
     @property
     def trials(self) -> pa.Table:
@@ -62,11 +62,11 @@ class Experiment(Stored, Protocol):
 
     @property
     def spring(self) -> float:
-        """Stiffness k of the device that its file declares [N/m, Nm/rad], 0 for none."""
+        """Stiffness k of the device declared in its file [N/m, Nm/rad], 0 for none."""
 
     @property
     def measuring(self) -> Measuring:
-        """Choices of the thesis in what is measured."""
+        """Measuring conventions that follow the thesis."""
 
     @property
     def samples(self) -> Trials:
@@ -77,4 +77,4 @@ class Experiment(Stored, Protocol):
         """Verdict of each trial."""
 
     def map_trials(self, function: Callable[[Any], Result], places: Sequence[int] | None = None) -> list[Result]:
-        """Result of a function of each `MeasuredTrial`, or of those at some places, in this order."""
+        """Return the results of a function of each `MeasuredTrial`, or of those at given places, in this order."""

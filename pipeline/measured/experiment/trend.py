@@ -1,6 +1,6 @@
 """Drift of an estimate over the tested stiffness or damping.
 
-A parameter of the device must not depend on what the wall is set to: where its estimates do, the model is wrong.
+A parameter of the device must not depend on the wall parameters: if its estimates do, the model is wrong.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from pipeline.records.findings import DRIFTS, Trend
 from pipeline.records.trials import Floats
 
 MOST_RELATIVE = 10.0
-"""Change, relative to the value, up to which it is reported in percent."""
+"""Largest change, relative to the value, that is reported in percent."""
 
 FEWEST_FOR_TREND = 8
-"""Trials from which on a trend is looked for: three coefficients and five more to estimate their error."""
+"""Smallest number of trials for a trend: three coefficients and five more to estimate their error."""
 
 HUBER = 1.345
-"""Residual, in standard deviations, from which on a trial pulls a trend no more strongly: 95 % efficient (Huber)."""
+"""Residual, in standard deviations, above which the weight of a trial is reduced: 95 % efficient (Huber)."""
 
 _ROUNDS = 50
-"""Most repetitions of fitting and limiting the pull of residuals; five to fifteen settle it."""
+"""Largest number of reweighted fits; five to fifteen are sufficient."""
 
 _SETTLED = 1e-6
-"""Change of the pull of a trial below which the fit is settled: far below any standard error."""
+"""Change of the weights below which the fit has converged: far below any standard error."""
 
 _LEAST_FREE = 1e-6
-"""Smallest part of a residual that its trial leaves free: a trial that alone makes the line divides by no zero."""
+"""Smallest value of 1 - leverage of a trial, to avoid a division by zero if a trial alone determines the line."""
 
 Axis = Literal["stiffness", "damping"]
 
@@ -39,7 +39,7 @@ Axis = Literal["stiffness", "damping"]
 def find_trends(
     v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, motion: Motion = "translation"
 ) -> tuple[Trend, ...]:
-    """Return the slopes of the values of trials over stiffness and damping, fitted together.
+    """Return the slopes of the trials' values over stiffness and damping, fitted jointly.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def find_trends(
         K [N/m, Nm/rad] as ``stiffness``, B [Ns/m, Nms/rad] as ``damping``, or one of them.
     unit : str
     motion : Motion
-        Decides the units.
+        Kind of motion, which determines the units.
 
     Returns
     -------
@@ -59,9 +59,9 @@ def find_trends(
 
     Notes
     -----
-    Weighted least squares in which a residual beyond `HUBER` standard deviations pulls no more strongly. The interval
-    is that of the residuals and not of ``sigma``, so that it is valid where the errors of the trials are wrong; a trend
-    that is not there is found significant in 5 % of cases, for each of both slopes.
+    Weighted least squares in which the influence of a residual is limited to `HUBER` standard deviations. The interval
+    is based on the residuals and not on ``sigma``, so that it is valid even if the errors of the trials are wrong; the
+    false-positive rate of a trend is 5 % for each of the two slopes.
 
     Source: Huber 1981, Robust Statistics; MacKinnon and White 1985 (HC3).
     """
@@ -85,8 +85,8 @@ def find_trends(
         if np.abs(now - pull).max() < _SETTLED:
             break
         pull = now
-    # HC3: residuals, each enlarged for how far it drew the line to itself; a trial whose pull is limited does not
-    # answer to a change of the slope
+    # HC3: residuals, each enlarged by its leverage; a trial with limited influence does not
+    # respond to a change of the slope
     answers = np.where(pull == 1, w, 0.0)
     normal = (x * answers) @ x.T
     if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
@@ -117,13 +117,13 @@ def find_trends(
 def drift_warning(
     trend: Trend, x: Floats, value: float, least: float, unit: str, *, motion: Motion = "translation"
 ) -> str:
-    """Return a sentence about a drift that is significant and larger than ``least``; empty otherwise.
+    """Return a sentence about a drift that is significant and larger than ``least``; otherwise an empty string.
 
     Parameters
     ----------
     trend : Trend
     x : float64, shape (n,)
-        Stiffness or damping of the trials that the trend is over.
+        Stiffness or damping of the trials of the trend.
     value, least : float
         Value of the experiment, and smallest change over the tested range worth a warning, in ``unit``.
     unit : str
@@ -133,7 +133,7 @@ def drift_warning(
     change = trend.slope * span
     if not trend.significant or abs(change) <= least:
         return ""
-    # for a value near 0 a share is meaningless
+    # a percentage of a value near 0 is meaningless
     relative = f" ({100 * change / value:+.1f} %)" if abs(change) <= MOST_RELATIVE * abs(value) else ""
     name = unit_of(trend.over, motion)
     return true_minus(
