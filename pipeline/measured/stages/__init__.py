@@ -1,1 +1,1 @@
-"""What an experiment stores: what each stage makes, the table of them, and what stores and reuses them."""
+"""Stored results of an experiment: measurements of each stage, table of the stages, storage and reuse."""

@@ -1,7 +1,7 @@
-"""A trial with what several stages measure of it.
+"""Trial with the quantities that several stages measure of it.
 
-A stage sees nothing else of a trial, so that its row is known by the trial's samples, by what the experiment gives, and
-by the code.
+A stage uses nothing else of a trial, so that its row is determined by the trial's samples, the inputs from the
+experiment, and the code.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NOT_JUDGED = Verdict("undecided", np.nan, "")
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """A trial and its response as costs see them, with the errors of its readings."""
+    """Trial and its response as used by costs, with the errors of its readings."""
 
     trial: Trial
     response: Response
@@ -42,14 +42,14 @@ class Readings:
 
 @dataclass(eq=False)
 class MeasuredTrial:
-    """A trial and what several stages need of it, each measured once and when it is first asked for.
+    """Trial with the quantities that several stages need, each measured once on first use.
 
     Parameters
     ----------
     logged : Trial
-        As the log has it.
+        Trial as logged.
     verdict : Verdict
-        As stored.
+        Verdict as stored.
     """
 
     logged: Trial
@@ -58,17 +58,17 @@ class MeasuredTrial:
 
     @cached_property
     def response(self) -> Response:
-        """Edge and resolution; a declared step row replaces what the log shows."""
+        """Edge and resolution; a declared step row replaces the detected one."""
         response, declared = find_response(self.logged), self.logged.step_row
         return response if declared is None else declare_edge(self.logged, response, declared)
 
     @cached_property
     def trial(self) -> Trial:
-        """The trial; at an operating point of a device without a wall, forces count from the level before the step.
+        """Trial; at an operating point of a device without a wall, forces count from the level before the step.
 
-        The balancing force there, gravity or friction at its limit, is as large, so that the motion is that of the
-        change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
-        the samples that they count.
+        The balancing force there, gravity or friction at its limit, is equally large, so that only the change causes
+        motion. The operating point of a wall is contained in its rest position. Scattering time stamps are replaced by
+        those of the samples that they count.
         """
         trial = even(self.logged)
         level = self.response.level if trial.stiffness == 0 else 0.0
@@ -76,12 +76,12 @@ class MeasuredTrial:
 
     @cached_property
     def law(self) -> WallLaw:
-        """How the logged command obeys the wall law, by stamps as logged."""
+        """Comparison of the logged command with the wall law, with time stamps as logged."""
         return wall_law(replace(self.trial, time=self.logged.time), self.response)
 
     @cached_property
     def other_walls(self) -> OtherWalls:
-        """Which other wall than stated the command obeys."""
+        """Wall that the command obeys instead of the stated one."""
         return other_walls(self.law)
 
     @cached_property
@@ -91,7 +91,8 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Why the trial says nothing of its wall: its recording, or another wall than stated; empty where it does."""
+        """Reason why the trial gives no information on its wall: its recording, or another wall than stated; empty if
+        it does."""
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
         return next(sentences, "") or self.other_walls.reason
 
@@ -101,9 +102,9 @@ class MeasuredTrial:
         return sample_grid(self.trial, self.response, self.law)
 
     def readings(self, inputs: ReadingInputs, *, on_grid: bool) -> tuple[Readings, ...]:
-        """Return what costs are computed from: the trial, or that on its grid and, if there is one, on straight lines.
+        """Return the readings for costs: the trial, or the one on its grid and, if available, the linear interpolation.
 
-        The same inputs serve several costs.
+        The same inputs are used for several costs.
         """
         # most trials are their own grid
         on_grid = on_grid and not (self.grid.trial is self.trial and self.grid.response is self.response)
@@ -121,10 +122,10 @@ class MeasuredTrial:
         return Readings(trial, about(response, inputs.final), error)
 
     def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
-        """Return this trial, perhaps on its grid, as costs see it where a spring k acts on the device.
+        """Return this trial, possibly on its grid, as used by costs if a spring k acts on the device.
 
-        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log that is
-        unsafe has no start of a response by which costs in these units would count.
+        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). An unsafe log has no start
+        of a response, so that no costs are computed from it.
         """
         if spring and trial.stiffness > 0:
             trial = replace(trial, stiffness=trial.stiffness + spring)
@@ -134,23 +135,23 @@ class MeasuredTrial:
 
 
 def about(response: Response, final: str) -> Response:
-    """Return a response whose costs count about its expected or its measured final position, see `Measuring`."""
+    """Return a response whose costs refer to its expected or measured final position, see `Measuring`."""
     if final == "measured" and np.isfinite(response.position_final_expected):
         return replace(response, position_final_expected=response.position_final_measured)
     return response
 
 
 class MapTrials(Protocol):
-    """Maps a function over trials of an experiment: in this process (`MeasuredTrials`), or in others."""
+    """Map of a function over trials of an experiment, in this process (`MeasuredTrials`) or in others."""
 
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at some places, which have these verdicts, in this order."""
+        """Return the results of a function of the trials at some places, with the given verdicts, in this order."""
 
 
 class MeasuredTrials:
-    """Trials of which each is measured once in this process.
+    """Trials that are each measured once in this process.
 
     Parameters
     ----------
@@ -163,7 +164,7 @@ class MeasuredTrials:
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at some places, in this order, as `MapTrials`."""
+        """Return the results of a function of the trials at some places, in this order, as in `MapTrials`."""
         measured = [self._measured[place] for place in places]
         for trial, verdict in zip(measured, verdicts or (), strict=False):
             trial.verdict = verdict

@@ -15,31 +15,31 @@ Output = TypeVar("Output")
 
 @dataclass(frozen=True)
 class NoInputs:
-    """A stage of trials that takes nothing from the whole experiment."""
+    """Inputs of a stage that needs nothing from the whole experiment."""
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Why an experiment lacks what the rows of a stage need: it is the reason of all of them."""
+    """Reason why an experiment lacks the inputs of a stage; it is the reason of all rows."""
 
     reason: str
 
 
 def no_inputs(_: Experiment) -> NoInputs:
-    """Return the inputs of a stage that takes nothing from the whole experiment."""
+    """Return the inputs of a stage that needs nothing from the whole experiment."""
     return NoInputs()
 
 
 @dataclass(frozen=True)
 class TrialStage(Generic[Inputs, Output]):
-    """A measurement of each trial of an experiment, one row a trial.
+    """Measurement of each trial of an experiment, with one row per trial.
 
     Parameters
     ----------
     measure : callable
-        Measures one trial; its source is part of the key under which the row is stored, as are the samples.
+        Function that measures one trial; its source and the samples are part of the key under which the row is stored.
     inputs : callable
-        What all trials of the experiment have in common; part of that key, too.
+        Function that returns the inputs common to all trials of the experiment; also part of that key.
     """
 
     measure: Callable[[MeasuredTrial, Inputs], Output]
@@ -48,14 +48,14 @@ class TrialStage(Generic[Inputs, Output]):
 
 @dataclass(frozen=True)
 class ExperimentStage(Generic[Output]):
-    """A measurement of a whole experiment, as rows of a table.
+    """Measurement of a whole experiment, as rows of a table.
 
     Parameters
     ----------
     measure : callable
     rests_on : callable, optional
-        A hash of all that the rows are computed from, where that is less than the experiment: while it is the same,
-        what is stored is kept.
+        Function that returns a hash of everything from which the rows are computed, if that is less than the
+        experiment; stored rows are reused while it is unchanged.
     """
 
     measure: Callable[[Experiment], Sequence[Output]]

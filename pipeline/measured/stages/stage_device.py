@@ -1,4 +1,5 @@
-"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and what each trial says of it."""
+"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and the estimates of single
+trials."""
 
 from __future__ import annotations
 
@@ -34,17 +35,18 @@ from pipeline.records.stage_records import DeviceRow, ModelRow, PartsRow
 from pipeline.records.trials import Trial
 
 MOST_ROWS = 600
-"""Rows of a log from shortly before the step on: behind any wall that is of use motion has come to its end."""
+"""Largest number of rows of a log, counted from shortly before the step: with any useful wall the motion has ended by
+then."""
 
 AHEAD = 40
-"""Rows before the step that are kept."""
+"""Number of rows before the step that are kept."""
 
 LEAST = 1e-300
-"""Variance of a number that is known exactly."""
+"""Variance of a parameter that is known exactly."""
 
 WITHOUT = {"command_shifted", "sampling_period"}
-"""Departures from the wall law by which a logged command is not the one that drives the device at that time, or the
-time is not known."""
+"""Departures from the wall law for which the logged command does not drive the device at that time, or the time is
+unknown."""
 
 INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or walls"
 
@@ -55,11 +57,11 @@ OTHER_WALLS = (
 
 
 def recordings_of(of: Experiment) -> list[Recording] | str:
-    """Return the trials of an experiment as the estimator takes them, or why none can be used."""
+    """Return the trials of an experiment as input of the estimator, or the reason why none can be used."""
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
     usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
-    # without a wall a device ends somewhere, and says less of what the walls of the others do
+    # without a wall a device ends anywhere, and gives less information on motion at the walls of the others
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
@@ -74,7 +76,7 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
         return fault.sentence if fault is not None else "no log's command is that of its wall and time"
-    # a log that is too short to show motion costs itself alone
+    # a log that is too short to show motion only excludes itself
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
         check_recordings(found)
@@ -84,7 +86,7 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
 
 
 def chosen_by(of: Experiment) -> str:
-    """Return a hash of the recordings by which the parts of the device are chosen, or of why there are none."""
+    """Return a hash of the recordings used to choose the parts of the device, or of the reason if there are none."""
     found = of.once(recordings_of)
     return found if isinstance(found, str) else digest([each.digest for each in subset(found)])
 
@@ -124,7 +126,7 @@ def parts(of: Experiment) -> list[PartsRow]:
 
 
 def _chosen(row: Mapping[str, Any]) -> ChosenParts:
-    """Return the parts of a device as the stage `parts` stores them."""
+    """Return the parts of a device in the form stored by the stage `parts`."""
 
     def named(names: str, values: str) -> dict[str, float]:
         return dict(zip(row[names], row[values], strict=True))
@@ -142,7 +144,7 @@ def _chosen(row: Mapping[str, Any]) -> ChosenParts:
 
 
 def identification(of: Experiment) -> tuple[Identification | None, str]:
-    """Return the likeliest device of all logs of an experiment and what to record for more, or None and why."""
+    """Return the maximum-likelihood device of an experiment's logs with a recording remedy, or None with a reason."""
     found = of.once(recordings_of)
     if isinstance(found, str):
         return None, found
@@ -156,13 +158,13 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     remedy = Recorded.of(found).remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
-    # logs that obey another wall than stated are the reason, whatever the others lack
+    # logs that obey another wall than stated are the reason, whatever is wrong with the others
     why = INSEPARABLE.format(remedy) if len(found) > MOST * of.trials.num_rows else OTHER_WALLS
     return None, why
 
 
 def recording_findings(of: Experiment) -> list[list[Finding]]:
-    """Return what is wrong with the recording of each trial, as the stage `response` has it."""
+    """Return the faults of the recording of each trial, from the stage `response`."""
     return [
         [Finding.model_validate(each) for each in json.loads(text)] if text else []
         for text in of.texts("response", "findings")
@@ -180,7 +182,7 @@ def device(of: Experiment) -> list[DeviceRow]:
 
 
 def model(of: Experiment) -> list[ModelRow]:
-    """Return what each trial says alone of mass, damping and delay: a step from the common ones."""
+    """Return mass, damping and delay from each trial alone, as one step from the common values."""
     found, reason = of.once(identification)
     ids, hashes = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
     walls = zip(*(of.column("response", name).tolist() for name in ("stiffness", "damping")), strict=True)
@@ -200,12 +202,12 @@ def model(of: Experiment) -> list[ModelRow]:
 
 
 def device_row(found: Identification, remedy: str, largest_step: float) -> DeviceRow:
-    """Return what logs identify as the stage stores it; ``largest_step`` of their headers [N, Nm], 0 for none."""
-    # an interval may be wider than the likelihood alone says
+    """Return the identified device in stored form; ``largest_step`` is that of the headers [N, Nm], 0 for none."""
+    # an interval may be wider than that of the likelihood alone
     errors = np.array([each.error for each in found.parameters.values()])
     wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
     covariance = found.covariance * np.outer(wider, wider)
-    # what is known exactly is known as far as it is computed
+    # an exactly known parameter has its numerical error
     np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), errors**2))
     values, covariance = with_delay({name: each.value for name, each in found.parameters.items()}, covariance)
     unknown = found.unidentifiable | (values.keys() - found.parameters.keys())
@@ -243,7 +245,7 @@ def device_row(found: Identification, remedy: str, largest_step: float) -> Devic
 
 
 def _saturated(of: Experiment, limit: float) -> float:
-    """Return the share of the stable trials that command more than a force."""
+    """Return the share of the stable trials that command more than the given force."""
     if not np.isfinite(limit):
         return 0.0
     stable = of.verdicts.verdict == "stable"
@@ -256,15 +258,15 @@ def _largest_command(of: MeasuredTrial) -> float:
 
 
 def recording(of: MeasuredTrial) -> Recording:
-    """Return a trial as the estimator takes it."""
+    """Return a trial as input of the estimator."""
     return cut(of.trial, max(of.response.edge_row, 0), of.findings)
 
 
 def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
-    """Return a trial with its edge at a row and some findings as the estimator takes it, up to a travel stop.
+    """Return a trial, with a given edge row and findings, as input of the estimator, up to a travel stop.
 
-    Of a trial with a step: rows from shortly before it on, of those between two that are lost the ones in which the
-    device moves most. Of any other motion: all rows.
+    A trial with a step is cut shortly before the step; of the ranges between lost rows, the one with the most motion is
+    used. Of any other motion all rows are used.
     """
     last = min([trial.rows, *(finding.first_row or 0 for finding in findings if finding.severity == "cut")])
     rows = slice(0, last)
@@ -284,9 +286,9 @@ def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
 
 
 def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
-    """Return trials that are not stored as the estimator takes them: those that `identification` would use.
+    """Return trials that are not stored as input of the estimator: those that `identification` would use.
 
-    Whether a command obeys the wall that its header states does not matter: it drives the device whatever it obeys.
+    The command need not obey the wall stated in the header, because it drives the device in any case.
     """
     walls = any(each.trial.stiffness > 0 for each in trials)
     usable = [
@@ -301,7 +303,7 @@ def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
 
 
 def _complete(trial: Trial, rows: slice) -> slice:
-    """Return the rows between two that are lost in which the device moves most; all where none is lost."""
+    """Return the range between lost rows in which the device moves most; all rows if none is lost."""
     time, position = trial.time[rows], trial.position[rows]
     gaps = np.flatnonzero(np.diff(time) > GAP * trial.sampling_period_s) + 1
     bounds = [0, *gaps.tolist(), len(time)]

@@ -1,4 +1,4 @@
-"""Stages of the measured branch by name, with those whose results each takes; what computes them is in `stages`."""
+"""Stages of the measured branch by name, with the stages on which each depends; `stages` contains their functions."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "mass": ("response", "delay"),
     **{name: family.needs for name, family in FAMILIES.items()},
 }
-"""Stages in the order in which they can be computed; the plan is made backwards along what they need."""
+"""Stages in the order in which they can be computed; the plan is made backwards along their dependencies."""
 
 SPRUNG = frozenset(FAMILIES)
-"""Stages that take the declared spring of the experiment."""
+"""Stages that use the declared spring of the experiment."""
 
 
 def required(stages: Iterable[str]) -> set[str]:
-    """Return the stages and all that they need.
+    """Return the stages and all their dependencies.
 
     >>> sorted(required(["mass"]))
     ['delay', 'mass', 'response']
@@ -37,6 +37,6 @@ def required(stages: Iterable[str]) -> set[str]:
 
 
 def cost_column(criterion: str) -> tuple[str, str]:
-    """Return stage and column of the cost by a criterion."""
+    """Return the stage and the column of the cost of a criterion."""
     known = criterion_of(criterion)
     return known.family.name, known.column

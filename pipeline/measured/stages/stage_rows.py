@@ -1,4 +1,4 @@
-"""What each stage measures: a row of a trial, or rows of the whole experiment; the table of stages is `stages`."""
+"""Measurement of each stage: a row of a trial, or rows of the whole experiment; `stages` is the table of stages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pipeline.records.stage_records import (
 def response(of: MeasuredTrial, _: NoInputs) -> ResponseRow:
     """Return edge, final position, resolution and verdict of a trial."""
     judged, shown = judge(of.trial, of.response), of.response
-    # whatever it shows, it shows of another wall, or of a wrong recording
+    # its result would apply to another wall, or to a faulty recording
     return ResponseRow(
         verdict="undecided" if of.unsafe else judged.verdict,
         reason=joined(of.unsafe, judged.reason, shown.reason),
@@ -54,7 +54,7 @@ def response(of: MeasuredTrial, _: NoInputs) -> ResponseRow:
 
 
 def wall_law(of: MeasuredTrial, _: NoInputs) -> WallLawRow:
-    """Return whether the logged command of a trial obeys the wall law, and why not."""
+    """Return whether the logged command of a trial obeys the wall law, and the reason if it does not."""
     law, (stiffness, damping, step) = of.law, of.other_walls.obeyed
     return WallLawRow(
         law_residual=law.residual,
@@ -71,14 +71,14 @@ def wall_law(of: MeasuredTrial, _: NoInputs) -> WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeInputs:
-    """What the outcome of a trial takes from the whole experiment: usual rows of a log, and how the device moves."""
+    """Inputs of the outcome of a trial that are common to the experiment: usual number of rows, and the device."""
 
     usual_rows: int
     device: PushResponse
 
 
 def outcome_inputs(of: Experiment) -> OutcomeInputs:
-    """Return what the outcome of a trial takes from the whole experiment."""
+    """Return the inputs of the outcome of a trial that are common to the experiment."""
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
     device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise))
@@ -86,13 +86,13 @@ def outcome_inputs(of: Experiment) -> OutcomeInputs:
 
 
 def outcome(of: MeasuredTrial, inputs: OutcomeInputs) -> OutcomeRow:
-    """Return how a trial ended, and what shows it."""
+    """Return the outcome of a trial with its evidence."""
     ended = classify(of.trial, of.response, of.verdict, inputs.usual_rows, inputs.device)
     return OutcomeRow(ended.outcome, ended.evidence, ended.first_row, ended.band, ended.amplitude_end)
 
 
 def boundary(of: Experiment) -> list[BoundaryRow]:
-    """Return the measured boundary, a row a damping, of the trials whose command obeys the stated wall."""
+    """Return the measured boundary, one row per damping, from the trials whose command obeys the stated wall."""
     stated = np.isnan(of.column("wall_law", "obeyed_stiffness"))
     points = boundary_band(
         of.column("response", "stiffness")[stated],
@@ -117,21 +117,21 @@ def boundary(of: Experiment) -> list[BoundaryRow]:
 
 
 def delay(of: MeasuredTrial, _: NoInputs) -> DelayRow:
-    """Return the delay of a trial by its first position change."""
+    """Return the delay of a trial from its first position change."""
     change = thesis.first_change(of.trial, of.response)
     return DelayRow(change.delay_samples, change.reason)
 
 
 @dataclass(frozen=True)
 class MassInputs:
-    """What the momentum balance takes from the whole experiment: delay [samples] and length of its window [s]."""
+    """Common inputs of the momentum balance: delay [samples] and length of its window [s]."""
 
     delay: int
     window_s: float
 
 
 def mass_inputs(of: Experiment) -> MassInputs | Missing:
-    """Return what the momentum balance takes from the whole experiment."""
+    """Return the inputs of the momentum balance that are common to the experiment."""
     value = of.once(first_change).value if of.measuring.momentum_delay is None else of.measuring.momentum_delay
     return Missing(NO_DELAY) if value is None else MassInputs(int(value), of.measuring.momentum_window_s)
 
@@ -140,7 +140,7 @@ NO_DELAY = "needs the delay, which is not known"
 
 
 def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
-    """Return the mass of a trial by the momentum balance: over its window, a longer one and the one after it."""
+    """Return the mass of a trial by the momentum balance over its window, a longer one and the one after it."""
     window = inputs.window_s
     first, longer, later = (
         thesis.by_momentum(of.trial, of.response, inputs.delay, window_s=end, after_s=begin)
@@ -150,12 +150,12 @@ def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
 
 
 def cost_inputs(of: Experiment) -> CostInputs:
-    """Return what costs take from the whole experiment that need nothing of the device."""
+    """Return the common inputs of costs that need nothing of the device."""
     return CostInputs(_reading_inputs(of, 0, rest_spring(of)))
 
 
 def timed_inputs(of: Experiment) -> CostInputs | Missing:
-    """Return what costs take from the whole experiment that are counted from the delay on."""
+    """Return the common inputs of costs that are counted from the end of the delay."""
     factor = of.once(delay_factor)
     if factor is None:
         return Missing(NO_DELAY)
@@ -164,7 +164,7 @@ def timed_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def energy_inputs(of: Experiment) -> CostInputs | Missing:
-    """Return what energies take from the whole experiment: the mass, too."""
+    """Return the common inputs of energies, including the mass."""
     found = by_model(of, "mass")
     if found.value is None:
         return Missing(f"energy needs the mass: {found.reason}")
@@ -175,7 +175,7 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInputs:
-    """What the error of a reading takes from all trials: a spring, the sensor, the usual gain."""
+    """Return the common inputs of reading errors: a spring, the sensor, the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
     sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
@@ -190,7 +190,7 @@ def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -
 
 
 def _spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad]: as declared, else of the likeliest device, else by where it rests."""
+    """Return the stiffness k [N/m, Nm/rad]: declared, else of the identified device, else from its rest positions."""
     k = by_model(of, "stiffness")
     if of.spring or k.value is None:
         return rest_spring(of)
@@ -198,10 +198,10 @@ def _spring(of: Experiment) -> float:
 
 
 def costs(of: MeasuredTrial, inputs: CostInputs, measure: Measure, names: Sequence[str]) -> CostRow:
-    """Return the costs of a family for a trial; ``names`` are those of costs that count time.
+    """Return the costs of a family for a trial; ``names`` are those of time-based costs.
 
-    Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that include those of
-    rows which lie on straight lines.
+    For logs with missing or repeated rows they are computed on the sample grid, and their intervals include those of
+    the linear interpolation.
     """
     row, *others = (
         measure(read.trial, read.response, of.verdict, read.error, inputs)

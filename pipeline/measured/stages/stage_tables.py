@@ -1,8 +1,8 @@
-"""How the stages of an experiment are computed, stored and reused; of what each of them computes it knows nothing.
+"""Computation, storage and reuse of the stages of an experiment, independently of what each of them computes.
 
-A stage is reused while its key is the same: a hash of the trials (source and profile hashes), of the code that
-computes it, and of the values it takes from stages before it. Where it is not, the rows of those trials are still
-reused whose samples are the same, computed by the same code with the same values of the experiment.
+A stage is reused while its key is unchanged: a hash of the trials (source and profile hashes), of the code that
+computes it, and of its inputs from previous stages. If the key has changed, rows are still reused for trials with
+unchanged samples, if code and inputs from the experiment are unchanged.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pipeline.measured.stages.stage import TrialStage
 
 SAMPLED = "response"
-"""Stage that every scene needs; its result is stored with a hash of the samples."""
+"""Stage that every view needs; its result is stored with a hash of the samples."""
 
 ROW_KEY = "samples_sha256"
 """Column that identifies a row of a stage; its other inputs are the same for all rows of a file."""
@@ -66,7 +66,7 @@ def stage_row(of: MeasuredTrial, measure: Callable[[MeasuredTrial, Any], object]
 
 
 def stored_value(name: str, value: object) -> object:
-    """Return a value of a column in the form in which it is stored: a negative number of rows and no text are null.
+    """Return a column value in stored form: negative row numbers and empty texts become null.
 
     >>> stored_value("edge_row", -1), stored_value("edge_row", 20), stored_value("reason", "")
     (None, 20, None)
@@ -77,7 +77,7 @@ def stored_value(name: str, value: object) -> object:
 
 @dataclass
 class ExperimentStages:
-    """The stages of one experiment: what is stored, what is stale, their tables, and what follows from these.
+    """Stages of one experiment: stored and stale results, their tables, and derived values.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ class ExperimentStages:
     trials : pyarrow.Table
         Rows of the trials table that belong to the experiment and are in use.
     excluded : tuple of Exclusion
-        Its trials that are not.
+        Trials of the experiment that are excluded.
     spring : float
-        Stiffness k [N/m, Nm/rad] of the device that its file declares, 0 for none; see `declared_spring`.
+        Stiffness k [N/m, Nm/rad] declared in the device file, 0 for none; see `declared_spring`.
     measuring : Measuring
-        Choices of the thesis in what is measured.
+        Measuring conventions that follow the thesis.
     """
 
     processed: Path
@@ -109,13 +109,13 @@ class ExperimentStages:
     def stored(
         cls, processed: Path, device: str, experiment: str, spring: float = 0.0, measuring: Measuring | None = None
     ) -> Self:
-        """Return the stages of a stored experiment; the table of trials has no row where all are excluded."""
+        """Return the stages of a stored experiment; the table of trials is empty if all are excluded."""
         trials, excluded = split_trials(read_trials(processed, device, experiment), read_exclusions(processed))
         return cls(processed, device, experiment, trials, excluded, spring, measuring or Measuring())
 
     @cached_property
     def motion(self) -> Motion:
-        """Kind of motion, which decides the units.
+        """Kind of motion, which determines the units.
 
         Raises
         ------
@@ -133,8 +133,8 @@ class ExperimentStages:
 
     @cached_property
     def inputs_digest(self) -> str:
-        """Hash of the logs and profiles that the samples came from."""
-        # not where the samples lie: merging batches changes no result
+        """Hash of the logs and profiles from which the samples were made."""
+        # the location of the samples is excluded: merging batches changes no result
         columns = ("trial_id", "source_sha256", "profile_sha256")
         rows = zip(*(self.trials.column(c).to_pylist() for c in columns), strict=True)
         return digest(sorted("|".join(map(str, row)) for row in rows))
@@ -146,13 +146,13 @@ class ExperimentStages:
 
     @cached_property
     def _map(self) -> MapTrials:
-        """Maps functions over the trials: in this process, unless a stage is computed in others."""
+        """Map of functions over the trials: in this process, unless a stage is computed in others."""
         from pipeline.measured.stages.measured_trial import MeasuredTrials
 
         return MeasuredTrials(self.samples)
 
     def once(self, function: Callable[[Any], Result]) -> Result:
-        """Return what a function finds in this experiment, which is kept."""
+        """Return the result of a function of this experiment, which is cached."""
         if function not in self._found:
             self._found[function] = function(self)
         found: Result = self._found[function]
@@ -161,7 +161,7 @@ class ExperimentStages:
     def map_trials(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int] | None = None
     ) -> list[Result]:
-        """Return the result of a function of each trial, or of those at some places, in this order."""
+        """Return the results of a function of each trial, or of those at given places, in this order."""
         from pipeline.measured.signal.verdict import Verdict
 
         places = range(len(self.samples)) if places is None else places
@@ -179,11 +179,11 @@ class ExperimentStages:
         return self._keys[stage]
 
     def is_stored(self, stage: str) -> bool:
-        """Return whether a result with the present key is stored."""
+        """Return whether a result with the current key is stored."""
         return self._stored_key(stage) == self.key(stage)
 
     def why_run(self, stage: str) -> str:
-        """Return in words why a stage that is not reused has to run."""
+        """Return a text that explains why a stage that is not reused has to run."""
         stored = self._stored_key(stage)
         return (
             "no result is stored"
@@ -213,7 +213,7 @@ class ExperimentStages:
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: MapTrials) -> None:
-        """Compute and store some stages, in this order, by a map that may send trials to other processes."""
+        """Compute and store some stages, in this order, with a map that may send trials to other processes."""
         self.__dict__["_map"] = mapped
         try:
             for number, stage in enumerate(stages):
@@ -223,20 +223,20 @@ class ExperimentStages:
             del self.__dict__["_map"]
 
     def take_over(self, tables: Mapping[str, pa.Table]) -> None:
-        """Take results that another process has computed of the same trials."""
+        """Adopt results that another process has computed from the same trials."""
         self._tables |= tables
 
     def count_new_trials(self) -> int:
-        """Return how many trials have no stored row of the first stage that would be reused."""
+        """Return the number of trials without a reusable stored row of the first stage."""
         former = self._former(SAMPLED, self._common(SAMPLED, {}))
         return len(set(self.samples.digests) - set(former.column(ROW_KEY).to_pylist()))
 
     def _common(self, stage: str, inputs: Mapping[str, object]) -> str:
-        """Return a hash of all that the rows of a stage are computed from except their samples."""
+        """Return a hash of all inputs of the rows of a stage except their samples."""
         return digest([stage, code_digest("stages"), inputs, self.motion])
 
     def _computed(self, stage: str) -> pa.Table:
-        # not before something has to be computed: what is stored is read without the estimators
+        # imported only for a computation: stored results are read without the estimators
         from pipeline.measured.stages.stage import TrialStage
         from pipeline.measured.stages.stages import STAGES
 
@@ -254,7 +254,7 @@ class ExperimentStages:
         return to_arrow(stage, columns, motion=self.motion, metadata=self._stamp(stage, **more))
 
     def _of_trials(self, stage: str, computation: TrialStage[Any, Any]) -> pa.Table:
-        """Compute a stage with one row a trial, except the rows that are stored and were computed from the same."""
+        """Compute a stage with one row per trial, reusing stored rows with the same inputs."""
         from pipeline.measured.stages.stage import Missing
 
         inputs, samples = self.once(computation.inputs), self.samples
@@ -286,7 +286,7 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage with the same inputs of the experiment; none where they are damaged."""
+        """Return the stored rows of a stage with the same inputs of the experiment; none if they are damaged."""
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
@@ -354,15 +354,15 @@ class ExperimentStages:
         return tuple(BoundaryPoint(**row) for row in rows)
 
     def cost(self, criterion: str) -> tuple[Floats, str]:
-        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
+        """Return the cost of each trial by a criterion (NaN if there is none) and the reason if no trial has one."""
         return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
 
     def cost_reasons(self, criterion: str) -> list[str]:
-        """Return why each trial has no cost by a criterion, or a doubtful one; empty where there is no reason."""
+        """Return why each trial has no cost by a criterion, or a doubtful one; empty if there is no reason."""
         return self._costs(criterion)[3]
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
-        """Return costs, both ends of their intervals, and reasons of trials; computed where no column stores them."""
+        """Return costs, both ends of their intervals, and reasons; computed if no column stores them."""
         stage, column = cost_column(criterion)
         if column in TABLES[stage]:
             value, low, high = (self.column(stage, f"{column}{end}") for end in ("", "_low", "_high"))
@@ -384,24 +384,24 @@ class ExperimentStages:
         return self._other_costs[criterion]
 
     def floor(self, criterion: str) -> Floats | None:
-        """Return the cost of each trial that sensor and chatter alone can cause; None where they cause none."""
+        """Return the apparent cost of each trial due to sensor and chatter alone; None if they cause none."""
         family = criterion_of(criterion).family
         return self.column(family.name, family.floor) if family.floor else None
 
     def sure_cost(self, criterion: str) -> Floats:
-        """Return the cost of each trial as `cost`, zero where it counts as none."""
+        """Return the cost of each trial as in `cost`, zero if it counts as none."""
         cost, floor = self._costs(criterion)[0], self.floor(criterion)
         return cost if floor is None else np.where(without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
-        """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
+        """Return the lower and upper end of the 95 % interval of each trial's cost, NaN if there is none."""
         return self._costs(criterion)[1:3]
 
     def optimum(self, criterion: str, limits: Sequence[BoundaryPoint] = ()) -> Optimum | None:
-        """Return the best trial by a criterion, or None where no trial has that cost; its margin to measured limits."""
+        """Return the best trial by a criterion, with its margin to measured limits; None if no trial has that cost."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
-        # what obeys another wall than stated was not tested there
+        # a trial that obeys another wall than stated was not tested at that point
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
         K, B = (self.column("response", name)[stated] for name in ("stiffness", "damping"))
         unstable, cost = self.verdicts.verdict[stated] == "unstable", cost[stated]

@@ -1,4 +1,4 @@
-"""Stages of the measured branch: each takes the samples of one experiment and makes the rows of one table."""
+"""Stages of the measured branch: each computes the rows of one table from the samples of one experiment."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MEASURES: Mapping[str, Measure] = {
     "rise": rise_row,
     "energy": energy_row,
 }
-"""What computes the costs of each family of criteria."""
+"""Functions that compute the costs of each family of criteria."""
 
 
 def other_cost(criterion: Criterion) -> TrialStage[CostInputs, CostRow]:
-    """Return what computes the cost by a criterion that no column stores: another settling band or exponent."""
+    """Return the stage that computes a cost that no column stores: another settling band or exponent."""
     energies = criterion.family is ENERGY
     measure = partial(other_energy if energies else other_settling, criterion=criterion)
     inputs = stage_rows.energy_inputs if energies else stage_rows.timed_inputs
@@ -50,4 +50,4 @@ STAGES: Mapping[str, TrialStage[Any, Any] | ExperimentStage[Any]] = {
     "mass": TrialStage(stage_rows.mass, stage_rows.mass_inputs),
     **{name: _cost_stage(family) for name, family in FAMILIES.items()},
 }
-"""What computes each stage."""
+"""Computation of each stage."""
