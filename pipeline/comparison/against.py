@@ -46,22 +46,23 @@ from pipeline.rendering.report.report_against import AgainstPage, sentences_of
 from pipeline.theory.predictions import Theory
 
 FEWEST_POINTS = 6
-"""Points that a median needs for a 95 % interval by its ranks: with five, smallest to largest cover 94 %."""
+"""Smallest number of points for a 95 % rank interval of a median: with five, the range from smallest to largest covers
+94 %."""
 
 Document = Mapping[str, Any]
-"""An experiment as `compare --json` has it."""
+"""An experiment in the format of `compare --json`."""
 
 Trials = Mapping[str, tuple[Floats, Floats, Floats]]
 """Stiffness, damping and cost of the trials by criterion; NaN where a trial has no cost."""
 
 Scale = tuple[float, float]
-"""Units of stiffness m/T^2 and damping m/T, by which walls become alpha and beta."""
+"""Units of stiffness m/T^2 and damping m/T that normalise walls to alpha and beta."""
 
 AREA = "boundary_area"
-"""Estimate that is an area over dampings: only over those that both sides cover can it be compared."""
+"""Estimate that is an area over dampings; it is compared only over the dampings that both sides cover."""
 
 SAME_DAMPING = 1e-9
-"""Relative difference of dampings that is rounding."""
+"""Relative difference of dampings that counts as rounding."""
 
 _SCORES = {"region": ("overlap", "covered", "area_ratio"), "distance": ("median",), "verdicts": ("agreement",)}
 """Scores that are compared."""
@@ -74,18 +75,18 @@ def compare_pair(
     scales: tuple[Scale, Scale] | None = None,
     trials: tuple[Trials, Trials] | None = None,
 ) -> PairDifference:
-    """Return what two experiments differ in, second minus first.
+    """Return the differences between two experiments, second minus first.
 
     Parameters
     ----------
     sides : (Side, Side)
     documents : (mapping, mapping)
-        The experiments as in their documents; those of other versions may lack new keys.
+        Documents of the experiments; documents of other versions may lack new keys.
     motion : Motion
     scales : ((K, B), (K, B)), optional
-        With them walls are compared in the plane of alpha and beta (Table 3.1), as devices must be.
+        If given, walls are compared in the plane of alpha and beta (Table 3.1), which is required for two devices.
     trials : (Trials, Trials), optional
-        Costs of the single trials, where more than finished documents is there.
+        Costs of the single trials, if more than finished documents is available.
     """
     units = UNITS[motion]
     wall = ("1", "1") if scales else (units.stiffness, units.damping)
@@ -117,7 +118,7 @@ def compare_pair(
 def _area_difference(
     sides: tuple[Sequence[BoundaryPoint], Sequence[BoundaryPoint]], scales: tuple[Scale, Scale], unit: str | None
 ) -> Callable[[ValueDifference], ValueDifference]:
-    """Return what replaces a difference of areas: that over the dampings that both boundaries cover."""
+    """Return a function that replaces a difference of areas by that over the dampings that both boundaries cover."""
     scaled = [[_scaled(point, scale) for point in points] for points, scale in zip(sides, scales, strict=True)]
     first, last = ([end(point.damping for point in points) for points in scaled if points] for end in (min, max))
     low, high = (max(first), min(last)) if len(first) == 2 else (0.0, 0.0)
@@ -146,7 +147,7 @@ def _scaled(point: BoundaryPoint, scale: Scale) -> BoundaryPoint:
 
 
 def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[BoundaryPoint]:
-    """Return the part of a boundary between two dampings, straight between its points; those at its ends are added."""
+    """Return the part of a boundary between two dampings, linearly interpolated; its end points are added."""
     ordered = sorted(points, key=lambda point: point.damping)
     damping = [point.damping for point in ordered]
     ends = [_at(ordered, B) for B in (low, high) if not np.isclose(damping, B, rtol=SAME_DAMPING, atol=0.0).any()]
@@ -156,7 +157,7 @@ def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[B
 
 
 def _at(ordered: Sequence[BoundaryPoint], damping: float) -> BoundaryPoint:
-    """Return a boundary between two of its points; what one of them lacks is unknown there."""
+    """Return a boundary interpolated between two of its points; a value that one of them lacks is unknown there."""
     place = int(np.searchsorted([point.damping for point in ordered], damping))
     before, behind = ordered[place - 1], ordered[place]
     share = (damping - before.damping) / (behind.damping - before.damping)
@@ -172,13 +173,13 @@ def _point(values: Mapping[str, Any]) -> BoundaryPoint:
 
 
 def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[dict[str, Any]]:
-    """Yield the values of a document that can be compared: part, name, unit, value, interval, why there is none."""
+    """Yield the comparable values of a document: part, name, unit, value, interval, reason for a missing value."""
     for name, e in of["estimates"].items():
         model = e.get("by_method", {}).get("model") if name == "delay_samples" else None
         for called, found in ((name, e), ("delay_by_model", model)):
             if found is not None:
                 row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
-                if called == "delay_samples":  # the range of the trials, not the error of their mean: it judges nothing
+                if called == "delay_samples":  # range of the trials, not error of the mean
                     row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
                 yield {"part": "estimates", "name": called, **row}
     for criterion, best in of["optimum"].items():
@@ -197,7 +198,7 @@ def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterato
 
 
 def compare_values(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> list[ValueDifference]:
-    """Return the differences of all values that both have, each with its 95 % interval where both have one."""
+    """Return the differences of all values that both have, with a 95 % interval if both values have one."""
     others = {(row["part"], row["name"]): row for row in second}
     return [_difference(row, others[key]) for row in first if (key := (row["part"], row["name"])) in others]
 
@@ -221,8 +222,8 @@ def _difference(a: Mapping[str, Any], b: Mapping[str, Any]) -> ValueDifference:
 def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
     """Return the 95 % interval of b - a for two independent values (value, lower and upper end of their intervals).
 
-    The errors are added as squares, each side with the half of its interval that faces the other way: an interval may
-    be longer on one side.
+    The half widths are added in quadrature: the upper one of b with the lower one of a, and vice versa, since an
+    interval may be asymmetric.
     """
     (x, x_low, x_high), (y, y_low, y_high) = a, b
     return y - x - hypot(y - y_low, x_high - x), y - x + hypot(y_high - y, x - x_low)
@@ -231,10 +232,10 @@ def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, 
 def compare_boundaries(
     first: Sequence[BoundaryPoint], second: Sequence[BoundaryPoint], first_scale: Scale, second_scale: Scale
 ) -> tuple[BoundaryDifference | None, str | None]:
-    """Return the difference of two boundaries at the dampings of the first that both cover, or the reason why not.
+    """Return the difference of two boundaries at the dampings of the first that both cover, or the reason for none.
 
-    A limit is that by the growth rates where a point has one, else the middle between stable and unstable; censored
-    points, which are lower bounds, are left out. Between its dampings the second boundary is taken as straight.
+    A limit comes from the growth rates if they determine one, else from the middle between stable and unstable trials.
+    Censored points, which are lower bounds, are left out. The second boundary is interpolated linearly.
     """
     a, b = (_limits(points, scale) for points, scale in ((first, first_scale), (second, second_scale)))
     for which, side, limits in (("first", first, a), ("second", second, b)):
@@ -294,8 +295,8 @@ def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
 def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:
     """Return for each criterion the median of the costs of the second over those of the first at equal (K, B).
 
-    Several trials at one (K, B) count by their median. The interval is that of the median by ranks (binomial), which
-    assumes nothing of how ratios are distributed.
+    Several trials at one (K, B) count by their median. The interval of the median is a rank interval (binomial), which
+    is free of assumptions about the distribution of the ratios.
     """
     return tuple(_cost_difference(c, first[c], second[c]) for c in first if c in second)
 
@@ -320,7 +321,7 @@ def _cost_difference(
     about["median"] = float(np.median(values))
     if len(values) < FEWEST_POINTS:
         return CostDifference(**about, reason=f"fewer than {FEWEST_POINTS} points allow no interval")
-    # ranks of the ends by the normal approximation of the binomial distribution, rounded outwards
+    # ranks of the interval's ends by the normal approximation of the binomial distribution, rounded outwards
     half = NORMAL_95 * np.sqrt(len(values)) / 2
     low = float(values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)])
     high = float(values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)])
@@ -334,7 +335,7 @@ def against_experiments(
     criteria: Sequence[str] | None = None,
     notes: tuple[Sequence[Note], Sequence[Note]] = ((), ()),
 ) -> AgainstPage:
-    """Compare two stored experiments, of one device or of two; those of two in the plane of alpha and beta.
+    """Compare two stored experiments of one device, or of two devices in the plane of alpha and beta.
 
     Parameters
     ----------
@@ -343,12 +344,12 @@ def against_experiments(
     criteria : sequence of str, optional
         By default all.
     notes : (sequence of Note, sequence of Note)
-        What people wrote on each side, which the page repeats.
+        Notes of users on each side, which the page repeats.
 
     Raises
     ------
     UsageError
-        If both are the same, or the plane of alpha and beta needs a mass that is missing.
+        If both are the same, or a mass is missing for the plane of alpha and beta.
     DeviceError
         If one is not stored.
     """
@@ -376,7 +377,7 @@ def against_experiments(
 
 
 def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
-    """Compare a result with the document of an earlier one of its device, such as by another version of the code."""
+    """Compare a result with the document of an earlier one of its device, for example by another code version."""
     now = new.model_dump(mode="json")
     before, after = ({e["experiment"]: e for e in of["experiments"]} for of in (old, now))
     common = [name for name in before if name in after]
@@ -403,7 +404,7 @@ def read_document(path: Path, device: str) -> Document:
     Raises
     ------
     UsageError
-        If the file is no document by `compare`, or of another device.
+        If the file is not a document of `compare`, or belongs to another device.
     """
     try:
         found = json.loads(path.read_bytes())
@@ -424,9 +425,9 @@ def read_document(path: Path, device: str) -> Document:
 
 
 def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, str]:
-    """Return device and experiment that ``--against`` means: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
+    """Return the device and experiment that ``--against`` names: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
 
-    Names of ``experiments``, those stored of the first device, may contain a colon.
+    ``experiments``, the stored ones of the first device, may have a colon in their names.
     """
     if words in experiments or ":" not in words:
         return device, words
@@ -436,7 +437,7 @@ def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, 
 
 @dataclass(frozen=True)
 class _Gathered:
-    """One stored experiment: what it is called, its scene, result and theory."""
+    """One stored experiment: its name, scene, result and theory."""
 
     side: Side
     data: SceneData
@@ -452,10 +453,10 @@ class _Gathered:
 
     @property
     def scale(self) -> Scale:
-        """Units of stiffness and damping that alpha and beta of 1 stand for.
+        """Stiffness and damping that correspond to alpha = 1 and beta = 1.
 
-        They need mass and sampling period alone: of the device file, else as estimated, whether or not the loop has a
-        theory (friction has none).
+        They need only mass and sampling period, from the device file or else estimated, even if the loop has no theory
+        (as with friction).
         """
         if self.theory is not None:
             return self.theory.units.stiffness, self.theory.units.damping

@@ -51,16 +51,16 @@ from pipeline.store.storage import missing_inputs
 from pipeline.theory.predictions import Predictions, Theory
 
 REPORT_BEGINS = 0.9
-"""Usual share of the time of a comparison from which on its report is written."""
+"""Usual share of the run time of a comparison after which its report is written."""
 
 STAGES_END, THEORY_BEGINS = 0.6, 0.95
-"""Usual shares of the time before, at which the stages of several experiments are there, and from which on theory is
-waited for."""
+"""Usual shares of the time before that: when the stages of several experiments are complete, and when only theory is
+awaited."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a comparison did: its result (None for a dry run), its stages, and the report file."""
+    """Outcome of a comparison: its result (None for a dry run), its stages, and the report file."""
 
     result: ComparisonResult | None
     stages: tuple[PlannedStage, ...]
@@ -88,28 +88,28 @@ def compare(
     Parameters
     ----------
     device : str or Device
-        Name as in the logs, which need not be known; or what a device file says of the device with that name.
+        Name as in the logs, possibly of an unknown device; or a device as its device file describes it.
     processed : Path
         Folder that `ingest` filled.
     experiments, criteria : sequence of str, optional
-        What to compare; by default everything that is stored, and all criteria of `models.CRITERIA`.
+        Experiments and criteria to compare; by default all stored ones, and all of `models.CRITERIA`.
     report : Path, optional
-        HTML file to write, with the result as JSON next to it (same name, ``.json``); without it nothing is written
-        but the stages below ``processed``.
+        HTML file to write, with the result as JSON next to it (same name, ``.json``); without it only the stages below
+        ``processed`` are written.
     dry_run : bool
-        Whether only the plan is made.
+        True to return only the plan.
     full : bool
-        Whether the report includes the response of every trial, whatever its size.
+        True to include the response of every trial in the report, even if the report becomes large.
     shown : Shown, optional
-        Which figures, tables and overlays the report has; by default all that there is data for.
+        Figures, tables and overlays of the report; by default all for which data are available.
     scene_file : Path, optional
-        Where that was read from; the report names it in the command that repeats the comparison.
+        File from which ``shown`` was read; the report names it in the command that repeats the comparison.
     truth : mapping of experiment to Truth, optional
-        What was true of simulated experiments whose ``truth.json`` is gone.
+        Ground truth of simulated experiments whose ``truth.json`` is missing.
     notes : sequence of Note
-        What people wrote on experiments and trials, which document and report repeat.
+        Notes of users on experiments and trials, which document and report repeat.
     executor : Executor
-        What computes the stages; by default the processes of this machine.
+        Computes the stages; by default, processes on this machine do.
     figures : Path, optional
         Folder for the report's figures as SVG, PDF and CSV; written again even if the report is unchanged.
 
@@ -120,7 +120,7 @@ def compare(
     Raises
     ------
     DeviceError, UsageError, StoreError
-        Where the request does not fit what is stored; see `scene.open_scene`.
+        If the request does not match the stored data; see `scene.open_scene`.
     """
     data = open_scene(device, processed, experiments, criteria, shown)
     data = replace(data, truth=truths(data.experiments, truth or {}))
@@ -176,7 +176,7 @@ def compare(
 
 
 def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictions: Predictions) -> Iterator[Figure]:
-    """Yield the figures that the scene asks for, as far as there is data for them."""
+    """Yield the requested figures of the scene for which data are available."""
     shown, motion, told = data.scene.shown, result.motion, result.told
     if told is not None and told.boundary and shown.has_figure("boundaries"):
         number = data.scene.experiments.index(told.experiment)
@@ -202,7 +202,7 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
 
 
 def _recommended(data: SceneData, told: ExperimentResult, found: _Found) -> Figure | None:
-    """Return the figure of the recommended wall; None without one, or without an optimum of its theory."""
+    """Return the figure of the recommended wall; None without such a wall or without a theoretical optimum."""
     theory = found.theories.get(told.experiment)
     if told.use is None or theory is None:
         return None
@@ -228,7 +228,7 @@ def _compute(
     predictions: Predictions,
     executor: Executor,
 ) -> _Found:
-    """Estimate and judge; theory is computed at the same time, or afterwards where the device is unknown."""
+    """Compute estimates and scores; theory is computed in parallel, or afterwards if the device is unknown."""
     builder = TableBuilder(data, theories)
     with predictions:
         if data.device is not None:
@@ -257,7 +257,7 @@ def _compute(
 
 
 def _result(data: SceneData, found: _Found, lost: Sequence[str], more: dict[str, Any]) -> ComparisonResult:
-    """Return the document; ``more`` are its entries that are no numbers, ``lost`` damaged parts of the store."""
+    """Return the document; ``more`` are its non-numeric entries, ``lost`` damaged parts of the store."""
     both = zip(data.experiments, found.results, strict=True)
     answers = [answer(data, stages, result, found.rows) for stages, result in both]
     results = [r.model_copy(update={"answer": told}) for r, told in zip(found.results, answers, strict=True)]
@@ -300,12 +300,12 @@ def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Pred
 
 
 def report_code() -> str:
-    """Return a hash of all that a report is made by: code, and the files that it loads."""
+    """Return a hash of the code that makes a report and of the files that it loads."""
     return digest([code_digest("report"), *(sha256(file.read_bytes()) for file in published_files())])
 
 
 def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool, notes: Sequence[Note]) -> str:
-    """Hash of all that a report shows: stages, exclusions, notes, device file, criteria, code, and where it lies."""
+    """Return a hash of all inputs of a report: stages, exclusions, notes, device file, criteria, code and location."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
@@ -323,5 +323,5 @@ def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
     try:
         result = ComparisonResult.model_validate_json(path.with_suffix(".json").read_bytes())
     except (FileNotFoundError, ValidationError):
-        return None  # missing, or in another form: it is written again
+        return None  # missing, or in another format: it is written again
     return result if result.provenance.get("key") == key else None

@@ -1,6 +1,6 @@
-"""What computes the stages of experiments, which are independent: the processes of this machine, or a Dask cluster.
+"""Executors for the independent stages of experiments: processes on this machine, or a Dask cluster.
 
-The package for the latter is the extra ``cluster``; it is imported with the first cluster that is asked.
+The package for the latter is the extra ``cluster``; it is imported when a cluster is first used.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ if TYPE_CHECKING:
 LOCAL, SCHEME = "local", "dask://"
 
 CONNECT_S = 10.0
-"""How long a scheduler is waited for [s]; one that restarts has lost what it was asked for anyway."""
+"""Time limit for connecting to a scheduler [s]; a restarted scheduler has lost its jobs anyway."""
 
 NO_WORKER_S = 30.0
-"""How long a run waits without any worker [s]: one that was killed is begun again by its nanny within seconds."""
+"""Time that a run waits without any worker [s]: a nanny restarts a killed worker within seconds."""
 
 _LOOK_S = 1.0
-"""Time between two looks whether there is a worker [s]."""
+"""Interval at which the number of workers is checked [s]."""
 
 
 Executor = Callable[[Collection[ExperimentStages], Collection[str]], None]
-"""Computes and stores some stages of experiments, as far as it pays; each experiment has all of its trials."""
+"""Function that computes and stores stages of experiments, if that saves time; each experiment has all of its
+trials."""
 
 
 class ClusterError(PipelineError):
-    """A cluster did not do all that it was asked for; what it did is stored."""
+    """A cluster completed only part of the requested work; the completed part is stored."""
 
 
 def executor_of(text: str) -> Executor:
@@ -47,7 +48,7 @@ def executor_of(text: str) -> Executor:
     Raises
     ------
     UsageError
-        If the words name none, or the package for it is not installed.
+        If the text names no executor, or its package is not installed.
     """
     if text == LOCAL:
         return compute_stages
@@ -59,7 +60,7 @@ def executor_of(text: str) -> Executor:
 
 
 def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
-    """Compute what is not stored yet by the workers of a Dask scheduler, each of which computes whole experiments.
+    """Compute missing stages with the workers of a Dask scheduler; each worker computes whole experiments.
 
     Parameters
     ----------
@@ -71,9 +72,9 @@ def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], 
     Raises
     ------
     ClusterError
-        If scheduler or workers are gone; what was computed until then is stored, and the message says what to do.
+        If scheduler or workers are lost; finished stages are stored, and the message says what to do.
     StoreError
-        If a worker cannot read what is stored, or runs other code.
+        If a worker cannot read the store, or runs other code.
     """
     waiting = unstored(experiments, needed)
     if not waiting:
@@ -92,7 +93,7 @@ def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], 
 
 
 def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> Iterator[Future[Any]]:
-    """Yield jobs as they end, in whatever way.
+    """Yield jobs as they finish, fail or are cancelled.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> I
 
 @contextmanager
 def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
-    """Turn errors of the cluster into one that says what is done and what to repeat."""
+    """Convert errors of the cluster into a `ClusterError` that states what is done and what to repeat."""
     try:
         yield
     except Exception as error:
@@ -130,7 +131,7 @@ def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str | None:
-    """Return in words what is wrong with a cluster, None where an error is none of a cluster."""
+    """Return the cause of a cluster error in words, None for any other error."""
     from distributed import KilledWorker
 
     if isinstance(error, ClusterError):

@@ -1,4 +1,4 @@
-"""All that was found for one experiment, and the theories that belong to the experiments of a scene."""
+"""Results of one experiment, and the theories of the experiments of a scene."""
 
 from __future__ import annotations
 
@@ -43,21 +43,20 @@ from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
 
 FINDINGS = "loop"
-"""Beginning of the name of the file with the findings on a loop, in the folder of the stages."""
+"""Prefix of the file name for the findings on a loop, in the folder of the stages."""
 
 
 LOOP_BEGINS = 0.65
-"""Usual share of the time of an experiment at which its stages are there, and its loop is replayed."""
+"""Usual share of an experiment's run time after which its stages are complete and its loop is replayed."""
 
 USUAL_SHARES, USUAL_SHARE = {"response": 6.0, "parts": 12.0}, 0.5
-"""Usual times of stages, in any unit, for the display of progress; and that of the others."""
+"""Usual run times of stages, in any unit, for the progress display; and the run time of any other stage."""
 
 
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
-    """Theory by the device file, for all of its experiments (a table may take the parameters of another one).
+    """Return the theory by the device file for all of its experiments (a table may use parameters of another one).
 
-    A delay that is longer than theory is computed for leaves an experiment without, and so does a loop that no wall
-    stabilises.
+    An experiment has no theory if its delay exceeds the range of theory, or if no wall stabilises its loop.
     """
     if data.device is None:
         return {}
@@ -76,14 +75,14 @@ def _with(loop: Loop) -> str:
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
-    """Theory by the estimates of each experiment whose loop is adequate."""
+    """Return the theory by the estimates of each experiment whose loop is adequate."""
     both = zip(results, data.experiments, strict=True)
     found = {result.experiment: adequate_theory(result, stages) for result, stages in both}
     return {name: theory for name, theory in found.items() if theory is not None}
 
 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
-    """Compute what is needed of one experiment and gather it."""
+    """Compute and collect the required results of one experiment."""
     needed = needed_stages(data)
     ordered = sorted(needed, key=list(NEEDS).index)
     shares = np.cumsum([0.0, *(USUAL_SHARES.get(stage, USUAL_SHARE) for stage in ordered)])
@@ -133,7 +132,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
 
 
 def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
-    """Return the measured boundary; without limits where the recordings allow none."""
+    """Return the measured boundary; without limits if the recordings do not determine any."""
     if stages.once(unsafe_recording) is None:
         return stages.boundary_points
     nothing = {"estimate": None, "low": None, "high": None, "stable": None, "unstable": None, "censored": True}
@@ -141,11 +140,11 @@ def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
-"""Estimates that are valid as far as their loop is."""
+"""Estimates that are valid only if their loop is adequate."""
 
 
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
-    """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
+    """Add the loop and its consequences; drop or flag results that need a better loop."""
     fault = stages.once(unsafe_recording)
     if fault is not None:
         nothing = {name: _without(each.unit, words_of(fault)) for name, each in result.estimates.items()}
@@ -167,7 +166,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
 def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> LoopFindings:
     """Return the loop and its consequences: the stored ones if all inputs are unchanged.
 
-    Simulating the found device behind the tested walls takes longer than reading all stages.
+    Simulating the identified device at the tested walls takes longer than reading all stages.
     """
     device = data.device.model_dump_json() if data.device else ""
     keys = [stages.key(stage) for stage in sorted(NEEDS)]
@@ -191,7 +190,7 @@ def _doubted(estimate: Estimate) -> Estimate:
 
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
-    """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
+    """Return the estimates of an experiment: delay, mass and damping, and those derived from its boundary."""
     area = boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}")
     if "device" not in needed:
         why = "left out: neither a criterion that was asked for nor a theory curve needs it"

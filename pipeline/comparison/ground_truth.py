@@ -27,17 +27,17 @@ from pipeline.theory.predictions import Theory
 TRUTH_FILE = "truth.json"
 
 _MOVES_THE_LIMIT = ("one_sided_wall", "clock_error", "held_samples")
-"""Parts of a simulation with which the loop is not the linear one that its device file states."""
+"""Options of a simulation that make the loop differ from the linear one of its device file."""
 
 
 def truths(stages: tuple[ExperimentStages, ...], given: Mapping[str, Truth]) -> dict[str, Truth]:
-    """Return what was true of each simulated experiment; by ``given`` where its file is gone."""
+    """Return the ground truth of each simulated experiment; from ``given`` if its file is missing."""
     found = {each.experiment: _truth(each) or given.get(each.experiment) for each in stages}
     return {name: truth for name, truth in found.items() if truth is not None}
 
 
 def _truth(stages: ExperimentStages) -> Truth | None:
-    """Return the truth in the folder of an experiment's logs; None where it does not list all of them."""
+    """Return the truth in the folder of an experiment's logs; None if it does not list all of them."""
     if not all(stages.trials.column("simulated").to_pylist()):
         return None
     paths = stages.trials.column("source_path").to_pylist()
@@ -53,12 +53,12 @@ def _truth(stages: ExperimentStages) -> Truth | None:
 
 
 def truth_of(document: Mapping[str, Any]) -> Truth:
-    """Return the truth by a document of the simulator.
+    """Return the truth from a document of the simulator.
 
     Raises
     ------
     KeyError, ValueError
-        If it is no such document.
+        If it is not such a document.
     """
     hidden, jitter = document["simulation"], document["jitter_samples"]
     table = LoopTable.model_validate(document["loop"])
@@ -103,7 +103,7 @@ def add_ground_truth(result: ExperimentResult, truth: Truth | None) -> Experimen
 
 
 def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
-    """Return the largest stable stiffness of the true loop at each damping, 0 where none is."""
+    """Return the largest stable stiffness of the true loop at each damping, 0 without any."""
     if truth.limit_reason or not damping:
         return [None] * len(damping)
     theory = Theory(truth.loop)
@@ -112,7 +112,7 @@ def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:
-    """Return whether a 95 % interval contains the truth; None where there is none, or no truth."""
+    """Return whether a 95 % interval contains the truth; None if interval or truth is missing."""
     value = found.estimate if isinstance(found, BoundaryPoint) else found.value
     if value is None or found.truth is None or found.low is None or found.high is None:
         return None

@@ -1,6 +1,6 @@
-"""Measured limits of stability over damping, regions below limits, and what of two of them overlaps.
+"""Measured limits of stability over damping, regions below limits, and the overlap of two regions.
 
-Regions are stretches of stiffness over damping, linear between the dampings. All are numbers of arrays alone.
+Regions are stretches of stiffness over damping, linear between the dampings. All functions work on arrays only.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from pipeline.records.findings import BoundaryPoint
 from pipeline.records.trials import Booleans, Floats
 
 NARROW = 1.25
-"""Least margin of the stability limit over the stiffness of a wall to use: a mass or a delay that is wrong by a quarter
-moves the limit that far."""
+"""Smallest gain margin of a wall to use (stability limit over stiffness): an error of a quarter in mass or delay moves
+the limit that far."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
     """Stable stiffness [N/m, Nm/rad] from ``low`` to ``high`` at each damping, shape (layers, n) each.
 
-    Layers do not overlap; one that a damping does not have is empty there (low = high).
+    Layers do not overlap; a layer that is absent at a damping is empty there (low = high).
     """
 
     low: Floats
@@ -57,7 +57,7 @@ class MeasuredLimits:
 
 @dataclass(frozen=True)
 class Overlap:
-    """Areas of two regions, of what they share and of what either covers, in stiffness times damping."""
+    """Areas of two regions, of their intersection and of their union, in stiffness times damping."""
 
     first: float
     second: float
@@ -65,12 +65,12 @@ class Overlap:
 
     @property
     def union(self) -> float:
-        """Area that at least one of both covers."""
+        """Area of the union of both regions."""
         return self.first + self.second - self.shared
 
 
 def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
-    """Return the limits of a measured boundary with what their verdicts or growth rates leave open.
+    """Return the limits of a measured boundary with the uncertainty left by verdicts or growth rates.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
 
     Notes
     -----
-    Those of `BoundaryPoint.limit`; where there is none, the softest unstable trial is an upper bound.
+    Limits are those of `BoundaryPoint.limit`; without one, the softest unstable trial is an upper bound.
     """
     rows = [
         (limit.stiffness, limit.low, limit.high)
@@ -107,7 +107,7 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
         Dampings of the regions, strictly increasing [Ns/m, Nms/rad]; the areas lie between the first and the last.
     first, second : Stretches
     top : float64, shape (n,), optional
-        Stiffness above which nothing counts; infinite where there is no such end.
+        Stiffness above which areas are not counted; infinite where there is no upper end.
 
     Raises
     ------
@@ -117,8 +117,8 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
     Notes
     -----
     All ends are linear between two dampings. Where two of them cross there, a damping is added: between the dampings
-    that result, lengths of stretches and of their intersections are linear too, so that trapezoids are exact. Where
-    only one of two neighbours has an infinite top, the top between them runs to the higher region of that one.
+    that result, lengths of stretches and of their intersections are linear too, so that trapezoids are exact. If only
+    one of two neighbours has an infinite top, the top between them ends at the higher region of that neighbour.
     """
     if len(damping) < 2 or not (np.diff(damping) > 0).all():
         raise ParameterError(

@@ -1,7 +1,7 @@
-"""Stages computed by several processes: small experiments each in one, the trials of large ones by all.
+"""Stages computed by several processes: each small experiment by one process, the trials of large ones by all.
 
-A `StageJob` is an experiment as it is sent to another process. A process keeps the trials that it was sent: sent with
-each job they would take longer than the jobs.
+A `StageJob` is an experiment as it is sent to another process. A process keeps the trials that it receives: sending
+them with each job would take longer than the jobs.
 """
 
 from __future__ import annotations
@@ -40,13 +40,14 @@ COMPILED = ("pipeline.measured", "pipeline.loop.free_run")
 """Modules and packages whose compiled functions stages call."""
 
 LARGE = 1000
-"""New trials from which on an experiment is shared among processes: some 3 s of work, against 1 s to start them."""
+"""Smallest number of new trials for which an experiment is shared among processes: about 3 s of work, against 1 s to
+start them."""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
-    """Compute and store what is not stored yet, where there is work for more than one process.
+    """Compute and store missing stages if there is work for more than one process.
 
-    With less there is nothing to gain, and the stages are computed when they are asked for.
+    With less work, stages are computed on demand.
 
     Parameters
     ----------
@@ -58,7 +59,8 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     processors, waiting = os.cpu_count() or 1, unstored(experiments, needed)
     if processors < 2:
         return
-    # what is less than the share of a processor need not be cut, and waits for no other process after each stage
+    # an experiment below the share of one processor is not split, and need not wait for other processes after each
+    # stage
     share = sum(e.trials.num_rows for e in waiting) / processors
     large = [e for e in waiting if e.trials.num_rows > share and e.count_new_trials() >= LARGE]
     small = [e for e in waiting if all(e is not other for other in large)]
@@ -77,12 +79,12 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
                 take(experiment, tables)
         except BrokenProcessPool:
             # a process was killed, or could not import the caller's main program (typed in, or without a guard): the
-            # stages are computed here when they are asked for
+            # stages are computed here on demand
             return
 
 
 def unstored(experiments: Collection[ExperimentStages], needed: Collection[str]) -> list[ExperimentStages]:
-    """Return the experiments that lack a stage, the longest first, so that no process ends up waiting for the last."""
+    """Return the experiments that lack a stage, the longest first, so that processes finish at similar times."""
     waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
     return sorted(waiting, key=lambda e: -e.trials.num_rows)
 
@@ -101,7 +103,7 @@ class StageJob:
     wanted : tuple of str
         Stages, in the order in which they are computed.
     code : str
-        Hash of the code that is to compute them.
+        Hash of the code that must compute them.
     """
 
     place: str
@@ -129,12 +131,12 @@ def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
     ----------
     job : StageJob
     stored_suffices : bool
-        Whether only tables are handed back that could not be stored.
+        True to return only the tables that could not be stored.
 
     Raises
     ------
     StoreError
-        If the trials are not to be seen from here, or the code here is another one.
+        If the trials are not accessible from this process, or its code differs.
     """
     if job.code != _code():
         raise StoreError(
@@ -157,7 +159,7 @@ def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
 
 
 def take(experiment: ExperimentStages, tables: dict[str, pa.Table]) -> None:
-    """Take what a job came to."""
+    """Add the tables of a finished job to an experiment."""
     renewed(experiment.processed, "stages")
     experiment.take_over(tables)
 
@@ -168,14 +170,14 @@ def _code() -> str:
 
 @contextmanager
 def single_processes(count: int) -> Iterator[Sequence[Executor]]:
-    """Yield pools of one process each, which end as `process_pool` says."""
+    """Yield pools of one process each, which end as described in `process_pool`."""
     with ExitStack() as stack:
         yield [stack.enter_context(process_pool(1)) for _ in range(count)]
 
 
 def map_jobs(pools: Sequence[Executor], function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
-    """Return the results of a function of some jobs, the longest of which come first."""
-    # in turns there and back, so that the second longest has no shorter ones behind it than the longest
+    """Return the results of a function of jobs, which are sorted from long to short."""
+    # dealt out back and forth, so that the pool with the longest job gets the shortest next one
     order = [*range(len(pools)), *reversed(range(len(pools)))]
     running = [pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
     results = list[Result]()
@@ -191,7 +193,7 @@ class SharedTrials:
     Parameters
     ----------
     pools : sequence of Executor
-        Of one process each, to which trials are dealt out in turns: neighbours take about as long.
+        Pools of one process each; trials are dealt out in turn, since neighbours take about equally long.
     trials : Trials
     """
 
@@ -204,7 +206,8 @@ class SharedTrials:
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at some places, which have these verdicts, in this order."""
+        """Return the results of a function of the trials at the given places, with the given verdicts, in this
+        order."""
         count, jobs = len(self._pools), []
         for first, pool in enumerate(self._pools):
             dealt = [i for i, place in enumerate(places) if place % count == first]
@@ -219,7 +222,7 @@ class SharedTrials:
 _numbers = itertools.count()
 
 _kept: dict[int, MeasuredTrials] = {}
-"""Trials that were sent to this process, by the number of their `SharedTrials`."""
+"""Trials sent to this process, by the number of their `SharedTrials`."""
 
 
 def _keep(number: int, trials: Trials) -> None:

@@ -1,4 +1,4 @@
-"""Tables in the manner of D.1 to D.6: theoretical optima, measured optima, published values, deviations."""
+"""Tables in the format of D.1 to D.6: theoretical optima, measured optima, published values, deviations."""
 
 from __future__ import annotations
 
@@ -53,11 +53,11 @@ class TableBuilder:
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> tuple[ComparisonRow, ...]:
-        """Return all rows, table after table: of each criterion those of theory, then the experiments."""
+        """Return all rows, table after table: per criterion those of theory, then the experiments."""
         measured = {r.experiment: r for r in results}
         stages = {e.experiment: e for e in self.data.experiments}
 
-        @cache  # an experiment may stand in several tables
+        @cache  # an experiment may appear in several tables
         def made_of(experiment: str, leader: str, criterion: str) -> Deviation | None:
             theory, best = self.theories.get(leader), measured[experiment].optimum.get(criterion)
             return deviation_of(stages[experiment], best, theory, criterion, predictions) if theory else None
@@ -65,7 +65,7 @@ class TableBuilder:
         rows: list[ComparisonRow] = []
         for table in layouts(self.data):
             over_delay = table.kind == "delay"
-            # the figure over delay is drawn from the rows, also where the table is not shown
+            # the figure over delay uses the rows even if the table is not shown
             if not (over_delay or self.data.scene.shown.has_table(table.name)):
                 continue
             leading = table.experiments if over_delay else (table.theory_from,)
@@ -77,14 +77,14 @@ class TableBuilder:
                     rows += [self._theory_row(table, criterion, theory, kind, predictions) for kind in kinds]
                 for experiment in (leader,) if over_delay else table.experiments:
                     result = measured[experiment]
-                    # without both there is nothing to show; the reason stands with the experiment
+                    # without both there is nothing to show; the experiment has the reason
                     if over_delay or discrete is not None or criterion in result.optimum:
                         parts = made_of(experiment, leader, criterion)
                         rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
         return tuple(rows)
 
     def damped(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> DampedCosts:
-        """Return theory's costs over delay with the measured damping, where it is not that of the device file."""
+        """Return theory's costs over delay with the measured damping, if it differs from that of the device file."""
         measured = {result.experiment: result.estimates["damping"] for result in results}
         wanted: dict[tuple[str, str, float], tuple[Theory, str]] = {}
         for table in layouts(self.data):
@@ -126,7 +126,7 @@ class TableBuilder:
         about: dict[str, Any] = {"experiment": result.experiment, "deviation": parts}
         if best is None:
             return self._row(table, criterion, condition, delay, None, result.missing.get(criterion), **about)
-        # none where theory is zero
+        # None if theory is zero
         for name in _NUMBERS if discrete else ():
             measured, theoretical = getattr(best, name), getattr(discrete, name)
             key = "deviation_percent" if name == "cost" else f"{name}_deviation_percent"
@@ -135,7 +135,7 @@ class TableBuilder:
         return self._row(table, criterion, condition, delay, best, _optimum_note(criterion, best), **about)
 
     def _published_size(self, table: TableLayout) -> int:
-        """Number of experiments in the published table, however many of them are stored."""
+        """Return the number of experiments in the published table, stored or not."""
         original = [t for t in (self.data.device.tables if self.data.device else ()) if t.name == table.name]
         return len(original[0].experiments) if original else 1
 

@@ -40,44 +40,45 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 POINTS = 101
-"""Grid points along each axis of a drawn map; finer ones change no contour visibly."""
+"""Number of grid points along each axis of a drawn map; a finer grid does not visibly change the contours."""
 
 FEW_NEIGHBOURS = 9
-"""Trials by which a cost is smoothed: a plane over more would fill its valleys."""
+"""Number of trials used to smooth a cost: a plane over more trials would fill valleys of the cost."""
 
 FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
-"""Stable trials with a cost, in number and as a share of all, below which no lines of equal cost are drawn: they would
-lie where few others have one."""
+"""Smallest number of stable trials with a cost, and smallest share of all stable trials, for which contour lines are
+drawn."""
 
 LINES_PER_DOUBLING, DOUBLINGS = 2, 5
-"""Contour lines of costs without stated levels, from the least cost to 32 times as much: beyond, they merge with
-the stability boundary."""
+"""Contour lines of costs without stated levels, from the lowest cost to 32 times as much: higher ones merge with the
+stability boundary."""
 
 OFTEN = 0.5
-"""Share of the most tested value's trials from which on a stiffness, or a damping, counts as tested at many places."""
+"""Smallest number of trials, relative to that of the most tested value, for which a stiffness or damping counts as
+tested often."""
 
 FEWEST_OFTEN = 5
-"""Trials of such a row at least: the best of fewer is where they happen to lie."""
+"""Smallest number of trials in such a row: the best of fewer depends on where they happen to lie."""
 
 _FROM_OPTIMUM = 2 * LINES_PER_DOUBLING
-"""Place of the level at theory's optimum; those before it are down to a quarter of its cost."""
+"""Index of the contour level at theory's optimum; the levels before it go down to a quarter of its cost."""
 
 FRONT_RANGE = 4.0
-"""The front view reaches to this multiple of the highest optimum: all that matters for a choice."""
+"""Upper end of the front view, as a multiple of the highest optimum: the range that matters for a choice."""
 
 LONGEST_EDGE = 2.3
-"""Longest side, in grid steps, of a triangle that contours cross: spans one missing trial at most."""
+"""Longest side, in grid steps, of a triangle for contours: it spans one missing trial at most."""
 
 CELLS = (20, 14)
-"""Cells along both axes in which deviations from theory are gathered: each is wider than the largest mark, and contains
-at least ten of 2,500 trials, so that its median is clearer than their scatter."""
+"""Number of cells along both axes over which deviations from theory are collected: each is wider than the largest mark
+and contains at least ten of 2,500 trials, so that its median stands out from their scatter."""
 
 RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
-"""Departures from which marks grow: ratios of costs, one way or the other, and differences of overshoot, of which one
-percentage point is what a sensor's step makes."""
+"""Departures at which marks become larger: ratios of costs, in either direction, and differences of overshoot, where
+one sensor step makes one percentage point."""
 
 SIZES, RING = (2.0, 4.0, 6.0, 8.5, 11.0), 2.6
-"""Sizes of the marks [px], from no departure to the largest; an open mark's hole is smaller by the ring."""
+"""Sizes of the marks [px], from no departure to the largest, and width of the ring of an open mark."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,8 @@ class CostMap:
 
     @property
     def least(self) -> tuple[Floats, Floats]:
-        """Least cost for each stiffness that was tested at many dampings; there nowhere above a single trial."""
+        """Return the lowest cost of each stiffness that was tested at many dampings; never above that of a single
+        trial."""
         if self.cost.ndim == 2:
             found = np.where(np.isfinite(self.cost), self.cost, np.inf).min(axis=0)
             return self.stiffness, np.where(np.isfinite(found), found, np.nan)
@@ -115,7 +117,7 @@ class CostMap:
     def best(self, along_stiffness: bool) -> tuple[Floats, Floats]:
         """Return stiffness and damping of an optimal curve: best damping for each stiffness, or the other way round.
 
-        Of costs that are equal over a stretch its middle is taken; on a grid a parabola finds the place between points.
+        If costs are equal over a stretch, its middle is taken; on a grid, a parabola interpolates between points.
         """
         if self.cost.ndim == 2:
             cost, given, other = self.cost, self.stiffness, self.damping
@@ -133,14 +135,14 @@ class CostMap:
 
 
 def _often(given: Floats, other: Floats) -> Floats:
-    """Return the values of one parameter that were tested at many of the other: half as many as the one with most."""
+    """Return the values of one parameter that were tested at many values of the other: at least half the maximum."""
     pairs = np.unique(np.stack([given, other]), axis=1)
     values, counts = np.unique(pairs[0], return_counts=True)
     return np.asarray(values[counts >= max(OFTEN * counts.max(initial=0), FEWEST_OFTEN)])
 
 
 def _lowest(cost: Floats, place: Floats, *, refine: bool = True) -> float:
-    """Return where a row of costs is least; NaN where it has none, or its least one lies at an end."""
+    """Return the position of the minimum of a row of costs; NaN without costs, or if the minimum is at an end."""
     known = np.flatnonzero(np.isfinite(cost))
     if len(known) < 3:
         return np.nan
@@ -178,7 +180,7 @@ def map_figures(
 def _theory_maps(
     theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
 ) -> dict[str, CostMap]:
-    """Maps of theory by criterion over its stable region and all that was tested."""
+    """Return maps of theory by criterion over its stable region and all tested walls."""
     points = [point for result in shown for point in result.boundary]
     loop, border, units = theory.loop, theory.boundary, theory.units
     stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
@@ -195,7 +197,7 @@ def _theory_maps(
 
 
 def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
-    """Map of an experiment: smoothed costs of its stable trials, and the trials as they are."""
+    """Return the map of an experiment: smoothed costs of its stable trials, and the unsmoothed trials."""
     cost = stages.sure_cost(criterion)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     verdict = stages.verdicts.verdict
@@ -210,7 +212,7 @@ def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion:
 
 
 def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
-    """Costs freed from the noise of single trials by planes over the trials around; as they are where these are few."""
+    """Return costs smoothed by planes over neighbouring trials; unchanged if there are few trials."""
     if len(cost) < FEWEST:
         return cost
     if criterion_of(criterion).family.levels:
@@ -220,7 +222,7 @@ def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
 
 
 def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units) -> Figure:
-    """Return maps of one criterion side by side, with the table that their optima stand in."""
+    """Return maps of one criterion side by side, with the table that lists their optima."""
     family, label = criterion_of(criterion).family, table_label(table)
     edges = [s for each in maps for s in each.boundary]
     limits = (0.0, reach(*(s.x for s in edges), *(m.trials[0] for m in maps))[1]), reach(*(s.y for s in edges))
@@ -290,10 +292,10 @@ def _tell_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
 
 
 def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> None:
-    """Draw lines of equal cost with their numbers, heavier at whole doublings, which can be counted also in grey.
+    """Draw labelled contour lines, heavier at whole doublings, which can be counted even in greyscale.
 
-    A level below the cost of the map at its optimum would leave the plus outside: single trials may be luckier than the
-    costs around them.
+    Levels below the map's cost at its optimum are skipped, as they would exclude the plus: single trials may be lower
+    by chance than the costs around them.
     """
     from matplotlib.colors import to_rgb
 
@@ -324,7 +326,7 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         lines = axes.tricontour(triangles, shown.cost, **look) if drawn else None
         if measured_overshoot:
-            # around the trials without, not around what their neighbours smooth to
+            # around the raw trials, not around values smoothed over their neighbours
             own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}
             walls = zip(shown.stiffness.tolist(), shown.damping.tolist(), strict=True)
             free = np.array([float(own.get(wall, 1.0) <= 0) for wall in walls])
@@ -336,7 +338,7 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
 
 
 def _at_optimum(shown: CostMap) -> float:
-    """Return the cost of a map at its optimum: that of trials is smoothed, and above that of the best one."""
+    """Return the cost of a map at its optimum; for trials it is smoothed and exceeds the cost of the best trial."""
     least, best = float(np.nanmin(shown.cost)), shown.optimum
     if shown.cost.ndim == 2 or best is None:
         return least
@@ -345,9 +347,9 @@ def _at_optimum(shown: CostMap) -> float:
 
 
 def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
-    """Return the contour levels of all panels: those of the family, else two a doubling from theory's optimum on.
+    """Return the contour levels of all panels: those of the family, else two per doubling from theory's optimum.
 
-    Without theory they are counted from the least optimum. Some lie below: experiments may be better than theory.
+    Without theory they start from the lowest optimum. Some levels are lower: experiments may be better than theory.
     """
     levels = np.array(criterion_of(criterion).family.levels)
     if levels.size:
@@ -356,13 +358,13 @@ def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
     if not known:
         return np.empty(0)
     first = known[0] if maps[0].cost.ndim == 2 and maps[0].optimum is not None else min(known)
-    # a level that equals many costs exactly (settling times are whole numbers) would fray into plateaus
+    # a level equal to many costs (settling times are whole numbers) would fray along plateaus
     exponents = np.arange(-_FROM_OPTIMUM, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
     return np.asarray(first * 2.0**exponents * (1 + 1e-6))
 
 
 def _without_steps(cost: Floats, criterion: str) -> Floats:
-    """Return costs that are whole numbers as a smooth map: their steps fray lines of equal cost."""
+    """Return a smoothed map of integer-valued costs, whose steps would fray contour lines."""
     if not criterion_of(criterion).family.whole:
         return cost
     from scipy.ndimage import gaussian_filter
@@ -374,7 +376,7 @@ def _without_steps(cost: Floats, criterion: str) -> Floats:
 
 
 def _triangles(K: Floats, B: Floats) -> Any:
-    """Triangulate tested walls; None where they span no area. Distances count in grid steps."""
+    """Triangulate tested walls; None if they span no area. Distances are measured in grid steps."""
     from matplotlib.tri import Triangulation
 
     order = np.lexsort((K, B))
@@ -395,7 +397,7 @@ def _triangles(K: Floats, B: Floats) -> Any:
 
 
 def departure_figures(data: SceneData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
-    """Return one figure a criterion of the tables: where measured costs depart from theory at the trials' own walls."""
+    """Return one figure per tabled criterion: where measured costs depart from theory at the tested walls."""
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)
     shown = [e for e in data.experiments if e.experiment in theories]
@@ -430,7 +432,8 @@ def departure_figures(data: SceneData, theories: Mapping[str, Theory], predictio
 
 
 def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
-    """Return measured against theoretical costs: difference of costs that may be zero, else ratio less one."""
+    """Return measured relative to theoretical costs: the difference for costs that may be zero, else the ratio minus
+    one."""
     family = criterion_of(criterion).family
     expected = np.where(expected <= family.none, 0.0, expected)
     if family.levels:
@@ -451,7 +454,7 @@ def _departure_panel(
     cells = frame.groupby(["B", "K"], as_index=False).median()
     x, y = ((cells[axis].to_numpy() + 0.5) * width for axis, width in zip("KB", cell, strict=True))
     off = cells["off"].to_numpy()
-    # ratios count the same one way and the other
+    # ratios above and below one count equally
     size = np.abs(off) if differs else np.where(off > 0, 1 + off, 1 / (1 + off))
     step = np.searchsorted(OVERSHOOT_STEPS if differs else RATIO_STEPS, size, side="right")
     classes = (np.sign(off) * step).astype(int)

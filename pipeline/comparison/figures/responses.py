@@ -40,20 +40,20 @@ from pipeline.store.storage import read_trials
 from pipeline.theory.predictions import Theory
 
 LONGEST_SHOWN = 1 << 14
-"""Rows after the command edge that are shown, 16 s at 1 kHz: among more the motion could not be seen."""
+"""Rows after the command edge that are shown, 16 s at 1 kHz: in a longer plot the motion would be invisible."""
 
 CANDIDATES = 8
-"""Trials that are looked at: at the lowest stiffness a log may end before its second maximum, eight times that
-stiffness has a period a third as long."""
+"""Number of trials examined: at the lowest stiffness a log may end before its second maximum; at eight times that
+stiffness the period is a third as long."""
 
 CLEAR = 0.05
-"""Height of a maximum above the final position, relative to F_0/K, that counts: a sensor's steps make lower ones."""
+"""Height of a maximum above the final position, relative to F_0/K, for it to count: sensor steps cause lower ones."""
 
 BEFORE, AFTER = 2, 6
 """Sampling periods that the close-up shows before the command edge and after the first change."""
 
 REACH = 100.0
-"""Displacement, in that of the log, from which on a simulated response is left out."""
+"""Displacement relative to that of the log above which a simulated response is left out."""
 
 MILLI = 1e3
 TIME = "time after the command edge [ms]"
@@ -74,9 +74,10 @@ def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:
 
 
 def response_figures(data: SceneData) -> list[Figure]:
-    """Return the first response of the first experiment that has one, with its beginning; none without a step.
+    """Return the first response of the first experiment that has one, with a close-up of its onset; empty without a
+    step.
 
-    The lowest stiffness whose log shows two maxima is taken, at its lowest stable damping; where no log does, the
+    The trial has the lowest stiffness whose log shows two maxima, at its lowest stable damping; if no log does, the
     lowest stiffness of all. Experiments without operator come first.
     """
     grips = {stages.experiment: set(stages.trials.column("grip").to_pylist()) for stages in data.experiments}
@@ -106,24 +107,24 @@ def _candidates(stages: ExperimentStages) -> Iterator[tuple[Trial, int, int, tup
 
 
 def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
-    """Return stable trials at the lowest stiffnesses above zero, each at its lowest damping, `CANDIDATES` at most."""
+    """Return at most `CANDIDATES` stable trials at the lowest stiffnesses above zero, each at its lowest damping."""
     usable = np.flatnonzero(stable & (stiffness > 0))
     order = usable[np.lexsort((damping[usable], stiffness[usable]))]
     return order[np.diff(stiffness[order], prepend=-np.inf) > 0][:CANDIDATES]
 
 
 def oscillation_period(time: Floats, displacement: Floats, final: float) -> tuple[float, float] | None:
-    """Return the times of the first two maxima of a step response, or None where it does not show two.
+    """Return the times of the first two maxima of a step response, or None if it has fewer than two.
 
-    A maximum is the middle of the highest samples between two crossings of the final position, and only a stretch above
-    it that begins and ends counts.
+    A maximum is the middle of the highest samples between two crossings of the final position, and only a complete
+    stretch above it counts.
     """
     relative = displacement / final
     change = np.flatnonzero(np.diff(np.concatenate([[False], relative > 1, [False]]).astype(np.int8)))
     maxima = []
     for start, end in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):
         lobe = relative[start:end]
-        if end < len(relative) and lobe.max() >= 1 + CLEAR:  # a stretch that the log cuts off may still rise
+        if end < len(relative) and lobe.max() >= 1 + CLEAR:  # a stretch cut off by the end of the log may still rise
             maxima.append(float(time[start + np.flatnonzero(lobe == lobe.max())].mean()))
     return (maxima[0], maxima[1]) if len(maxima) > 1 else None
 
@@ -183,7 +184,7 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
     Parameters
     ----------
     stages : ExperimentStages
-        Of its experiment. Results that these lack, as of an excluded trial, are left out.
+        Stages of its experiment. Missing results, such as those of an excluded trial, are left out.
     result : ExperimentResult
     trial : str
         Its id.
@@ -248,12 +249,12 @@ SHOWN_SAMPLES = 150
 
 
 def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theory, best: ComparisonRow) -> Figure:
-    """Return the response of the recommended wall, logged and by theory, and that of theory's optimum.
+    """Return the logged and theoretical response of the recommended wall, and the response at theory's optimum.
 
     Parameters
     ----------
     stages, result
-        Of an experiment with a recommended wall.
+        Stages and result of an experiment with a recommended wall.
     theory : Theory
     best : ComparisonRow
         Theory's optimum for sampled responses.
@@ -286,7 +287,7 @@ def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theo
 
 
 def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
-    """Return the responses of several trials over each other, each with that of theory (dashed, in its colour)."""
+    """Return the superimposed responses of several trials, each with its theoretical response (dashed, same colour)."""
     series = []
     for number, (figure, label) in enumerate(zip(figures, labels, strict=True)):
         for each in figure.panels[0].series:
@@ -300,7 +301,8 @@ def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
 
 
 def response(theory: Theory, stiffness: float, damping: float, force: Floats) -> Floats:
-    """Return the displacement [m, rad] of a loop at each sample, from rest, under an external force in the command.
+    """Return the displacement [m, rad] of a loop at each sample, from rest, under an external force added to the
+    command.
 
     Parameters
     ----------
@@ -313,16 +315,16 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
     Raises
     ------
     ParameterError
-        If delay and velocity filter together are longer than 96 samples.
+        If delay plus velocity filter exceeds 96 samples.
 
-    Source: Hulin 2017, eqs. 3.9 and 3.18, with the parts of a loop that is not ideal.
+    Source: Hulin 2017, eqs. 3.9 and 3.18, extended by the parts of a non-ideal loop.
     """
     free, push, position, velocity = theory.normalised.open_loop
     units = theory.units
     wall = stiffness / units.stiffness * position + damping / units.damping * velocity
     closed = free - np.outer(push, wall)
     state, found = np.zeros(len(push)), np.empty(len(force))
-    with np.errstate(over="ignore", invalid="ignore"):  # an unstable loop grows beyond all numbers
+    with np.errstate(over="ignore", invalid="ignore"):  # the response of an unstable loop overflows
         for k, pushed in enumerate(force / units.stiffness):
             found[k] = position @ state
             state = closed @ state + push * pushed
@@ -332,7 +334,8 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 def _beside(
     stages: ExperimentStages, result: ExperimentResult, of: MeasuredTrial, measured: Floats
 ) -> tuple[list[tuple[str, str, Floats]], list[str]]:
-    """Return label, kind and displacement of the responses to compare with a log, and their errors or reasons."""
+    """Return label, kind and displacement of the responses to compare with a log, and their errors or why they are
+    missing."""
     trial, edge, rows = of.trial, of.response.edge_row, len(measured)
     if edge < 0:
         return [], ["No step was found in this log, so that no loop can be compared with it"]
@@ -368,7 +371,8 @@ def _beside(
 
 
 def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:
-    """Return in words how far the command of a log is from the wall law, and why where the stage has found that."""
+    """Return in words how far the command of a log deviates from the wall law, and the reason if the stage found
+    one."""
     largest = float(np.nanmax(np.abs(residual), initial=0.0))
     if largest <= rounding:
         return "The logged command is that of the wall law, up to rounding"

@@ -1,9 +1,9 @@
-"""The trials of a comparison for the interactive part of its report: all as points, the most telling with response.
+"""The trials of a comparison for the interactive part of its report: all as points, the most relevant with response.
 
-A page with every response of 11,000 trials would have 8 MB. So all trials come with stiffness, damping, verdict,
-outcome and costs, and responses up to a number of samples: first the optima, then by turns the trials at the stability
-boundary and a grid over the plane that gets finer. What coding loses cannot be seen: rounding moves a line by a quarter
-of a pixel, and rows are left out only where several fall into one column of pixels.
+A page with every response of 11,000 trials would have 8 MB. Therefore every trial has stiffness, damping, verdict,
+outcome and costs, but responses are limited to a total number of samples: first the optima, then in turn the trials at
+the stability boundary and those of an increasingly fine grid over the plane. The coding loss is invisible: rounding
+moves a line by a quarter of a pixel, and rows are left out only if several share a column of pixels.
 """
 
 from __future__ import annotations
@@ -34,40 +34,41 @@ from pipeline.rendering.report.tables import TrialPage
 from pipeline.theory.predictions import Theory
 
 SAMPLES = 200_000
-"""Samples of responses in a report, about 280 kB: a report of thesis size stays below 2 MB."""
+"""Number of response samples in a report, about 280 kB: a report on all thesis experiments stays below 2 MB."""
 
 PORTION = 64
-"""Responses that are prepared at once: the simulated loop takes about as long for one as for these."""
+"""Number of responses prepared at once: simulating one takes about as long as simulating this many."""
 
 COST_DIGITS = 3
-"""Digits of a cost in the plane; a trial with its response shows the cost as the tables print it."""
+"""Digits of a cost in the plane; a trial with a response shows the cost as printed in the tables."""
 
 EDGE_TURNS = 3
-"""Trials at the boundary for each one of the grid: the tables name all of the former."""
+"""Number of boundary trials per grid trial: the tables name all boundary trials."""
 
 FINEST_GRID = 64
-"""Cells along each axis of the finest grid over the plane: experiments have fewer dampings."""
+"""Number of cells along each axis of the finest grid: experiments have fewer dampings."""
 
 VERDICTS = ("stable", "unstable", "undecided")
 
 LEVELS = 500
-"""Steps into which the range of a response is divided: a plot is 250 pixels high, half a step is a quarter of one."""
+"""Number of steps into which the range of a response is divided: in a plot 250 pixels high, half a step is a quarter
+pixel."""
 
 COLUMNS, WHOLE = 700, 30
-"""Columns of pixels of the plot, and samples from the command edge on that are all kept: delay and onset are read
-from them."""
+"""Number of pixel columns of the plot, and number of samples after the command edge that are all kept: they show delay
+and onset."""
 
 LAGS = (1, 2, 3, 4)
-"""Samples before that predict one: two oscillations, or one with drift and offset; more save nothing."""
+"""Lags of the samples that predict one: two oscillations, or one with drift and offset; more lags save nothing."""
 
 PARTS = 4096
-"""Parts of one in which coefficients are written: a power of two, by which a browser divides exactly."""
+"""Denominator of the coefficients: a power of two, by which a browser divides exactly."""
 
 
 def trial_page(
     data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory], *, full: bool = False
 ) -> TrialPage:
-    """Gather the trials of all experiments, which are in the order of ``data``; with ``full`` every response."""
+    """Collect the trials of all experiments, in the order of ``data``; with ``full`` every response."""
     criteria, modelled = data.scene.criteria, "model" in needed_stages(data)
     share = None if full else SAMPLES // len(results)
     gathered = [
@@ -103,13 +104,13 @@ def trial_page(
 
 
 def reference(experiment: int, trial: int) -> str:
-    """Return how cells and addresses refer to a trial: numbers of experiment and trial in the page, from 0."""
+    """Return the reference of cells and addresses to a trial: numbers of experiment and trial in the page, from 0."""
     return f"{experiment}-{trial}"
 
 
 @dataclass
 class _Experiment:
-    """One experiment on its way into the page; rows are those of its stages."""
+    """One experiment while its page content is built; rows are those of its stages."""
 
     number: int
     stages: ExperimentStages
@@ -132,7 +133,7 @@ class _Experiment:
         }
 
     def content(self, share: int | None) -> dict[str, Any]:
-        """Contents of the page for the experiment, with responses of that many samples."""
+        """Return the page content of the experiment, with responses of at most ``share`` samples in total."""
         limits = {s.kind: s for s in measured(self.result.boundary, "", None)}
         line, bound = limits["measured"], limits.get("bound")
         known = np.isfinite(line.x).any()
@@ -159,13 +160,13 @@ class _Experiment:
         }
 
     def places(self) -> dict[str, str]:
-        """References of the trials that tables name."""
+        """Return the references of the trials that tables name."""
         named = {str(best.trial_id) for best in self.result.optimum.values()}
         named |= {self.result.use.point.trial_id} if self.result.use else set()
         return {trial: reference(self.number, row) for row, trial in enumerate(self.ids) if trial in named}
 
     def boundary(self) -> dict[tuple[float, float], int]:
-        """Rows of the trials at the boundary by damping and stiffness."""
+        """Return the rows of the trials at the boundary by damping and stiffness."""
         rows = zip(self.damping.tolist(), self.stiffness.tolist(), self.verdict.tolist(), strict=True)
         first: dict[tuple[float, float, str], int] = {}
         for row, key in enumerate(rows):
@@ -188,7 +189,7 @@ class _Experiment:
                 yield entry
 
     def _order(self) -> Integers:
-        """All rows, the most telling first."""
+        """Return all rows, the most relevant first."""
         place = {trial: row for row, trial in enumerate(self.ids)}
         use = [self.result.use.point.trial_id] if self.result.use else []
         best = [place[str(name)] for name in [*use, *(o.trial_id for o in self.result.optimum.values())]]
@@ -200,7 +201,7 @@ class _Experiment:
         return _each_once(np.concatenate([np.array(best, dtype=np.int64), both]))
 
     def _entries(self, rows: Sequence[int]) -> list[dict[str, Any]]:
-        """Responses of some trials."""
+        """Return the responses of some trials."""
         measured = [MeasuredTrial(self.stages.samples[row]) for row in rows]
         device, alone = identified_device(self.stages) if self.modelled else None, {}
         if device is not None:
@@ -209,7 +210,7 @@ class _Experiment:
         return [self._entry(row, measured[place], alone.get(place)) for place, row in enumerate(rows)]
 
     def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> dict[str, Any]:
-        """Response of a trial, with that of the device alone from its edge on."""
+        """Return the response of a trial, with the response of the device alone from the command edge."""
         trial, response, ghost = of.logged, of.response, np.full(of.logged.rows, np.nan)
         edge = max(response.edge_row, 0)
         if alone is not None:
@@ -225,7 +226,8 @@ class _Experiment:
         }
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
-        """Texts on a trial: id, verdict, evidence, model, costs with intervals or the reason for none."""
+        """Return the texts of a trial: id, verdict, evidence, model, costs with intervals or the reason why they are
+        missing."""
         units = UNITS[self.stages.motion]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
@@ -249,10 +251,9 @@ class _Experiment:
 
 
 def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> dict[int, Floats]:
-    """Return, by the place of each trial with a step, how a device alone moves from its edge on [m, rad].
+    """Return the motion of the device alone from the command edge [m, rad], by the index of each trial with a step.
 
-    The motion of a linear device is that of the usual step times the size; friction and a constant force take another
-    share of each step.
+    The motion of a linear device scales with the size of the step; with friction or a constant force it does not.
     """
     linear = not (loop.friction or loop.constant_force)
     places = [i for i, of in enumerate(measured) if of.response.edge_row >= 0 and of.logged.step != 0]
@@ -269,7 +270,7 @@ def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> d
 
 
 def reason_of(criterion: str, reasons: str) -> str:
-    """Return why a trial has no cost: of the reasons of a family those for this criterion, each once.
+    """Return why a trial has no cost: the family's reasons for this criterion, each once.
 
     >>> reason_of("settle_1pct", "settle_1pct: too short; settle_1pct: too short; settle_2pct: coarse sensor")
     'too short'
@@ -281,7 +282,7 @@ def reason_of(criterion: str, reasons: str) -> str:
 
 
 def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict[str, Any]:
-    """Log and model of one trial, coded; row of the command edge among the rows that are kept."""
+    """Return the coded log and model of one trial, and the index of the command edge among the kept rows."""
     rows = len(position)
     kept = visible_rows((position, ghost), edge, rows)
     shown = {} if kept is None else {"rows": np.diff(kept, prepend=0).tolist()}
@@ -295,14 +296,14 @@ def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict
 def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers | None:
     """Return the rows that a plot of some signals needs, or None where it needs all of them.
 
-    Of the rows in one column of pixels the lowest and highest value of each signal remain, and the first and last row
-    of all: what is drawn covers the same pixels. Rejected: every n-th row (loses peaks), largest triangles (Steinarsson
-    2013; of an oscillation faster than the pixels it keeps no envelope).
+    In each column of pixels the rows with the lowest and highest value of each signal are kept, and the first and last
+    row overall, so that the drawing covers the same pixels. Rejected: every n-th row (loses peaks), largest triangles
+    (Steinarsson 2013; loses the envelope of an oscillation faster than the pixels).
 
     Parameters
     ----------
     signals : tuple of float64, shape (N,) each
-        Drawn over the same rows; NaN where there is nothing.
+        Drawn over the same rows; NaN where there is no value.
     edge, rows : int
         Row of the command edge, and number of rows.
     """
@@ -322,18 +323,18 @@ def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers 
 
 
 def step_size(values: Floats, quantum: float) -> float:
-    """Return the step in whose multiples values are written: a sensor's quantum, or a part of the range if larger."""
+    """Return the quantisation step of the written values: the sensor resolution, or a part of the range if larger."""
     known = values[np.isfinite(values)]
     return (max(float(np.ptp(known)) / LEVELS, quantum) if len(known) else 0.0) or 1.0
 
 
 def code(values: Floats, step: float) -> dict[str, list[int]] | None:
-    """Return a signal in steps as what a prediction from its past misses; None for a signal without any value.
+    """Return the one-step prediction errors of a quantised signal; None for a signal without values.
 
     Parameters
     ----------
     values : float64, shape (N,)
-        A value that is not finite repeats the one before.
+        A non-finite value repeats the previous one.
     step : float
 
     Returns
@@ -344,7 +345,7 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
 
     Notes
     -----
-    A response of the loop is a sum of few decaying oscillations, each of which two samples predict. Rejected: second
+    A response of the loop is a sum of few decaying oscillations, each predicted from two samples. Rejected: second
     differences (twice the bytes for an oscillation); the model simulated in the page (a second definition of the loop).
     """
     known = np.isfinite(values)
@@ -353,7 +354,7 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
     counted = np.rint(np.nan_to_num(values[last]) / step).astype(np.int64)
     past = np.stack([np.concatenate([np.zeros(lag, np.int64), counted])[: len(counted)] for lag in LAGS], axis=1)
-    # the first samples have no past: they would bend the coefficients
+    # the first samples have no past and would bias the coefficients
     fitted = np.linalg.lstsq(past[len(LAGS) :].astype(float), counted[len(LAGS) :].astype(float), rcond=None)[0]
     coefficients = np.rint(fitted * PARTS).astype(np.int64)
     missed = counted - (past @ coefficients + PARTS // 2) // PARTS
@@ -361,7 +362,7 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
 
 
 def _spread(count: int) -> Integers:
-    """Indices 0 to count - 1 in an order whose beginning is spread over all: halves, quarters, eighths ..."""
+    """Return the indices 0 to count - 1 in an order whose beginning covers the range: halves, quarters, eighths ..."""
     bits = max(count - 1, 1).bit_length()
     index = np.arange(1 << bits)
     turned = sum((((index >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)), np.zeros_like(index))
@@ -369,7 +370,7 @@ def _spread(count: int) -> Integers:
 
 
 def _coarse_to_fine(stiffness: Floats, damping: Floats) -> Integers:
-    """Trials in an order whose beginning covers the plane: nearest to the centres of 1, 4, 16 ... cells."""
+    """Return trials in an order whose beginning covers the plane: nearest to the centres of 1, 4, 16 ... cells."""
     if not len(stiffness):
         return np.zeros(0, dtype=np.int64)
     x, y = (

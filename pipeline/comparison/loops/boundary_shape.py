@@ -21,28 +21,28 @@ from pipeline.records.results import ExperimentResult, ImpliedDelay, StraightBou
 from pipeline.records.trials import Floats
 
 NEAR = 0.5
-"""Dampings near the origin, up to this share of that of the stiffest wall: in the thesis 50 of 94 Ns/m."""
+"""Largest damping near the origin, relative to that of the stiffest wall: in the thesis 50 of 94 Ns/m."""
 
 FEWEST = 3
-"""Fewest limits by which a delay is found; a line, which has one number more, needs one limit more."""
+"""Smallest number of limits for a delay estimate; a line has one more parameter and needs one limit more."""
 
 DELAYS = np.concatenate([np.linspace(0, 4, 17), np.geomspace(4.5, LARGEST_DELAY, 24)])
-"""Delays [samples] between which the likeliest one is looked for."""
+"""Grid of delays [samples] for the search of the least-squares delay."""
 
 STEP = 1e-3
-"""Difference of delays [samples] by which the slope of limits over delay is computed."""
+"""Step of the delay [samples] for the numerical slope of limits over delay."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Measured limits with both ends: damping, stiffness and standard error in SI, shape (n,)."""
+    """Measured limits that are not censored: damping, stiffness and standard error in SI, shape (n,)."""
 
     damping: Floats
     stiffness: Floats
     error: Floats
 
     def part(self, which: np.ndarray) -> _Limits:
-        """Return some of them."""
+        """Return a subset of the limits."""
         return _Limits(self.damping[which], self.stiffness[which], self.error[which])
 
     def __len__(self) -> int:
@@ -65,12 +65,12 @@ def implied_delay(result: ExperimentResult, basis: LoopBasis | None) -> ImpliedD
     result : ExperimentResult
         Its measured limits.
     basis : LoopBasis or None
-        Mass, damping and stiffness are its; a lag, a filter, a mode or friction are left out, so that the delay stands
-        for them.
+        Source of mass, damping and stiffness. Lag, filter, mode and friction are left out, so that the delay includes
+        their effect.
 
     Notes
     -----
-    Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), with theory's small curvature there; the least squares
+    Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), apart from theory's small curvature; least squares
     weight each limit by its interval. 95 % intervals include the scatter of the limits about the curve, and the errors
     of mass and damping.
     """
@@ -86,7 +86,7 @@ def implied_delay(result: ExperimentResult, basis: LoopBasis | None) -> ImpliedD
 
 
 def _near_origin(limits: _Limits) -> _Limits:
-    """Return the limits near the origin; none where there are none at all."""
+    """Return the limits near the origin; empty if there are no limits."""
     if not len(limits):
         return limits
     stiffest = limits.damping[np.argmax(limits.stiffness)]
@@ -94,7 +94,8 @@ def _near_origin(limits: _Limits) -> _Limits:
 
 
 def _ideal(basis: LoopBasis) -> list[Loop]:
-    """Return the loop without its other parts, and those with mass and damping at either end of their intervals."""
+    """Return the loop of mass, damping, stiffness and delay alone, and those with mass and damping at the ends of their
+    intervals."""
     of = basis.loop.apparent()
     ideal = Loop(
         mass=of.mass,
@@ -118,7 +119,8 @@ def _none(reason: str) -> Quantity:
 
 
 def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
-    """Return the delay of the first of some loops whose limits are nearest, its interval by the others, too."""
+    """Return the delay with which the first loop fits the limits best; its interval includes the fits of the other
+    loops."""
     if len(limits) < FEWEST:
         have = f"{len(limits)} such limits were enclosed by a stable and an unstable trial"
         return _none(f"{have}; {FEWEST} are needed. Record walls on both sides of the limit at more dampings.")
@@ -144,7 +146,7 @@ def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
 
 
 def _nearest(curve: Callable[[float], Floats], limits: _Limits) -> float:
-    """Return the delay with the least sum of squared differences to limits, in their standard errors."""
+    """Return the delay with the least sum of squared residuals of the limits, in units of their standard errors."""
     from scipy.optimize import minimize_scalar
 
     def lost(delay: float) -> float:
@@ -159,18 +161,20 @@ def _nearest(curve: Callable[[float], Floats], limits: _Limits) -> float:
 
 
 def straight_bound(result: ExperimentResult, basis: LoopBasis | None) -> StraightBound | None:
-    """Return the line through the measured limits from the stiffest wall on; None for fewer than four of them.
+    """Return the line through the measured limits at and beyond the damping of the stiffest wall; None for fewer than
+    four limits.
 
     Parameters
     ----------
     result : ExperimentResult
     basis : LoopBasis or None
-        Its limits at the same dampings have the curvature that is compared with that of the measured ones.
+        Loop whose limits at the same dampings give the curvature to compare with the measured one.
 
     Notes
     -----
-    K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits; intervals include their
-    scatter about the line. The curvature is half the second derivative of a parabola through the same limits.
+    K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits; the confidence intervals
+    include the scatter about the line. The curvature is half the second derivative of a parabola through the same
+    limits.
     """
     limits = _limits(result)
     if not len(limits):

@@ -22,16 +22,18 @@ from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
-"""Trials below which differences between trials cannot be reported: a share of them is known to 30 % at best."""
+"""Smallest number of trials for which differences between trials are reported: with fewer, a share of them is uncertain
+by more than 30 %."""
 
 ALONG = np.linspace(0.0, 1.0, 6)
-"""Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
-falls so steeply that any change is large."""
+"""Dampings, relative to that of the stiffest wall, at which changes of the limit are evaluated: at larger ones the
+limit falls so steeply that any change is large."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible cause: ``effect`` is the largest change of a result by it, or its share of the logs."""
+    """A possible cause; ``effect`` is the largest change of a result that it makes, or the share of logs that show
+    it."""
 
     code: CauseCode
     effect: float
@@ -41,8 +43,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What causes are read from: the experiment, its usual trial, departures, filter, the identified loop, the mass
-    of the device file, and the error of limits by replay, relative."""
+    """Input for the search of causes: the experiment, its usual trial, departures, filter, the identified loop, the
+    mass of the device file, and the relative error of limits by replay."""
 
     result: ExperimentResult
     stages: ExperimentStages
@@ -62,8 +64,8 @@ class Shown:
 
 
 def causes_of(shown: Shown) -> tuple[Cause, ...]:
-    """Return the causes that change a result by more than `MATTERS`: departures in the order of their logs, then parts
-    of the device by what they change, then what the tested walls leave open; empty for an ideal loop."""
+    """Return the causes that change a result by more than `MATTERS`: departures by number of logs, then parts of
+    the device by their effect, then gaps in the tested walls; empty for an ideal loop."""
     first = [cause_of(each) for each in shown.result.recording if each.is_unsafe]
     first += [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
     found = [*_departures(shown), *sorted(_parts(shown), key=lambda each: -each.effect), *_course(shown)]
@@ -75,7 +77,7 @@ def causes_of(shown: Shown) -> tuple[Cause, ...]:
 
 
 UNNAMED = {"other_wall", "other_unit", "unknown"}
-"""Departures that are no cause: what they are is not known, or `other_gains` names it."""
+"""Departures that are not reported as causes: their nature is unknown, or `other_gains` reports them."""
 
 
 def _departures(shown: Shown) -> Iterator[Candidate]:
@@ -92,10 +94,10 @@ def _departures(shown: Shown) -> Iterator[Candidate]:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a device as a cause: code, the name in `PARAMETERS` of the number that says most, and the sentence.
+    """A part of a device as a cause: code, the name in `PARAMETERS` of its main parameter, and the sentence.
 
-    ``over`` is what its number moves the rest position relative to: the step's force or the softest wall's stiffness.
-    ``scale`` and ``unit`` are those in which the number is given, where they are not those of `PARAMETERS`.
+    ``over`` is the reference for the shift of the rest position by the parameter: the step's force or the softest
+    wall's stiffness. ``scale`` and ``unit`` override those of `PARAMETERS`.
     """
 
     code: CauseCode
@@ -125,7 +127,7 @@ PARTS = {
 
 
 def _parts(shown: Shown) -> Iterator[Candidate]:
-    """Yield the parts of the identified loop, and numbers that it would share with another one."""
+    """Yield the parts of the identified loop, and parameters that any loop has."""
     device = shown.identified
     if device is None:
         return
@@ -161,17 +163,17 @@ def _without(device: IdentifiedLoop, part: str) -> Loop:
 
 
 def _rest_off_target(coulomb: float, step: float) -> str:
-    """Return what friction does where it is more than half the usual settling band, 2 %."""
+    """Return the effect of friction in words if it exceeds half the usual settling band, 2 %."""
     if not step or abs(coulomb) <= MATTERS * abs(step):
         return ""
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
 
 
 def _limit_change(loop: Loop, other: Loop, shown: Shown) -> tuple[float, str]:
-    """Return how far limits of two devices are apart where they differ most for their size, and both in words."""
+    """Return the largest relative difference between the limits of two devices, and both limits in words."""
     where = np.unique(np.concatenate([ALONG * damping_of_stiffest(each) for each in (loop, other)]))
     limits, others = linear_limits(loop, where), linear_limits(other, where)
-    if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # to large motions friction is none
+    if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # friction is negligible for large motions
         limits = np.maximum(np.nan_to_num(step_limits(loop, where, shown.trial, np.zeros(len(where)))[0]), limits)
     larger = np.maximum(limits, others)
     some = larger > LOW * larger.max(initial=0.0)
@@ -185,7 +187,7 @@ def _limit_change(loop: Loop, other: Loop, shown: Shown) -> tuple[float, str]:
 
 
 def _shared(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
-    """Yield a delay that is no whole number, jitter, and a mass that is not that of the device file."""
+    """Yield a non-integer delay, jitter, and a mass that differs from that of the device file."""
     loop, delay, mass = device.loop, device.interval("delay_samples"), device.interval("mass")
     part = delay.value - round(delay.value)
     jitter = list(_jitter(shown, device))
@@ -225,7 +227,7 @@ def _jitter(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
 
 
 def _course(shown: Shown) -> Iterator[Candidate]:
-    """Yield what the trials themselves leave open."""
+    """Yield the causes that lie in the choice of trials."""
     stages, result, share = shown.stages, shown.result, coarse(shown.stages)
     middle = float(np.median(share)) if len(share) else 0.0
     yield Candidate(

@@ -24,13 +24,14 @@ from pipeline.records.trials import Floats
 from pipeline.rendering.labels import range_text, significant
 
 SAME_FILTER = 0.05
-"""Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
+"""Largest difference of gain at any frequency for which two filters count as equal: rounding of the commands limits
+estimates."""
 
 ANGLES = 512
 """Frequencies between rest and half the sampling frequency at which gains are compared."""
 
 NAMED = 10
-"""Logs that are named; the others are undecided in the list of trials, each with its reason."""
+"""Largest number of logs that are named; the list of trials shows the others as undecided, each with its reason."""
 
 SHORT = "the command obeys another wall than the headers state"
 
@@ -72,7 +73,7 @@ UNTIMED = {
         "corrected in the profile"
     ),
 }
-"""Departures of most logs by which the time from command to motion is not known, and what that means."""
+"""Departures that, if most logs show them, leave the time from command to motion unknown, each with the consequence."""
 
 IMITATED = {
     "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
@@ -82,12 +83,13 @@ IMITATED = {
     "velocity_filter": {"position_filter": 1.0},
     "position_filter": {"velocity_filter": 1.0},
 }
-"""Departures, and others by which single logs look like them: of how many logs of another one more must show it."""
+"""Departures, and other ones that imitate them in single logs; a departure needs more logs than those that imitate
+it."""
 
 
 @dataclass(frozen=True)
 class LawDeparture:
-    """A way in which logs depart from the wall law: its code, how many of how many logs, and the first evidence."""
+    """A departure from the wall law: its code, number of logs that show it, number of logs in total, first evidence."""
 
     code: str
     logs: int
@@ -96,7 +98,7 @@ class LawDeparture:
 
     @property
     def most(self) -> bool:
-        """Whether it is that of most logs."""
+        """Whether most logs show it."""
         return self.logs > MOST * self.of
 
     @property
@@ -107,18 +109,18 @@ class LawDeparture:
 
 @dataclass(frozen=True, eq=False)
 class LawRows:
-    """What the wall law shows of logs, one entry a log.
+    """Results of the wall-law test, one entry per log.
 
     Parameters
     ----------
     codes : list of list of str
-        How it departs from the law of the stated wall.
+        Departures of each log from the law of the stated wall.
     evidence : list of str
     filters : list of VelocityFilterFound or None
     residual : float64, shape (n,)
-        Of the law, NaN where there is no step to compare the command with.
+        Residual of the law, NaN where there is no step for the comparison.
     obeyed : float64, shape (n,)
-        Stiffness that it obeys, where it is another wall than stated [N/m, Nm/rad]; else NaN.
+        Stiffness that the command obeys if the wall differs from the stated one [N/m, Nm/rad]; else NaN.
     verdict : array of str, shape (n,)
     """
 
@@ -143,7 +145,7 @@ class LawRows:
 
     @classmethod
     def of_logs(cls, logs: Sequence[MeasuredTrial]) -> LawRows:
-        """Return the rows of logs that are not stored."""
+        """Return the rows of logs outside the store."""
         return cls(
             [[departure.code for departure in log.law.departures] for log in logs],
             [log.law.evidence for log in logs],
@@ -155,26 +157,26 @@ class LawRows:
 
     @property
     def of_stated_wall(self) -> list[list[str]]:
-        """Departures of each log from its stated wall; none where it obeys another one."""
+        """Return the departures of each log from its stated wall; empty if it obeys another one."""
         return [[] if off else codes for codes, off in zip(self.codes, np.isfinite(self.obeyed), strict=True)]
 
     @property
     def compared(self) -> int:
-        """Logs whose command could be compared with the law of the stated wall."""
+        """Return the number of logs whose command could be compared with the law of the stated wall."""
         seen = np.isfinite(self.residual) & ~np.isfinite(self.obeyed)
         return sum(bool(law or codes) for law, codes in zip(seen, self.of_stated_wall, strict=True))
 
     @property
     def misled(self) -> bool:
-        """Whether most logs obey another wall than stated, so that nothing follows in units of K and B."""
+        """Whether most logs obey another wall than stated, so that no result in units of K and B is possible."""
         return int(np.isfinite(self.obeyed).sum()) > MOST * len(self.codes)
 
 
 def law_departures(rows: LawRows) -> list[LawDeparture]:
-    """Return how logs depart from the wall law, in the order of how many do.
+    """Return the departures of logs from the wall law, the most frequent first.
 
-    A log that is clipped where it diverges shows how it ended, not another loop; it does not count. Nor do those that
-    obey another wall than stated: they are left out, see `other_gains`.
+    A diverging log that is clipped shows its end and not another loop; it does not count. Logs that obey another wall
+    than stated are left out, too; see `other_gains`.
     """
     compared, of_stated_wall, found = rows.compared, rows.of_stated_wall, []
     for code in SENTENCES:
@@ -194,7 +196,7 @@ def untimed(departures: Sequence[LawDeparture]) -> str:
 
 @dataclass(frozen=True)
 class CourseFilter:
-    """The velocity filter of an experiment, those that single logs show, and a description."""
+    """The velocity filter of an experiment, the filters of single logs, and a description."""
 
     velocity: VelocityFilter
     of_logs: Sequence[VelocityFilter]
@@ -202,10 +204,10 @@ class CourseFilter:
 
 
 def course_filter(rows: LawRows) -> CourseFilter | None:
-    """Return the velocity filter that most logs show and agree on, None where they do not.
+    """Return the velocity filter on which most logs agree; None if they do not agree.
 
-    A controller has the same filter in all trials or in none; single logs can imitate it, and what differs from log to
-    log is another thing than a filter.
+    A controller has the same filter in all trials or in none. Single logs can imitate a filter, and an effect that
+    differs from log to log is not a filter.
     """
     if not any(each.code == "velocity_filter" and each.most for each in law_departures(rows)):
         return None
@@ -221,7 +223,7 @@ def course_filter(rows: LawRows) -> CourseFilter | None:
 
 
 def experiment_filter(stages: ExperimentStages) -> CourseFilter | None:
-    """Return the velocity filter that most logs of an experiment show and agree on, None where they do not."""
+    """Return the velocity filter on which most logs of an experiment agree; None if they do not agree."""
     return course_filter(stages.once(LawRows.of))
 
 
@@ -232,7 +234,8 @@ def _filter(text: str) -> VelocityFilterFound:
 
 @dataclass(frozen=True, eq=False)
 class OtherGains:
-    """Logs that obey another wall: their names, of how many, evidence of the first, and by what their gains differ."""
+    """Logs that obey another wall: their names, number of all logs, evidence of the first, and difference of the
+    gains."""
 
     logs: tuple[str, ...]
     of: int
@@ -241,17 +244,17 @@ class OtherGains:
 
     @property
     def most(self) -> bool:
-        """Whether so many logs follow another wall that nothing is reported in units of K and B."""
+        """Whether too many logs obey another wall for any result in units of K and B."""
         return len(self.logs) > MOST * self.of
 
     @property
     def few(self) -> bool:
-        """Whether so few logs follow another wall that the others remain valid: these are left out by name."""
+        """Whether so few logs obey another wall that the rest remains valid; these few are left out by name."""
         return len(self.logs) < min(FEWEST_LOGS, self.of)
 
     @property
     def cause(self) -> Cause:
-        """What they are as a cause."""
+        """Return these logs as a cause."""
         many = f"{len(self.logs)} of {counted(self.of, 'log')}"
         names = ", ".join(self.logs[:NAMED]) + (f" and {len(self.logs) - NAMED} more" if self.logs[NAMED:] else "")
         used = "no wall, limit or cost is given in these units" if self.most else "they are left out"
@@ -263,7 +266,7 @@ class OtherGains:
 
 
 def other_gains(stages: ExperimentStages) -> OtherGains | None:
-    """Return the logs of an experiment that obey another wall than stated, None where all obey their headers."""
+    """Return the logs of an experiment that obey another wall than stated; None if all obey their headers."""
     obeyed = np.stack(
         [stages.column("wall_law", f"obeyed_{name}") for name in ("stiffness", "damping", "step")], axis=1
     )

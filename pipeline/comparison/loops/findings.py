@@ -1,4 +1,4 @@
-"""The loop of an experiment as far as its logs identify it, and the conclusions from it."""
+"""The identified loop of an experiment, and the conclusions from it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ JITTERS = (
 def loop_findings(
     result: ExperimentResult, stages: ExperimentStages, device: Device | None, units: Units
 ) -> LoopFindings:
-    """Return the loop of an experiment, whether it is adequate, its limits, a passive wall and causes.
+    """Return the loop of an experiment, its adequacy, its limits, a passive wall and causes.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def loop_findings(
         With its estimates and boundary.
     stages : ExperimentStages
     device : Device or None
-        As its file describes it.
+        Device as its file describes it.
     units : Units
 
     Notes
     -----
-    The found device's replay is the only judge. The loop is that of the device file where it has the measured limits,
-    or without any those of the found device; else it is the found device's.
+    Only the replay of the identified device decides. The loop is that of the device file if it reproduces the measured
+    limits (without any, those of the identified device); else it is the identified one.
     """
     gains = stages.once(other_gains)
     misled = gains is not None and gains.most
@@ -116,7 +116,7 @@ def loop_findings(
     if not adequate:
         return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
     has_spring = basis.nominal is None and identified is not None and "spring" in identified.parts
-    # a hand that is let go of takes its damping with it
+    # the damping of a hand vanishes when it lets go
     grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
     refused = GRIPPED.format(listed(grips)) if grips else HELD if has_spring else JITTERS if trial.jitter else ""
     if refused:
@@ -130,7 +130,7 @@ def loop_findings(
 
 
 def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
-    """Return how a hand was on the device, by the logs and by the device file; empty where none was."""
+    """Return the grips of the hand on the device, by logs and device file; empty without a hand."""
     grips = {*stages.trials.column("grip").to_pylist(), *([of.grip] if of is not None else [])}
     return sorted(grip for grip in grips if grip and grip != "none")
 
@@ -138,7 +138,7 @@ def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
 def _judged(
     basis: LoopBasis, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
 ) -> tuple[LoopBasis, list[tuple[Floats, Floats]], str]:
-    """Return the loop by its file with its limits, or by the logs alone where those of the file are others, and why."""
+    """Return the loop by its file with its limits, or by the logs alone if the limits of the file differ; and why."""
     (by_file, _), (by_logs, _) = limits
     off = limits_off(result, by_file)
     if off is None:
@@ -175,7 +175,7 @@ def _record(
 
 
 def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: Loop | None, *, walls: bool) -> str:
-    """Return what the replay shows of a loop, and what the loop is; ``walls`` where any was tried."""
+    """Return the replay's verdict on a loop, and the source of the loop; ``walls``: whether any was tested."""
     if not walls:
         return "no wall was tried (K > 0), so that the loop was compared with no verdict"
     if replay is None or replay.verdicts_same is None:

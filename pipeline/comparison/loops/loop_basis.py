@@ -1,4 +1,4 @@
-"""The loop behind all conclusions: the identified one, or that of the device file where its limits are the same."""
+"""The loop on which all conclusions depend: the identified one, or that of the device file if its limits agree."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class LoopBasis:
     identified : IdentifiedLoop or None
         By the logs.
     nominal : IdentifiedLoop or None
-        By the device file, its numbers without interval.
+        By the device file, its parameters without intervals.
     error : float
-        Error of its limits by replay, 95 %, relative.
+        Relative error of its limits by replay, 95 %.
     operator_damping : float
-        Part of the damping that an operator has, by the file, per unit of command [Ns/m, Nms/rad].
+        Damping of the operator by the file, per unit of command [Ns/m, Nms/rad].
     """
 
     identified: IdentifiedLoop | None
@@ -57,13 +57,14 @@ class LoopBasis:
 
     @property
     def loops(self) -> list[Loop]:
-        """All loops that the 95 % ranges contain, at their ends."""
+        """Loops at the ends of the 95 % intervals."""
         return [
             loop for device in self.devices for loop in (device.loop, *(end for both in device.ends for end in both))
         ]
 
     def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-        """Return the least and the largest limit that numbers and replay leave open, of the limits of its devices."""
+        """Return the lower and upper bound of the limits of its devices, by the intervals of their parameters and by
+        replay."""
         middle = limits[0][0]
         low = np.fmin.reduce([limit - reach for limit, reach in limits])
         high = np.fmax.reduce([limit + reach for limit, reach in limits])
@@ -71,20 +72,20 @@ class LoopBasis:
         return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
 
     def interval(self, name: str) -> Interval:
-        """Return a number with its 95 % interval; the interval of a file's number extends to the logs' estimate."""
+        """Return a parameter with its 95 % interval; the interval of a file's value extends to the logs' estimate."""
         by_logs = self.identified.interval(name) if self.identified else None
         if self.nominal is None:
             assert by_logs is not None, "a loop is identified or nominal"
             return by_logs
         value, off = self.nominal.values[name], 0.0
-        if name == "delay_samples" and self.identified is not None:  # to a device that has no lag it is a delay
+        if name == "delay_samples" and self.identified is not None:  # for a device without lag, the lag counts as delay
             off = (self.loop.actuator_lag_s - self.identified.loop.actuator_lag_s) / self.loop.sampling_period_s
         ends = [value, *((by_logs.low - off, by_logs.high - off) if by_logs else ())]
         return Interval(value, min(ends), max(ends))
 
 
 def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
-    """Return the loop by all logs, with their velocity filter; None where mass or delay cannot be identified."""
+    """Return the loop by all logs, with their velocity filter; None if mass or delay cannot be identified."""
     identified = stages.once(identified_loop)
     if identified is None or "delay_samples" in identified.unidentifiable:
         return None
@@ -93,7 +94,7 @@ def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
 
 
 def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopBasis | None:
-    """Return the loop by the file where there is one, and by the logs; None where there is neither."""
+    """Return the loop by the file, if any, and by the logs; None without both."""
     nominal, damping = None, 0.0
     if of_file is not None:
         nominal = nominal_loop(of_file) if of_file.delay_samples <= LARGEST_DELAY else None
@@ -104,7 +105,7 @@ def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopB
 def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:
     """Return the theory by the identified loop of an experiment that is adequate and has stable walls, else None.
 
-    A damping below zero counts as zero: the theory asks for b >= 0. Friction is in no theory.
+    A negative damping counts as zero, as theory needs b >= 0. Theory does not include friction.
     """
     identified = identified_device(stages) if result.loop is not None and result.loop.adequate else None
     if identified is None or identified.loop.friction is not None:
@@ -114,9 +115,10 @@ def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theor
 
 
 def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: Any) -> dict[str, Any]:
-    """Return the numbers of a loop as fields of a result: of the logs with intervals, those of a file as stated.
+    """Return the parameters of a loop as fields of a result: estimates with intervals, those of a file as stated.
 
-    All are those that the wall feels, per unit of command; ``operator`` is the part of a file that is in them.
+    All are effective values at the wall, per unit of command; ``operator`` is the operator of the file, included in
+    them.
     """
     device, velocity, motion = basis.devices[0], basis.loop.velocity, basis.loop.motion
     intervals = {name: basis.interval(name) for name in ("mass", "damping", "delay_samples")}
@@ -135,7 +137,7 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
         interval = device.interval(name)
         low, high = max(interval.low, 0.0), interval.high
         if name == "mode.mass":
-            # read at the load, with damping on both sides, the motion is the same for any share of the mass
+            # with the sensor at the load and damping on both sides, the motion does not depend on the share of the mass
             low, high = (0.0, np.inf) if at_load and basis.nominal is None else (low, high)
             high = min(high, device.values["mass"])
         mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), motion)
@@ -144,15 +146,15 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
 
 
 def as_quantity(name: str, interval: Interval, motion: Motion) -> Quantity:
-    """Return a number of a loop by its name in `PARAMETERS` with its unit."""
+    """Return a parameter of a loop, by its name in `PARAMETERS`, with its unit."""
     unit = PARAMETERS[name].unit(motion)
     return Quantity(value=interval.value, low=interval.low, high=interval.high, unit=unit)
 
 
 def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Quantity]:
-    """Return a filter by the names of a device file, its numbers as far apart as those of single logs are.
+    """Return a filter by the names of a device file; intervals span the parameters of single logs.
 
-    A single log shows its filter to within the rounding of its commands, and may show a rounder number.
+    A single log determines its filter within the rounding of its commands, and may give a rounder number.
     """
     numbers = _filter_numbers(velocity)
     kind = (numbers.keys(), numbers.get("order"))
@@ -167,7 +169,7 @@ def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
 
 
 def filter_of_numbers(numbers: Mapping[str, float]) -> VelocityFilter:
-    """Return the filter of which `filter_quantities` has the numbers.
+    """Return the filter with parameters named as in `filter_quantities`.
 
     >>> filter_of_numbers({"order": 2.0, "cutoff_hz": 80.0})
     Butterworth(kind='butterworth', order=2, cutoff_hz=80.0)
@@ -188,5 +190,5 @@ def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
 
 
 def exact(value: float) -> Interval:
-    """Return a number that is its own interval."""
+    """Return an exact number as an interval of zero width."""
     return Interval(value, value, value)

@@ -1,4 +1,4 @@
-"""The stiffest passive wall that may be named: passive and stable over the whole 95 % range of an adequate loop."""
+"""The stiffest guaranteed passive wall: passive and stable over the whole 95 % range of an adequate loop."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pipeline.records.results import ExperimentResult, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 
 SPARE = 1e-4
-"""Part of the damping and of the limit that is kept back: a hundred times what the frequencies that are looked at can
-miss."""
+"""Safety margin, as a fraction of damping and limit: a hundred times the error of the frequency grid."""
 
 TRIES = 200
-"""Steps of two units of the last digit, of `SET_DIGITS`, by which a stiffness is lowered: 4 % in all, where rounding
-costs 0.1 %."""
+"""Largest number of steps, of two units of the last of `SET_DIGITS` digits, by which a stiffness is lowered: 4 % in
+total, while rounding costs 0.1 %."""
 
 
 def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
-    """Return the stiffest wall that is passive and stable whatever intervals and replay leave open, or None and why.
+    """Return the stiffest wall that is passive and stable for all loops within intervals and replay error, or None and
+    why.
 
     Parameters
     ----------
@@ -36,11 +36,11 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
 
     Notes
     -----
-    A passive wall is named where limits were measured on both sides of it, or at it, and not from few trials.
-    The device has the least damping at the lower end of b, less what an operator and the far side of a mode have of it.
-    The stiffness is rounded down and the rounded pair is checked against passivity, the limits of theory over all
-    intervals, and the measured limits, interpolated between the dampings: the stable region is convex there, so that a
-    chord of it lies inside.
+    A passive wall is given only where limits were measured at its damping or on both sides of it, and not from few
+    trials. The smallest device damping is the lower end of b, minus the parts of an operator and of the far side of a
+    mode. The stiffness is rounded down and the rounded pair is checked against passivity, the limits of theory over all
+    intervals, and the measured limits, interpolated between the dampings: the stable region is convex there, so its
+    chords lie inside.
     """
     if result.trials < FEW:
         return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
@@ -66,7 +66,7 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
     at = np.array([wall_damping])
     stable = float(basis.band([limits_of(device, at) for device in basis.devices])[0][0]) * (1 - SPARE)
     stiffness = _rounded_down(min(highest, stable, measured))
-    # a smaller stiffness at the same damping needs less, down to none but that for B itself
+    # a smaller stiffness at the same damping needs less damping, in the limit only that for B itself
     for _ in range(TRIES):
         if stiffness <= 0 or all(_needed(*plant, stiffness, wall_damping) <= damping for plant in plants):
             break
@@ -81,7 +81,7 @@ def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWal
 def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | None:
     """Return whether a wall [N/m, Nm/rad; Ns/m, Nms/rad] is passive for the whole range of a loop.
 
-    None where a delay is longer than theory is computed for.
+    None if a delay exceeds the range of theory.
     """
     least = _least_damping(basis)
     if least <= 0 or _is_sensed_at_load(basis):
@@ -91,7 +91,7 @@ def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | Non
 
 
 def _least_damping(basis: LoopBasis) -> float:
-    """Return the least damping that is the device's own, where the wall acts [Ns/m, Nms/rad]."""
+    """Return the smallest damping of the device alone, where the wall acts [Ns/m, Nms/rad]."""
     of_load = max(loop.load_damping for loop in basis.loops)
     return (basis.interval("damping").low - basis.operator_damping - of_load) * (1 - SPARE)
 
@@ -101,9 +101,9 @@ def _is_sensed_at_load(basis: LoopBasis) -> bool:
 
 
 def _loops(basis: LoopBasis) -> list[Loop]:
-    """Return the devices in the range of a loop with which a wall must be passive; none where a delay is too long.
+    """Return the devices, within the range of a loop, for which a wall must be passive; empty if a delay is too long.
 
-    Passivity needs most at one end of the delay's interval or at a whole number inside it.
+    The passivity condition is most restrictive at an end of the delay's interval or at an integer inside it.
     """
     delay = basis.interval("delay_samples")
     low, high = max(delay.low, 0.0), max(delay.high, 0.0)
@@ -121,9 +121,9 @@ def _rounded_down(value: float) -> float:
 
 
 def _measured(result: ExperimentResult, damping: float) -> float | None:
-    """Return the lower end of the measured limits at a damping, None outside those that were tested to their end.
+    """Return the lower end of the measured limits at a damping; None outside the dampings with a measured limit.
 
-    Where no trial was stable, all that is known is the softest unstable one.
+    If no trial was stable, only the softest unstable one is known.
     """
     limits = measured_limits(result.boundary)
     ended = limits.known & ~limits.censored

@@ -1,4 +1,4 @@
-"""What is wrong with the recordings of an experiment, and whether any delay or limit follows from them."""
+"""Faults of the recordings of an experiment, and whether they rule out any delay or limit."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pipeline.records.findings import Finding, are_unsafe, stored_findings
 from pipeline.records.results import Cause, RecordingFault
 
 NAMED = 10
-"""Logs that are named of a fault."""
+"""Largest number of logs named per fault."""
 
 
 def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
     """Return the faults of the recordings of an experiment by their codes, unsafe ones first, then the most frequent.
 
-    The sentence is that of the first log that has it. What was found while the log was read, as what was repaired, is
-    stored with the trial.
+    The sentence is that of the first log with the fault. Findings from reading the log, such as repairs, are stored
+    with the trial.
     """
     columns = (stages.trials.column(name).to_pylist() for name in ("trial_id", "source_path", "time_quality"))
     trials = {trial: (PurePath(path).name, quality) for trial, path, quality in zip(*columns, strict=True)}
@@ -44,14 +44,14 @@ def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
 
 
 def unsafe_recording(stages: ExperimentStages) -> RecordingFault | None:
-    """Return the fault by which no delay and no limit follows from an experiment: that of more than a few logs."""
+    """Return the fault that rules out any delay and limit of an experiment, as more than a few logs have it."""
     if not are_unsafe(stages.once(recording_findings)):
         return None
     return next(fault for fault in stages.once(recording_faults) if fault.is_unsafe)
 
 
 def words_of(fault: RecordingFault) -> str:
-    """Return a fault as a reason: what shows it, and how many logs have it."""
+    """Return a fault as a reason: its evidence and the number of logs that have it."""
     evidence = fault.sentence.removesuffix(fault.remedy).strip().rstrip(".")
     return f"{evidence[0].lower()}{evidence[1:]} ({fault.trials} of {counted(fault.of, 'log')})"
 

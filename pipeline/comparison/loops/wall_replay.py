@@ -1,4 +1,4 @@
-"""The found device behind tested walls that it was not fitted to: what it predicts there, and how far that is off."""
+"""Replay of the identified device at tested walls left out of its fit: predictions and their errors."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from pipeline.records.trials import Booleans, Floats, Integers, Trial
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
-"""Trials that are replayed, spread over the tested walls: a share of 95 % is then known to 2 %."""
+"""Largest number of replayed trials, spread over the tested walls: a share of 95 % is then known to 2 %."""
 
 REPEATS = 4
-"""Runs of a device with jitter behind each wall, which must agree on a verdict for it to be one."""
+"""Number of runs per wall of a device with jitter; a verdict counts only if all runs agree."""
 
 QUANTILES = [NormalDist().inv_cdf((fold + 0.5) / FOLDS) for fold in range(FOLDS)]
-"""Friction of each fold's trials, in standard deviations of its scatter: the middles of equal shares."""
+"""Friction in the trials of each fold, in standard deviations of its scatter: midpoints of equal probability shares."""
 
 LOW = 0.25
-"""Limit relative to the largest one below which none is compared in percent: at its ends a boundary tends to zero."""
+"""Smallest limit, relative to the largest, that is compared in percent: at its ends a boundary tends to zero."""
 
 
 def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> StepTrial:
-    """Return the usual trial of an experiment, with the jitter that its logs show, and a quantum that matters."""
+    """Return the usual trial of an experiment, with the jitter of its logs, and the sensor resolution if it matters."""
     jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
     matters = len(share) and float(np.median(share)) > MATTERS
     return StepTrial(
@@ -56,7 +56,7 @@ def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> StepTrial
 def usual_step(stages: ExperimentStages) -> float:
     """Return the usual size of a step [N, Nm], > 0: steps in both directions count by their sizes.
 
-    Of trials without a step it is that of what set the device in motion, as a force; 1 where none is known.
+    For trials without a step it is the equivalent force of the excitation; 1 if unknown.
     """
     size = np.abs(stages.step_sizes)
     size = size[size > 0]
@@ -67,19 +67,19 @@ def usual_step(stages: ExperimentStages) -> float:
 
 
 def excitation(of: MeasuredTrial) -> float:
-    """Return the force that set a trial in motion without a step [N, Nm], NaN where none is known."""
+    """Return the equivalent force of the excitation of a trial without a step [N, Nm]; NaN if unknown."""
     return find_release(of.trial).size
 
 
 def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
-    """Return half of the softest tested wall at each tested damping [N/m, Nm/rad]."""
+    """Return half the stiffness of the softest tested wall at each tested damping [N/m, Nm/rad]."""
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     least = np.array([K[(K > 0) & (each.damping == B)].min(initial=np.inf) for each in result.boundary])
     return 0.5 * np.where(np.isfinite(least), least, 0.0)
 
 
 def coarse(stages: ExperimentStages) -> Floats:
-    """Return the quantum of the sensor relative to the final displacement of each stable trial, shape (n,)."""
+    """Return the sensor resolution relative to the final displacement of each stable trial, shape (n,)."""
     moved = stages.column("response", "position_final_expected") - stages.column("response", "position_start")
     stable = (stages.verdicts.verdict == "stable") & np.isfinite(moved) & (moved != 0)
     return np.asarray(stages.column("response", "sensor_quantum")[stable] / np.abs(moved[stable]), dtype=np.float64)
@@ -88,7 +88,7 @@ def coarse(stages: ExperimentStages) -> Floats:
 def wall_replay(
     result: ExperimentResult, stages: ExperimentStages, device: IdentifiedLoop, limits: Floats, trial: StepTrial
 ) -> WallReplay | None:
-    """Return how an identified device predicts the tested walls, each by the logs but a fifth; None without a wall.
+    """Return the cross-validated predictions of an identified device at the tested walls; None without a wall.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def wall_replay(
     stages : ExperimentStages
     device : IdentifiedLoop
     limits : float64, shape (n,)
-        That the device predicts by all logs at the tested dampings.
+        Limits that the device identified from all logs predicts at the tested dampings.
     trial : StepTrial
 
     Notes
     -----
-    The walls of a fold are simulated with the device of the other folds, its friction drawn from its scatter.
-    Verdicts are compared where the log and the simulated one are decided. Walls within the interval of a measured limit
-    are left out, and those at which the device itself gives another verdict from run to run, as jitter makes it.
+    The walls of a fold are simulated with the device identified from the other folds, its friction drawn from its
+    scatter. Verdicts are compared if log and simulation are both decided. Walls within the interval of a measured limit
+    are left out, and so are those at which the simulated verdict changes from run to run because of jitter.
     """
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     verdict = stages.verdicts.verdict
@@ -114,7 +114,7 @@ def wall_replay(
         return None
     ids = stages.texts("response", "trial_id")
     place = {name: i for i, name in enumerate(device.trials)}
-    # the fold in which a fit left a trial out, or the next in turn where none used it
+    # the fold whose fit left the trial out; folds in turn for trials that no fit used
     fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
     said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
     steps = stages.step_sizes
@@ -128,7 +128,7 @@ def wall_replay(
         walls = chosen[some]
         runs = [_behind(loop, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats)]
         for i, simulated, *others in zip(some.tolist(), *runs, strict=True):
-            # a spring that acts on the device lets it rest at x_0 + F_0/(K + k)
+            # with a spring on the device it comes to rest at x_0 + F_0/(K + k)
             simulated = replace(simulated, stiffness=simulated.stiffness + loop.stiffness)
             response = find_response(simulated)
             judged = judge(simulated, response)
@@ -152,9 +152,9 @@ def wall_replay(
 
 
 def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> list[Trial]:
-    """Return a device behind walls, each with the step of its log: friction and a constant force are no linear parts.
+    """Return a device at walls, each with the step of its log, since friction and a constant force are nonlinear.
 
-    Where a log has no step it is the usual one.
+    A log without a step gets the usual one.
     """
     steps = np.where(steps != 0, steps, trial.step)
     trials: dict[int, Trial] = {}
@@ -166,7 +166,7 @@ def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, r
 
 
 def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
-    """Return which walls lie within the interval of the limit that was measured at their damping, shape (n,)."""
+    """Return which walls lie within the interval of the limit measured at their damping, shape (n,)."""
     limits = measured_limits(result.boundary)
     ends = dict(zip(limits.damping.tolist(), zip(limits.low.tolist(), limits.high.tolist(), strict=True), strict=True))
     low, high = np.array([ends.get(each, (0.0, 0.0)) for each in B.tolist()]).reshape(-1, 2).T
@@ -174,7 +174,7 @@ def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
 
 
 def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
-    """Return the device by the logs of all folds but one, its friction at another quantile of its scatter in each."""
+    """Return the devices identified without one fold each, with friction at a different quantile of its scatter."""
     name, loops = "friction.coulomb", []
     for fold, quantile in zip(device.folds or ({},) * FOLDS, QUANTILES, strict=True):
         values: Mapping[str, float] = {**device.values, **fold}
@@ -184,7 +184,7 @@ def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
 
 
 def replay_error(replay: WallReplay | None) -> float:
-    """Return the error of limits that a replay shows, 95 %, relative."""
+    """Return the relative error of limits by a replay, 95 %."""
     return (replay.limits_error_percent or 0.0) / 100 if replay is not None else 0.0
 
 
@@ -204,8 +204,8 @@ def replay_words(replay: WallReplay) -> str:
 def limits_with_intervals(
     result: ExperimentResult, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
 ) -> tuple[Limit, ...]:
-    """Return the limits of a loop at the tested dampings with their intervals; where they are not those of the linear
-    loop, with these in addition."""
+    """Return the limits of a loop at the tested dampings with their intervals, and those of the linear loop if they
+    differ."""
     damping = np.array([each.damping for each in result.boundary])
     stiffness, linear, (low, high) = limits[0][0], linear_limits(basis.loop, damping), basis.band(limits)
     apart = not np.array_equal(stiffness, linear)
@@ -218,10 +218,10 @@ def limits_with_intervals(
 
 
 def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
-    """Return a result with causes and, where its logs show friction, with limits for large motions.
+    """Return a result with causes and, if its logs show friction, with limits for large motions.
 
-    Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
-    large motions make unstable is none.
+    The effect of Coulomb friction decreases with the size of a motion and is negligible for a large one. Walls that
+    large motions make unstable are not recommended.
     """
     device = identified_device(stages)
     has_friction = any(cause.code == "coulomb_friction" for cause in result.causes)
@@ -251,13 +251,13 @@ def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> Exp
 
 
 def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
-    """Return the median error of predicted limits at the dampings at which one was measured [%]."""
+    """Return the median error of predicted limits at the dampings with a measured limit [%]."""
     return median(_limit_errors(result, predicted)[0])
 
 
 def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the errors of predicted limits, the half widths of measured ones' intervals, and how far predicted ones
-    lie outside these [%]."""
+    """Return the errors of predicted limits, the half widths of the measured intervals, and the distances of predicted
+    limits outside these intervals [%]."""
     measured = measured_limits(result.boundary)
     some = measured.known & ~measured.censored & (measured.low > 0)
     some &= measured.limit > LOW * measured.limit[some].max(initial=0.0)
@@ -275,7 +275,7 @@ def motion(of: MeasuredTrial) -> Floats:
 
 
 def _fit(position: Floats, simulated: Trial) -> float:
-    """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated motion to a logged one, NaN without motion."""
+    """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated to a logged motion; NaN without motion."""
     rows = min(len(position), simulated.rows - 1)
     y, found = position[:rows], simulated.displacement[1 : rows + 1]
     size = float(np.linalg.norm(y - y.mean())) if rows else 0.0
@@ -283,13 +283,13 @@ def _fit(position: Floats, simulated: Trial) -> float:
 
 
 def median(values: Floats) -> float | None:
-    """Return the median of the known values, None without one."""
+    """Return the median of the known values; None without any."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else None
 
 
 def _costs_off(result: ExperimentResult, stages: ExperimentStages, chosen: Integers, predicted: Floats) -> float | None:
-    """Return the median error of predicted settling times [%], None where none was asked for."""
+    """Return the median error of predicted settling times [%]; None if not requested."""
     if "settle_2pct" not in {*result.optimum, *result.missing}:
         return None
     cost = stages.cost("settle_2pct")[0][chosen]

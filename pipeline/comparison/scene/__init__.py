@@ -1,1 +1,1 @@
-"""What a comparison needs: its parts, its file, where it comes from."""
+"""Scene of a comparison: its parts, its file and its origin."""

@@ -1,4 +1,4 @@
-"""Where a report comes from: logs by hash, profiles, parameters, versions, and the command that repeats it."""
+"""Origin of a report: log hashes, profiles, parameters, versions, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from pipeline.rendering.labels import criterion_name, shortened
 from pipeline.store.storage import natural_key
 
 MOST_VALUES, LONGEST_VALUE = 4, 60
-"""Most values of a header line that are listed, and their letters: a time of recording differs in each trial."""
+"""Largest number of listed values of a header line, and their longest length: a recording time differs in each
+trial."""
 
 _OWN_LINES, _OWN_KINDS = ("step_row", "integrated", "raw_count_decimals", "warnings"), ("provenance.", "stands_for.")
 """Texts that readers store with a trial for internal use."""
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
-"""Libraries whose version can change a digit or a drawing."""
+"""Libraries whose version can affect a digit or a drawing."""
 
 
 def log_list(stages: ExperimentStages) -> LogList:
@@ -50,7 +51,7 @@ def log_list(stages: ExperimentStages) -> LogList:
 
 
 def header_lines(stages: ExperimentStages) -> tuple[HeaderLine, ...]:
-    """Return the header lines of an experiment's logs that mean nothing to the pipeline, by their names."""
+    """Return the header lines of an experiment's logs that the pipeline does not use, by name."""
     found: dict[str, Counter[str]] = {}
     for text in stages.trials.column("extra").to_pylist():
         for key, value in json.loads(text or "{}").items():
@@ -82,7 +83,7 @@ def excluded_trials(data: SceneData) -> tuple[ExcludedTrial, ...]:
 
 
 def joint_sha256(hashes: Sequence[str]) -> str:
-    """Return one SHA-256 for some logs, whatever they are called and in which order they come."""
+    """Return a joint SHA-256 of logs, independent of their names and order."""
     return sha256("\n".join(sorted(set(hashes))).encode())
 
 
@@ -97,11 +98,11 @@ def provenance(
     lists : sequence of LogList
         Logs of each experiment.
     processed : str
-        Folder or URL of the stored tables, as it was given.
+        Folder or URL of the stored tables, as given by the user.
     key : str
-        Hash of all that the report shows.
+        Hash of all inputs of the report.
     code : str
-        Hash of the source text that made it.
+        Hash of the source code that made it.
     output : sequence of str
         Further words of the command.
     """

@@ -1,4 +1,4 @@
-"""What a comparison needs, planned backwards from what is asked for."""
+"""Inputs of a comparison, planned backwards from the requested results."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from pipeline.store.storage import Exclusion, list_devices, list_experiments
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
 TABLED = tuple(c.name for c in CRITERIA.values() if c.tabled)
-"""Criteria of a table for an experiment without published values."""
+"""Tabled criteria for an experiment without published values."""
 
 
 class PlannedStage(NamedTuple):
-    """One line of the plan: stage, what is done with it (run, reuse, leave out), and why."""
+    """One line of the plan: stage, action (run, reuse, leave out), and reason."""
 
     stage: str
     action: str
@@ -42,22 +42,22 @@ class PlannedStage(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneData:
-    """A scene with the device, if it is known, and the stages of its experiments."""
+    """A scene with the device, if known, and the stages of its experiments."""
 
     scene: Scene
     device: Device | None
     experiments: tuple[ExperimentStages, ...]
     simulated: bool
     overlay: bool
-    """Whether theory is also drawn from the estimates, which needs delay, mass and damping."""
+    """Whether theory by the estimates is drawn, too; it needs delay, mass and damping."""
     truth: Mapping[str, Truth] = field(default_factory=dict)
-    """What was true of simulated experiments, as far as it is known."""
+    """Ground truth of simulated experiments, if known."""
     excluded: tuple[Exclusion, ...] = ()
-    """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
+    """Trials of these experiments that are excluded by hand, including those of experiments without any other trial."""
 
     @property
     def motion(self) -> Motion:
-        """Kind of motion, which is one for a whole scene."""
+        """Kind of motion, the same for a whole scene."""
         return self.experiments[0].motion
 
     @property
@@ -73,12 +73,12 @@ def open_scene(
     criteria: Sequence[str] | None,
     shown: Shown | None = None,
 ) -> SceneData:
-    """Collect what is stored for a comparison, of a device by its name, or as a file describes it.
+    """Collect the stored data for a comparison, of a device by its name or by a device file.
 
     Raises
     ------
     DeviceError
-        If no log of the device is stored, or an experiment has none (the message lists what there is), or all trials
+        If no log of the device is stored, or an experiment has none (the message lists the stored ones), or all trials
         are excluded.
     UsageError
         For an unknown criterion.
@@ -134,7 +134,7 @@ def open_scene(
         shown=asked,
     )
     needed = required(_wanted(chosen))
-    # for a device that is not known, theory by the estimates is the only one
+    # an unknown device has only the theory by the estimates
     estimates = asked.has_overlay("estimates") or (known is None and asked.has_overlay("theory"))
     return SceneData(
         scene=scene,
@@ -147,7 +147,7 @@ def open_scene(
 
 
 def _wanted(criteria: Sequence[str]) -> set[str]:
-    """Stages that produce what is asked for."""
+    """Return the stages that produce the requested results."""
     families = [criterion_of(c).family for c in criteria]
     return {"boundary", *(family.name for family in families)}
 
@@ -174,7 +174,7 @@ _LEFT_OUT = {  # except results that a report shows only on request
 
 
 def plan_measured(data: SceneData) -> list[PlannedStage]:
-    """Return for each experiment and stage what is done with it, and why."""
+    """Return the action for each experiment and stage, and its reason."""
     needed = needed_stages(data)
     plan = []
     for experiment in data.experiments:
@@ -206,13 +206,13 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
     least = min((added_delay(e) for e in data.experiments), default=0)
     for stages in data.experiments:
         experiment = stages.experiment
-        # in a sweep of a device without layouts, one table over delay says more than one table for each delay
+        # for a delay sweep of a device without layouts, one table over delay is clearer than one table per delay
         swept = data.device is None and data.scene.delay_sweep and added_delay(stages) > least
         criteria = (() if experiment in covered else usual) + extra
         if criteria and not swept:
             name = f"experiment {experiment}"
             result.append(TableLayout(name=name, criteria=criteria, experiments=(experiment,), theory_from=experiment))
-    # an overshoot of zero at every delay says nothing (Table D.6)
+    # an overshoot of zero at every delay is uninformative (Table D.6)
     sweep = tuple(c for c in (*TABLED, *extra) if c in asked and not criterion_of(c).family.levels)
     if data.device is None and data.scene.delay_sweep and sweep:
         fields: dict[str, Any] = {"experiments": stored, "theory_from": stored[0], "kind": "delay"}
@@ -226,5 +226,5 @@ def _in_use(table: TableLayout, shown: Shown) -> bool:
 
 
 def added_delay(stages: ExperimentStages) -> int:
-    """Return the least delay that was added on purpose in the trials of an experiment, in samples."""
+    """Return the smallest delay added on purpose in the trials of an experiment, in samples."""
     return int(min(stages.trials.column("added_delay_samples").to_pylist()))

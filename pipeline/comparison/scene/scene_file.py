@@ -1,4 +1,4 @@
-"""What a report shows: its parts, and scene files (TOML), read with every mistake by line and key, or drafted."""
+"""Parts of a report, and scene files (TOML): reading with a list of all mistakes by line and key, and drafting."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ REPORT_TABLES = {
 
 
 def plan_parts(data: SceneData) -> list[PlannedStage]:
-    """Return for each figure and table of the report what is done with it, and why."""
+    """Return the action for each figure and table of the report, and its reason."""
     shown = data.scene.shown
     plan = []
     for kind, name in FIGURE_NAMES.items():
@@ -70,7 +70,7 @@ def read_scene(path: Path) -> SceneFile:
     Raises
     ------
     SceneError
-        If there is none or it is wrong; the message names every mistake with its line and key.
+        If the file is missing or invalid; the message names every mistake with its line and key.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -89,7 +89,7 @@ def read_scene(path: Path) -> SceneFile:
 
 
 def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
-    """Return all mistakes of a scene file in order of line; empty where there is none.
+    """Return all mistakes of a scene file in the order of their lines; empty without any.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
         for entry in error.errors():
             place = tuple(entry["loc"])
             found.setdefault(place, _words(place, dict(entry)))
-        # a list with wrong entries is reported by these, not as empty without them
+        # report the wrong entries of a list, and not the list as empty
         held = {place[:length] for place in found for length in range(len(place))}
         mistakes = [Mistake(_line(lines, place), place, words) for place, words in found.items() if place not in held]
         return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
@@ -138,7 +138,7 @@ def _line(lines: Mapping[Place, int], place: Place) -> int:
 
 
 def draft_scene(device: str, processed: Path) -> str:
-    """Return a scene file for all that is stored of a device: every key with its choices, ready to be shortened.
+    """Return a scene file for all stored data of a device: every key with its choices, ready to be shortened.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""How well theory predicts an experiment."""
+"""Scores for theory's prediction of an experiment."""

@@ -11,30 +11,30 @@ from pipeline.records.results import DistanceScore, VerdictScore
 from pipeline.records.trials import Booleans, Floats
 
 NEAR_ZERO = 0.25
-"""Theoretical limit relative to the largest one below which no distance is divided by it: at both ends of a boundary it
-tends to zero, and one step of the stiffness (200 N/m of 13,000) would be any percentage of it."""
+"""Smallest theoretical limit, relative to the largest, by which a distance is divided. At both ends of a boundary the
+limit tends to zero, where one stiffness step (200 N/m of 13,000) could be any percentage of it."""
 
 FEWEST_COMPARISONS = 5
-"""Comparisons from which on their median may be a headline."""
+"""Smallest number of comparisons whose median may be a headline."""
 
 NEGLIGIBLE = 1e-3
-"""Size of a median whose sign is not significant: it is reported as less than 0.1 %."""
+"""Absolute value below which the sign of a median is not significant; such a median is reported as less than 0.1 %."""
 
 
 def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:
-    """Return the signed distance of a measured boundary from theory, or None where no limit can be compared.
+    """Return the signed distance of a measured boundary from theory, or None if no limit can be compared.
 
     Parameters
     ----------
     limits : MeasuredLimits
-        At n dampings.
+        Limits at n dampings.
     theory : float64, shape (n,)
         Limits [N/m, Nm/rad]; one below zero counts as zero.
 
     Notes
     -----
-    A lower bound below theory gives no information and is left out; one above it is a distance that is at least that
-    large. Relative distances are taken where theory exceeds `NEAR_ZERO` of its largest limit.
+    A lower bound below theory gives no information and is left out; one above it is a lower bound of the distance.
+    Relative distances are taken where theory exceeds `NEAR_ZERO` of its largest limit.
     """
     known = limits.known
     limit, measured, censored = np.maximum(theory, 0.0)[known], limits.limit[known], limits.censored[known]
@@ -45,7 +45,7 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         return None
     share = (measured[relative] - limit[relative]) / limit[relative]
     low, high = limits.low[known][relative], limits.high[known][relative]
-    # an interval that begins at zero includes any theory
+    # an interval from zero contains any theoretical limit
     bounded = (low > 0) & np.isfinite(high)
     size = np.abs(share)
     largest = int(np.argmax(np.where(bounded, size, -1.0) if bounded.any() else size))
@@ -69,10 +69,10 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
 
 
 def is_steady(values: Floats) -> bool:
-    """Return whether the median of values may be a headline: of five or more, and no single one decides it.
+    """Return whether the median may be a headline: of at least five values, none of which is decisive.
 
-    Leaving out any of them moves it by less than half the half width of its 95 % interval (by order statistics), and
-    keeps its sign.
+    Leaving out any value moves the median by less than half the half width of its 95 % interval (by order statistics),
+    and keeps its sign.
 
     >>> is_steady(np.array([0.27, 0.28, 0.29, 0.3, 0.31])), is_steady(np.array([0.1, 0.2, 0.21, 0.3, 0.4]))
     (True, True)

@@ -1,8 +1,9 @@
-"""What the deviation of a measured optimal cost from theory is made of: range, grid, model and selection of a trial.
+"""Decomposition of the deviation of a measured optimal cost from theory: range, grid, model, selection of a trial.
 
-The least measured cost is that of one noisy trial on a grid in a range, the theoretical one free of all that. With
-theory's cost C, its best point freely p*, over the tested range p_r and on the tested points p_g, the measured cost s
-freed from the noise of single trials, its best tested point p_s, and the best single trial p_m of cost M, the whole is
+The lowest measured cost comes from one noisy trial on a grid of limited range; the theoretical optimum has neither
+noise nor grid nor range. Let C be theory's cost, with its optimum at p* (unconstrained), p_r (in the tested range) and
+p_g (among the tested points). Let s be the smoothed measured cost with its minimum at the tested point p_s, and M the
+cost of a single trial with its minimum at p_m. Then
 
     M(p_m)/C(p*) = C(p_r)/C(p*) . C(p_g)/C(p_r) . s(p_s)/C(p_g) . M(p_m)/s(p_s)
 """
@@ -23,33 +24,33 @@ from pipeline.theory.costs import costs_at
 from pipeline.theory.predictions import Predictions, Theory
 
 NEIGHBOURS = 40
-"""Trials by which the ratio of measured and theoretical cost is smoothed at a point: a plane is fitted to them."""
+"""Number of trials to which a plane is fitted, to smooth the ratio of measured to theoretical cost at a point."""
 
 ROBUST = 3
-"""Rounds in which outliers lose weight."""
+"""Number of rounds of robust reweighting."""
 
 NO_ERROR = 1e-12
-"""Error of the logarithm of a cost below which there is none."""
+"""Errors of the logarithm of a cost below this value count as zero."""
 
 FEWEST = 12
-"""Trials with both costs below which noise and deviation cannot be separated."""
+"""Smallest number of trials with both costs for which noise and deviation can be separated."""
 
 RESAMPLED = 200
-"""Resampled experiments for the interval of the model's part."""
+"""Number of resampled experiments for the interval of the model's part."""
 
 LIKELY = 100
-"""Points of least smoothed cost, one of which is the best in each resampled experiment."""
+"""Number of points of lowest smoothed cost among which the optimum of each resampled experiment is searched."""
 
 SEARCH, SEARCH_WHOLE, ZOOM, ROUNDS = 41, 201, 15, 4
-"""Grid points along an axis of the tested range (also for costs that are whole numbers, whose best region is small),
-and of a part around the best one, which is narrowed so often."""
+"""Number of grid points along an axis of the tested range (second: for integer costs, whose best region is small) and
+of a window around the best point, and number of times the window is narrowed."""
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class Smooth:
-    """Planes fitted around n points: that of a point weighs ``values[nearest]`` by ``weight``, both of shape (n, k)."""
+    """Planes fitted around n points: each weights ``values[nearest]`` by ``weight``, both of shape (n, k)."""
 
     nearest: Integers
     weight: Floats
@@ -61,7 +62,7 @@ class Smooth:
 
 
 def smooth_of(stiffness: Floats, damping: Floats, values: Floats, neighbours: int = NEIGHBOURS) -> Smooth:
-    """Return local planes over some points, by which values are smoothed; outliers among these count little.
+    """Return local planes that smooth values at points; outliers get little weight.
 
     Parameters
     ----------
@@ -71,8 +72,8 @@ def smooth_of(stiffness: Floats, damping: Floats, values: Floats, neighbours: in
 
     Notes
     -----
-    Weights are tricubes of the distance in standard deviations, times bisquares of the error over six of the median
-    errors nearby: close to the limit of stability, costs of single trials scatter by many times the usual.
+    Weights are tricubes of the distance in standard deviations, times bisquares of the residual over six times the
+    local median residual: close to the limit of stability, costs of single trials scatter much more than usual.
 
     Source: Cleveland, Robust locally weighted regression (1979), in two dimensions.
     """
@@ -96,7 +97,7 @@ def smooth_of(stiffness: Floats, damping: Floats, values: Floats, neighbours: in
 
 
 def _plane(design: Floats, weight: Floats) -> Floats:
-    """Return what each neighbour counts in the value of the plane at the point, shape (n, k)."""
+    """Return the weight of each neighbour in the value of the plane at the point, shape (n, k)."""
     weighted = design * weight[:, :, None]
     # the inverse of least norm: points on a line have no slope across it
     inverse = np.linalg.pinv(np.einsum("nki,nkj->nij", weighted, design), rcond=1e-9, hermitian=True)
@@ -107,9 +108,9 @@ def _plane(design: Floats, weight: Floats) -> Floats:
 def deviation_of(
     stages: ExperimentStages, optimum: Optimum | None, theory: Theory, criterion: str, predictions: Predictions
 ) -> Deviation | None:
-    """Return what the deviation of an experiment from a theory is made of.
+    """Return the decomposition of the deviation of an experiment from a theory.
 
-    None where a cost is zero or missing, or trials are few.
+    None if a cost is zero or missing, or if there are too few trials.
 
     Parameters
     ----------
@@ -140,25 +141,25 @@ def deviation_of(
 def deviation(
     alpha: Floats, beta: Floats, expected: Floats, measured: Floats, use: Booleans, least: tuple[float, float, float]
 ) -> Deviation:
-    """Return the four parts, in percent, with the 95 % interval of the model's.
+    """Return the four parts, in percent, with the 95 % interval of the model's part.
 
     Parameters
     ----------
     alpha, beta : float64, shape (n,)
         Tested points.
     expected, measured : float64, shape (n,)
-        Costs C and M of the tested points; NaN where there is none.
+        Costs C and M of the tested points; NaN if missing.
     use : bool, shape (n,)
-        Points with both, `FEWEST` at least.
+        Points with both, at least `FEWEST`.
     least : tuple of float
         C(p*), C(p_r) and M(p_m).
 
     Notes
     -----
-    Smoothed is the logarithm of M/C, which varies little where C itself is curved. For the interval the errors of
-    single trials about the smooth one change their signs at random, and the least cost is searched again; what that
-    gains from such errors widens the interval to both sides. It is ``steady`` where no single trial decides it: asked
-    of those around the best point, and of theory's best.
+    The smoothed quantity is the logarithm of M/C, which varies little even where C is curved. For the interval, the
+    residuals of single trials get random signs and the lowest cost is searched again; the gain by such residuals widens
+    the interval to both sides. The part is ``steady`` if no single trial decides it; tested are those around the best
+    point and theory's optimum.
     """
     free, ranged, trial = least
     grid = float(np.nanmin(expected))
@@ -189,7 +190,8 @@ def deviation(
 
 
 def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decisive: Integers, half: float) -> bool:
-    """Return whether leaving out any one trial keeps the model's part: its sign, and half of its half interval."""
+    """Return whether leaving out any one trial keeps the sign of the model's part and moves it by at most
+    ``half``/2."""
 
     def model(kept: Booleans) -> float:
         level = smooth_of(alpha[kept], beta[kept], ratio[kept]).of(ratio[kept])
@@ -206,7 +208,7 @@ def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decis
 
 
 def _least_in_range(loop: NormalisedLoop, alpha: Floats, beta: Floats, criterion: str) -> float:
-    """Return theory's least cost in the bounding box of the tested points, inf where it has none."""
+    """Return theory's lowest cost in the bounding box of the tested points; inf if there is none."""
     ends = (float(alpha.min()), float(alpha.max())), (float(beta.min()), float(beta.max()))
     least, window = np.inf, ends
     points = SEARCH_WHOLE if criterion_of(criterion).family.whole else SEARCH

@@ -1,4 +1,4 @@
-"""How well theory predicts the stability of each experiment: by its device file, or by the estimates without one."""
+"""Scores for theory's prediction of the stability of each experiment: by device file, or by estimates without one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pipeline.theory.predictions import Theory
 def add_scores(
     data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory]
 ) -> list[ExperimentResult]:
-    """Return the results with their scores, where there is a theory.
+    """Return the results, with scores if there is a theory.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def add_scores(
     scored = []
     for result, stages in zip(results, data.experiments, strict=True):
         gains, theory = stages.once(other_gains), theories.get(result.experiment)
-        # where the command obeys other walls, what few trials are left says nothing of the device in these units
+        # if the command obeys other walls, the few remaining trials are no evidence about the device in these units
         told = theory is not None and not (gains is not None and gains.most)
         scores = (_scores(result, stages, theory, basis),) if theory is not None and told else ()
         scored.append(result.model_copy(update={"scores": scores}))
@@ -44,7 +44,7 @@ def add_scores(
 
 
 def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, basis: str) -> Scores:
-    """Scores of one experiment; what is missing has its reason."""
+    """Return the scores of one experiment, with reasons for missing ones."""
     limits = measured_limits(result.boundary)
     stretches = _theory_stretches(theory, limits.damping)
     predicted = stretches.high.max(axis=0, initial=0.0)
@@ -71,7 +71,7 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
-    """Stable stiffness K >= 0 of theory at each damping; several stretches where the stable set has gaps."""
+    """Return theory's stable stiffness K >= 0 at each damping; several stretches if the stable set has gaps."""
     found = stable_intervals(theory.normalised, damping / theory.units.damping)
     layer = np.arange(len(found.index)) - np.searchsorted(found.index, found.index)
     shape = (int(layer.max(initial=-1)) + 1, len(damping))
@@ -82,7 +82,8 @@ def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
 
 
 def _region(limits: MeasuredLimits, stretches: Stretches) -> RegionScore | None:
-    """Overlap of the stable regions inside the tested window, with what the limits' intervals leave open."""
+    """Return the overlap of the stable regions inside the tested window, with its uncertainty by the limits'
+    intervals."""
     top = np.where(limits.censored | ~limits.known, limits.limit, np.inf)
 
     def shared(limit: Floats) -> Overlap:

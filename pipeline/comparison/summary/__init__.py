@@ -1,1 +1,1 @@
-"""What a comparison comes to, in sentences."""
+"""Conclusions of a comparison, in sentences."""

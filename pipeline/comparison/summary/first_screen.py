@@ -1,4 +1,4 @@
-"""The first screen as data: which wall, how sure, does theory predict it, why not, and what to measure next."""
+"""The first screen as data: recommended wall, its certainty, agreement with theory, causes, next measurement."""
 
 from __future__ import annotations
 
@@ -44,36 +44,36 @@ from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.reachable import reachable
 
 COARSE = 5.0
-"""Percent that the grid of the trials adds to a best cost from which on its coarseness is reported."""
+"""Smallest increase of an optimal cost by the grid of the trials [%] for which the grid is reported as coarse."""
 
 MOST_CAUSES = 2
-"""Most causes on the first screen; the tables have all."""
+"""Largest number of causes on the first screen; the tables list all."""
 
 DRIFTING = 3
-"""Parameters that drift with the wall from which on none has an interval: of six tests at 5 % one may be chance, and a
-small drift is seen in many trials; mass, damping and delay of a wrong device drift all."""
+"""Smallest number of parameters that drift with the wall for which no parameter gets an interval: of six tests at 5 %
+one may fail by chance, and many trials reveal a small drift; in a wrong device mass, damping and delay all drift."""
 
 WRONG_RECORDING = "the logs were not recorded as they must be for that"
-"""Why no limit is compared."""
+"""Reason why no limit is compared."""
 
 OTHER_GAINS = "the command obeys another wall than the headers state"
-"""Why a limit in the units of the headers says nothing."""
+"""Reason why a limit in the units of the headers is meaningless."""
 
 WELL = 0.9
-"""Overlap of the regions from which on theory predicts a boundary: an error of 5 % in both K and B."""
+"""Smallest overlap of the regions for which theory counts as predicting a boundary: an error of 5 % in both K and B."""
 
 BY_CHANCE = 0.05
-"""Share of the limits that lie outside of their 95 % intervals by chance."""
+"""Expected share of limits outside their 95 % intervals by chance."""
 
 COSTS_WITHIN = (10.0, 30.0)
-"""Median deviation of costs [%] up to which theory predicts them, and up to which it does so partly."""
+"""Largest median deviation of costs [%] for which theory predicts them, and for which it predicts them partly."""
 
 CLOSE = 0.05
-"""Median distance of limits from those of the found device with its friction up to which it predicts them."""
+"""Largest median distance of limits from those of the identified device with friction for which it predicts them."""
 
 
 def told_most(results: Sequence[ExperimentResult]) -> int:
-    """Return the place of the first experiment that has most answers: the one that is unfolded."""
+    """Return the index of the experiment to unfold: the first one with the most answers."""
     return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
 
 
@@ -87,9 +87,9 @@ def answer(
     data : SceneData
     stages : ExperimentStages
     result : ExperimentResult
-        Of these stages, with its scores and walls to use.
+        Result of these stages, with its scores and walls to use.
     rows : sequence of ComparisonRow
-        Of all experiments, whose costs are judged together: one has too few.
+        Rows of all experiments, whose costs are judged together: one has too few.
     """
     known = data.device.experiments if data.device else ()
     of_file = next((each for each in known if each.name == result.experiment), None)
@@ -115,7 +115,7 @@ def answer(
 
 
 def _safest(stages: ExperimentStages) -> TestedWall | None:
-    """Return the stable tested wall whose motion decays fastest; None where no trial with K > 0 is stable."""
+    """Return the stable tested wall whose motion decays fastest; None if no trial with K > 0 is stable."""
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     growth = stages.verdicts.growth_per_s
     calm = np.flatnonzero((stages.verdicts.verdict == "stable") & (K > 0) & np.isfinite(growth))
@@ -131,13 +131,14 @@ def _worth(result: ExperimentResult) -> tuple[bool, bool, bool]:
 
 
 def _known(result: ExperimentResult) -> bool:
-    """Whether the region says where the device gets unstable: with stable trials only, any overlap is 1."""
+    """Return whether the region shows where the device becomes unstable: with stable trials only, any overlap is 1."""
     region = result.scores[0].region if result.scores else None
     return region is not None and region.censored < region.dampings
 
 
 def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: ExperimentStages) -> float | None:
-    """Return how far apart walls are tested above the one to use [%], where so coarse a grid costs much."""
+    """Return the grid spacing of the tested walls above the one to use [%]; None unless the coarse grid raises the cost
+    much."""
     parts = [row.deviation for row in rows if row.deviation and row.experiment == result.experiment]
     if result.use is None or max((part.grid or 0.0 for part in parts), default=0.0) < COARSE:
         return None
@@ -148,7 +149,7 @@ def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: Ex
 
 
 def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
-    """Return delay, mass, damping, friction, largest limit and replay; of a device fitted to all trials first."""
+    """Return delay, mass, damping, friction, largest limit and replay, preferably of a device fitted to all trials."""
     found, doubt = [], _doubt(result)
     for name in ("delay_samples", "mass", "damping", "friction"):
         estimate = result.estimates.get(name)
@@ -193,7 +194,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
 
 
 def _doubt(result: ExperimentResult) -> str:
-    """Return why there are no intervals of delay, mass, damping and friction; empty where a device has them."""
+    """Return why there are no intervals of delay, mass, damping and friction; empty if there are."""
     warned = {name: result.estimates[name].warning or "" for name in NEEDED}
     drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
     if len(drifting) >= DRIFTING:
@@ -208,7 +209,8 @@ def _doubt(result: ExperimentResult) -> str:
 
 
 def _other_parameters(result: ExperimentResult, of_file: Experiment | None, units: Units) -> list[Cause]:
-    """Return the parameters of the device file that lie `MATTERS` outside of what the logs leave open, as a cause."""
+    """Return, as a cause, the parameters of the device file that lie more than `MATTERS` outside the intervals by the
+    logs."""
     scores = result.scores[0] if result.scores else None
     if scores is None or scores.basis != "device file" or scores.distance is None:
         return []
@@ -235,9 +237,9 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
 
 
 def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
-    """Does theory predict the device: limits of an experiment, costs of all.
+    """Return whether theory predicts the device: limits of one experiment, costs of all.
 
-    ``misled`` is why the logs give no limit, empty where they do.
+    ``misled`` is the reason why the logs give no limit; empty if they do.
     """
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
@@ -276,7 +278,8 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
 
 
 def _too_few_limits(result: ExperimentResult, known: int) -> str:
-    """Return how many limits are missing to judge theory, at which dampings, and what the found loop predicts there."""
+    """Return how many limits are missing to judge theory, at which dampings, and the prediction of the identified loop
+    there."""
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
     at = f", for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
     text = f"only {counted(known, 'limit')} to compare; {FEWEST_COMPARISONS} are needed{at}"
@@ -291,7 +294,7 @@ def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
 
 
 def _reachable(result: ExperimentResult) -> ReachableCost | None:
-    """Return what the delay of an experiment alone allows; None where its delay or sampling period is not known."""
+    """Return the lowest cost that the delay of an experiment allows; None if delay or sampling period is unknown."""
     period, loop = result.sampling_period_s, result.loop
     delay = loop.delay_samples.value if loop is not None and loop.delay_samples is not None else result.delay.value
     if delay is None or period is None:
@@ -311,10 +314,11 @@ def _reachable(result: ExperimentResult) -> ReachableCost | None:
 
 
 def _with_friction(result: ExperimentResult) -> DistanceScore | None:
-    """Return how far limits are off the found device with its friction, None where that predicts them neither.
+    """Return the distance of the limits from those of the identified device with friction; None if these are wrong,
+    too.
 
-    Where the sign of so small a distance depends on one limit, all intervals must include the device's, or it must be
-    right behind unseen walls.
+    If the sign of such a small distance depends on one limit, all intervals must include the device's limits, or its
+    cross-validation must be correct.
     """
     if all(cause.code != "coulomb_friction" for cause in result.causes) or not result.loop_boundary:
         return None
@@ -334,7 +338,7 @@ def _percent(distance: DistanceScore | None) -> float | None:
 def _next(
     data: SceneData, result: ExperimentResult, of_file: Experiment | None, stages: ExperimentStages
 ) -> dict[str, Any]:
-    """Return the wall that the planner asks for next by the verdicts so far, or why there is none."""
+    """Return the next wall that the planner requests given the verdicts so far, or why there is none."""
     name, wish = result.experiment, PlanOptions()
     try:
         # limits alone need no device
@@ -358,7 +362,7 @@ def _next(
 
 
 def _directions(stages: ExperimentStages) -> int:
-    """Return in how many directions the device moves in logs that are spread over the walls."""
+    """Return the number of directions in which the device moves, from logs spread over the walls."""
     stiffness, damping = (stages.column("response", name) for name in ("stiffness", "damping"))
     places = spread_over_plane(stiffness, damping, np.ones(len(stiffness), dtype=np.bool_), TRIALS)
     return Recorded.of(stages.map_trials(recording, places.tolist())).directions

@@ -16,14 +16,14 @@ from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.labels import criterion_name
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
-"""Criteria by which walls are recommended, the first one that has a cost: how fast a wall comes to rest is what a user
-feels. Overshoot alone is no choice: its optimum is a limit, not a best point."""
+"""Criteria for recommended walls; the first one with a cost is used. A user feels how fast a wall comes to rest.
+Overshoot alone is not used: its optimum is a limit, not a point."""
 
 FAR = 2.0
-"""The same where no cost shows how good a wall is: a gain margin of two (6 dB) is usual in control."""
+"""The same if no cost shows how good a wall is: a gain margin of two (6 dB) is usual in control."""
 
 CALM = 0.25
-"""Most overshoot of a wall to use, that of a damping ratio of 0.4: what swings on farther is no good wall, however
+"""Largest overshoot of a wall to use, that of a damping ratio of 0.4: a wall that overshoots more is not good, however
 early it happens to stay inside a band."""
 
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
@@ -33,30 +33,31 @@ STICKS = 2.0
 """Stiction relative to sliding friction: 1 to 2 in dry contacts."""
 
 GOOD = (1.25, 1.5, 2.0)
-"""Level relative to the least one up to which a wall counts as good, the first one with a region of `FEWEST` trials:
-a quarter of a settling time cannot be felt, but its valleys are narrower than the steps of many experiments."""
+"""Largest level, relative to the lowest, of a good wall; the first value that gives a region of `FEWEST` trials is
+used. A quarter of a settling time cannot be felt, but valleys of that depth are narrower than the grid of many
+experiments."""
 
 MOSTLY = 0.9
-"""Share of a region's trials that must be good."""
+"""Smallest share of good trials in a region."""
 
 NEIGHBOURS = 8
-"""Trials around one whose median cost is its level. Its own cost does not count: the best trial of many is the
-luckiest, and a range of costs that were chosen by themselves says nothing of a further trial."""
+"""Number of trials around a trial whose median cost is its level. The trial's cost itself does not count: the best of
+many is the luckiest, and costs selected for being low do not predict a further trial."""
 
 FEWEST = 5
-"""Trials below which no region is named: a further one would lie outside their range with a chance of a third."""
+"""Smallest number of trials in a region: a further trial lies outside their range with a probability of one third."""
 
 Rectangle = tuple[float, float, float, float]
 """Least and largest stiffness, least and largest damping."""
 
 
 def recommended(result: ExperimentResult) -> tuple[str, Optimum] | None:
-    """Return criterion and trial of the least cost, or None where no criterion of `PREFERRED` has a cost."""
+    """Return criterion and trial of the lowest cost, or None if no criterion of `PREFERRED` has a cost."""
     return next(((c, result.optimum[c]) for c in PREFERRED if c in result.optimum), None)
 
 
 def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[UseRegion | None, str]:
-    """Return the walls to use, and why they are none or were not chosen by a cost.
+    """Return the walls to use, and why there are none or why no cost selected them.
 
     Parameters
     ----------
@@ -66,9 +67,9 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
 
     Notes
     -----
-    Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost, its log came to
-    rest undisturbed, and no softer wall of its damping is undecided.
+    Usable trials are stable, have K > 0 and overshoot by at most `CALM`, if that is known. If too few of them have a
+    cost, the stiffest walls at the margin `FAR` are recommended. The wall to set has a cost, its log came to rest
+    undisturbed, and no softer wall of its damping is undecided.
     """
     # keep away from limits that have a lower bound only
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -97,7 +98,7 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
 
 
 def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable: Booleans, unit: str) -> str:
-    """Return how many trials a wall lacks around it, and the two walls that would show one."""
+    """Return how many trials are missing around a wall, and the two walls to test next."""
     bound = np.interp(damping, limits.damping[limits.known], limits.limit[limits.known]) / FAR
     count = int((usable & (stiffness <= bound)).sum())
     best = np.flatnonzero(limits.known)[np.argsort(-limits.limit[limits.known])][:2]
@@ -110,7 +111,7 @@ def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable:
 
 
 def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
-    """Return why no stability limit is known, with the remedy."""
+    """Return why no stability limit is known, and what to do."""
     wall = stiffness > 0
     if not wall.any():
         return "no wall was tried: record trials with K > 0"
@@ -128,7 +129,7 @@ def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
 
 
 def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:
-    """Return which trials have an undecided one of K > 0 below them, at the same damping."""
+    """Return which trials have a softer undecided trial of K > 0 at the same damping."""
     least = np.full(len(stiffness), np.inf)
     for B in np.unique(damping[undecided]):
         at = damping == B
@@ -138,9 +139,10 @@ def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) ->
 
 
 def _judged(result: ExperimentResult, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
-    """Return which trials have a cost that is the wall's own, and which of them came to rest.
+    """Return which trials have a cost due to the wall alone, and which of them came to rest.
 
-    With friction a device comes to rest away from x_0 + F_0/K. Within the range of friction that is no disturbance.
+    With friction a device comes to rest away from x_0 + F_0/K. An offset within the range of friction is not a
+    disturbance.
     """
     costs = [np.isfinite(stages.sure_cost(name)) for name in result.optimum]
     known = np.any(costs, axis=0) if costs else np.zeros(len(stages.verdicts.verdict), dtype=np.bool_)
@@ -200,8 +202,8 @@ def _range(values: Floats) -> CostRange:
 class WallTrials:
     """Stiffness, damping, cost (NaN where there is none) and usability of trials, shape (n,) each.
 
-    ``level`` is what they are judged by, inf where it is unknown. A region contains usable trials only, and begins at
-    one that is ``finished``: the wall to set is such a one.
+    ``level`` is the cost that ranks them, inf if unknown. A region contains only usable trials and grows from one that
+    is ``finished``, as the wall to set is.
     """
 
     stiffness: Floats
@@ -217,7 +219,7 @@ class WallTrials:
         return (region[0] <= K) & (region[1] >= K) & (region[2] <= B) & (region[3] >= B)
 
     def favoured(self, region: Rectangle, room: Floats) -> int:
-        """Return the trial of a region whose own cost and level are low; of equal ones that far from the limit."""
+        """Return the trial of a region with low cost and low level; of equal ones, the one farthest from the limit."""
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
         worse = np.maximum(self.cost[at], self.level[at])
         return int(at[np.lexsort([-room[at] / self.stiffness[at], worse])[0]])
@@ -240,7 +242,7 @@ def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -
 
 
 def room_at(limits: MeasuredLimits, damping: Floats) -> Floats:
-    """Return the lower end of the limit [N/m, Nm/rad] at some dampings; 0 where no limit is known."""
+    """Return the lower end of the limit [N/m, Nm/rad] at given dampings; 0 where the limit is unknown."""
     known = limits.known
     if not known.any():
         return np.zeros_like(damping)
@@ -249,7 +251,7 @@ def room_at(limits: MeasuredLimits, damping: Floats) -> Floats:
 
 
 def room_of(limits: MeasuredLimits, region: Rectangle) -> tuple[float, bool]:
-    """Return the least lower end of the limit over the dampings of a rectangle, and whether it is a bound only."""
+    """Return the smallest lower end of the limit over the dampings of a rectangle, and whether it is only a bound."""
     ends, known = np.array(region[2:]), limits.known
     B, low = limits.damping[known], limits.low[known]
     between = (ends[0] <= B) & (ends[1] >= B)
@@ -258,20 +260,20 @@ def room_of(limits: MeasuredLimits, region: Rectangle) -> tuple[float, bool]:
 
 
 def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) -> Rectangle | None:
-    """Return a rectangle of good walls, or None where no `FEWEST` neighbours are good.
+    """Return a rectangle of good walls, or None if there are no `FEWEST` good neighbours.
 
     Parameters
     ----------
     tested : WallTrials
     limits : MeasuredLimits
     margin : float
-        Least lower end of the limit over the stiffness of a wall.
+        Smallest ratio of the limit's lower end to the stiffness of a wall.
 
     Notes
     -----
-    It starts at the trial of the least level that keeps the margin, and grows by the next tested stiffness or damping,
-    on the side with the least median level, while all its trials are usable, `MOSTLY` of them are good, and its
-    stiffest wall keeps the margin. Where it stays too small, the next good trial outside it is the start.
+    It starts at the trial of the lowest level that keeps the margin, and grows by the next tested stiffness or damping,
+    on the side with the lowest median level, while all its trials are usable, `MOSTLY` of them are good, and its
+    stiffest wall keeps the margin. If it stays too small, the next good trial outside it is the start.
     """
     starts = tested.usable & tested.finished & (margin * tested.stiffness <= room_at(limits, tested.damping))
     order = np.argsort(np.where(starts, tested.level, np.inf), kind="stable")
@@ -291,7 +293,7 @@ def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) ->
 
 
 def _grown(tested: WallTrials, good: Booleans, limits: MeasuredLimits, margin: float, start: int) -> Rectangle:
-    """Return the rectangle around a trial that no side can be moved out of any more."""
+    """Return the largest rectangle around a trial: none of its sides can be moved further out."""
     K, B = float(tested.stiffness[start]), float(tested.damping[start])
     region = (K, K, B, B)
 
@@ -306,7 +308,7 @@ def _grown(tested: WallTrials, good: Booleans, limits: MeasuredLimits, margin: f
 
 
 def _wider(region: Rectangle, tested: WallTrials) -> Iterator[Rectangle]:
-    """Yield the rectangle with the next trial's stiffness or damping on each side that has one."""
+    """Yield the rectangle extended to the next tested stiffness or damping, one side at a time."""
     k0, k1, b0, b1 = region
     K, B = tested.stiffness, tested.damping
     along, across = K[(b0 <= B) & (b1 >= B) & (K > 0)], B[(k0 <= K) & (k1 >= K)]

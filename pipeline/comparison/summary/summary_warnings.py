@@ -1,4 +1,4 @@
-"""What a reader must know before trusting the numbers of a comparison, as codes and numbers; words are a template's."""
+"""Warnings about the numbers of a comparison, as codes and numbers; a template turns them into words."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from pipeline.rendering.report.page_template import fill_template
 from pipeline.store.storage import natural_key
 
 NEEDED = ("mass", "damping", "delay_samples")
-"""Estimates that theory needs: what else is missing stands with its reason in the table of methods."""
+"""Estimates that theory needs; other missing estimates are listed with their reasons in the table of methods."""
 
 FEW_TRIALS = 30
-"""Trials below which an optimum or a boundary says little."""
+"""Smallest number of trials for a meaningful optimum or boundary."""
 
 PERIOD_TOLERANCE = 0.01
-"""Relative difference of sampling periods that no result shows: K scales with 1/T^2, B with 1/T."""
+"""Relative difference of sampling periods without visible effect: K scales with 1/T^2, B with 1/T."""
 
 BAD_FITS = 0.2
-"""Share of trials that the model does not explain from which on it is named: chance leaves 5 % of them unexplained."""
+"""Share of unexplained trials above which it is reported: by chance, the model does not explain 5 % of the trials."""
 
 EXTRAPOLATED = 0.05
-"""Share of an optimal energy cost beyond the horizon of the log from which on it is named."""
+"""Share of an optimal energy cost beyond the end of the log above which it is reported."""
 
 _ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
 """Parts in which equal warnings of several experiments differ."""
 
 
 def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
-    """Return what a reader must know before trusting the numbers, gravest first; nothing where there is nothing."""
+    """Return the warnings about the numbers, the most serious first; empty without any."""
     found = [*_of_trials(data, results), *_of_device(data, results), *_of_estimates(results)]
     text = fill_template("warnings.txt.j2", found=found, all=len(results), device=data.scene.device)
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
@@ -88,7 +88,7 @@ def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
 
 
 def _cure(stages: ExperimentStages, gains: OtherGains) -> str:
-    """Return the warning on the first log that follows another wall."""
+    """Return the warning about the first log that obeys another wall."""
     for text, path in zip(*(stages.trials.column(name).to_pylist() for name in ("extra", "source_path")), strict=True):
         if PurePath(path).name == gains.logs[0]:
             return str(json.loads(text or "{}").get("other_gains", ""))
@@ -110,7 +110,7 @@ def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[floa
 
 
 def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[tuple[str, float, float]]:
-    """Yield experiment, weight and share of the optimal energy costs that lie beyond the end of what was recorded."""
+    """Yield experiment, weight and share of the optimal energy costs that lie beyond the end of the recording."""
     for result, stages in zip(results, data.experiments, strict=False):
         for criterion in members(ENERGY):
             best = result.optimum.get(criterion.name)
@@ -122,7 +122,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Itera
 
 
 def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
-    """Yield warnings where the logs of a known device do not fit its device file, so that theory does not apply."""
+    """Yield warnings if the logs of a known device contradict its device file, so that theory does not apply."""
     device = data.device
     if device is None:
         yield {"code": "no_file", "theory": any(r.theory is not None for r in results)}
@@ -142,15 +142,15 @@ def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator
 
 
 def _too_late(device: Device, name: str) -> float:
-    """Return the longest delay that theory is computed for, where that of an experiment is longer; else 0."""
+    """Return the longest delay in the range of theory if the delay of an experiment exceeds it; else 0."""
     entry = next(e for e in device.experiments if e.name == name)
     return LARGEST_DELAY if entry.delay_samples > LARGEST_DELAY else 0.0
 
 
 def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
-    """Yield what is missing or doubtful among the estimates, the same of several experiments together.
+    """Yield warnings about missing or doubtful estimates; equal ones of several experiments are merged.
 
-    Single numbers stand as remarks in the table of methods.
+    Remarks on single numbers are in the table of methods.
     """
     late = [r.experiment for r in results if too_late(r)]
     if late:
@@ -187,6 +187,7 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any
 
 
 def too_late(result: ExperimentResult) -> bool:
-    """Return whether a delay, or what its interval leaves open, is longer than theory is computed for."""
+    """Return True if a delay, or the upper end of its interval, exceeds the longest delay for which theory is
+    computed."""
     delay = result.estimates["delay_samples"]
     return max(value for value in (delay.value, delay.high, 0.0) if value is not None) > LARGEST_DELAY
