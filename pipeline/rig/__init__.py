@@ -1,1 +1,1 @@
-"""From the wall that is wanted to the rig that renders it."""
+"""Design of a rig that renders a required wall."""

@@ -17,42 +17,43 @@ from pipeline.rig.wish import DesignTarget, RigWall, best_wall, decay, quickest
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
-"""Places between the rig and the largest change at which the wish is tried before the change is halved down."""
+"""Number of points between the rig and the largest change at which the wish is evaluated before bisection."""
 
 _EDGE = 5
-"""Looks towards a change with which there is no rig, as of a cut-off above half the sampling rate."""
+"""Number of evaluations towards a change that gives an invalid rig, such as a cut-off above half the sampling rate."""
 
 _TOP_LOOKS = 8
-"""Looks for the top between three looks of which the middle one comes nearest to the wish."""
+"""Largest number of evaluations in the search of a maximum between three points, the middle one of which is best."""
 
 _NO_RIG = -1e3
-"""Room for a search of a top where there is no rig: below any other, and finite."""
+"""Margin of an invalid rig in the search of a maximum: finite, and below any other."""
 
 _HALVINGS = 9
-"""Of what lies between two looks ends are narrowed to one part in 2 to so many: ln of a change to 1e-3."""
+"""Exponent of 2 by which the interval between two points is narrowed: ln of a change is found to 1e-3."""
 
 _NUDGE = 0.02
-"""Change in ln by which it is seen which way a quantity helps."""
+"""Change in ln that shows in which direction a quantity helps."""
 
 _WORTH = 0.95
-"""Size of a pair over that of either alone from which the second change is worth it."""
+"""Largest size of a pair of changes, relative to either change alone, for which the second change is worthwhile."""
 
 _PAIRED = 4
-"""Quantities that are paired: those that help most."""
+"""Number of quantities that are combined in pairs: those that help most."""
 
 _CLIMBED = 3
-"""Pairs that are followed uphill from the best of a coarse grid: those with most room."""
+"""Number of pairs of quantities with a hill climb from the best point of a coarse grid: those with the largest
+margin."""
 
 _UPHILL = 40
-"""Rigs tried uphill from the best of a grid of pairs of changes."""
+"""Largest number of rigs evaluated in a hill climb from the best point of a grid."""
 
 _DIFFERENCE = 1e-4
-"""Relative step of a sensitivity; limits are known to 1e-9, so it is right to some 1e-7."""
+"""Relative step of a numerical sensitivity; limits are known to 1e-9, so sensitivities are accurate to about 1e-7."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """Quantities changed together: value before and after by name, their units, and the wall that is then reached."""
+    """A joint change of quantities: values before and after by name, their units, and the resulting wall."""
 
     before: dict[str, float]
     after: dict[str, float]
@@ -69,19 +70,20 @@ class Design:
     ----------
     wish : DesignTarget
     reached : bool
-        Whether the rig as it is renders the wall.
+        Whether the unchanged rig renders the wall.
     wall : dict
-        The wall of the rig that comes nearest, the quickest where overshoot alone is limited: ``stiffness``,
-        ``damping``, ``stiffness_limit`` at this damping, ``settling_s``, ``settling_samples``, ``overshoot``; None
-        where it is not stable.
+        The rig's wall closest to the wish, the fastest if only overshoot is limited: ``stiffness``,
+        ``damping``, ``stiffness_limit`` at this damping, ``settling_s``, ``settling_samples``, ``overshoot``; None if
+        it is not stable.
     stiffness_reached : float or None
-        Largest K [N/m, Nm/rad] with which the rest of the wish is met; with a settling time, the one next to K.
+        Largest K [N/m, Nm/rad] that meets the rest of the wish; with a settling time, the one closest to the required
+        K.
     changes : tuple of Change
-        Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
+        Single changes and pairs that fulfil the wish, smallest first. The size is the Euclidean norm of ln of the
         factors.
     out_of_reach : dict
-        Quantities that alone do not reach it, with how far they were changed. Pairs are looked for along lines and,
-        where nothing is found, uphill from the best of a coarse grid: one that reaches it may be missed.
+        Quantities that alone do not suffice, with the range of their change. Pairs are searched along lines and,
+        without success, by a hill climb from the best point of a coarse grid: a solution may be missed.
     sensitivities : pandas.DataFrame
         ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
@@ -99,7 +101,7 @@ class Design:
     left_out: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
-        """Return all as one JSON document."""
+        """Return the design as a JSON document."""
         rows = self.sensitivities.astype(object).where(self.sensitivities.notna(), None)
         return asdict(self) | {"sensitivities": rows.to_dict("records")}
 
@@ -114,12 +116,12 @@ def design(
     tolerance: float = 0.0,
     keep: Sequence[str] = (),
 ) -> Design:
-    """Return whether a rig renders the wall that is wanted, and the smallest changes of the rig that reach it.
+    """Return whether a rig renders the required wall, and the smallest changes of the rig that reach it.
 
     Parameters
     ----------
     loop : Loop
-        The rig; a hand on it is its ``operator``.
+        The rig; its ``operator`` is a hand on it.
     stiffness, settling_s, overshoot, margin, tolerance
         As of `DesignTarget`.
     keep : sequence of str
@@ -162,7 +164,7 @@ def design(
 
 
 def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
-    """Return what is to be known of the nearest wall."""
+    """Return the properties of the nearest wall."""
     K, B = best.stiffness, best.damping
     limit = float(loop.limits(B)["stiffness"].iloc[0])
     (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
@@ -173,7 +175,7 @@ def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
 
 
 def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float | None:
-    """Return the K next to the wished one up to which, or down from which, the rest of the wish is met."""
+    """Return the K closest to the required one, below or above it, at which the rest of the wish is still met."""
     wanted = wish.stiffness
     if wanted is None:
         return best.stiffness if best.room >= 0 else None
@@ -191,14 +193,14 @@ def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float |
 
 
 def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -> tuple[float, float] | None:
-    """Return the narrowed ends, before and behind, of where a room below zero at 0 is left; None where it is at no
-    look and no top between.
+    """Return a narrow interval in which a margin that is negative at 0 becomes positive; None if it is negative at all
+    points and maxima between them.
     """
     trail = [(0.0, at_0)]
     for behind in looks:
         over, edge = room(behind), behind
         for _ in range(_EDGE if over == -math.inf < trail[-1][1] else 0):
-            # the wish may be reached shortly before there is no such rig any more
+            # the wish may be fulfilled just before rigs become invalid
             middle = 0.5 * (trail[-1][0] + edge)
             found = room(middle)
             if found >= 0:
@@ -211,7 +213,7 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
             from scipy.optimize import minimize_scalar
 
-            # rooms jump: between looks the wish may be reached, and left again
+            # margins jump: between two points the wish may be fulfilled and missed again
             ends = sorted((trail[-2][0], behind))
             options = {"maxiter": _TOP_LOOKS}
             top = minimize_scalar(lambda x: -max(room(x), _NO_RIG), bounds=ends, method="bounded", options=options)
@@ -227,9 +229,9 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
 def _narrowed(
     room: Callable[[float], float], outside: tuple[float, float], inside: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return ends around where a room, below zero at the first of two places, comes to zero.
+    """Return the ends of a narrow interval around the zero of a margin that is negative at the first of two points.
 
-    They are moved by the false position (Illinois), and every third time half way, since rooms may jump.
+    The interval is narrowed by regula falsi (Illinois), with bisection at every third step, since margins may jump.
     """
     (before, short), (behind, over) = outside, inside
     narrow = abs(behind - before) / 2**_HALVINGS
@@ -249,9 +251,9 @@ def _narrowed(
 def _room_of(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
 ) -> float:
-    """Return the room, of any wall that fulfils the wish, of the rig with quantities changed by x in ln.
+    """Return the margin of the rig with quantities changed by x in ln; that of any wall that fulfils the wish.
 
-    -inf where there is no such rig. ``roughly`` for its `decay`, where places far off are compared.
+    -inf for an invalid rig. With ``roughly`` return its `decay`, to compare distant points.
     """
     try:
         for quantity, change in zip(quantities, x, strict=True):
@@ -264,9 +266,10 @@ def _room_of(
 def _changes(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], best: RigWall
 ) -> tuple[list[Change], dict[str, str]]:
-    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not.
+    """Return the changes that fulfil the wish (single quantities and pairs), and the quantities that alone do not
+    suffice.
 
-    Where nothing does, pairs are looked for far from the rig.
+    If no change suffices, pairs are searched far from the rig.
     """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
@@ -305,7 +308,7 @@ def _changes(
 
 
 def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
-    """Return the room of the best of a coarse grid of changes of a pair, which is the one of the fastest decay."""
+    """Return the margin and the changes at the best point (fastest decay) of a coarse grid of changes of a pair."""
     share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
     axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
     best = max(product(*axes), key=lambda x: _room_of(loop, wish, pair, x, roughly=True))
@@ -313,7 +316,7 @@ def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> t
 
 
 def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
-    """Return changes in ln of a pair that reach the wish; None if none is met uphill from a place."""
+    """Return changes in ln of a pair that fulfil the wish; None if a hill climb from a point finds none."""
     from scipy.optimize import minimize
 
     def short(x: Sequence[float]) -> float:
@@ -332,7 +335,7 @@ def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: lis
 def _smallest(
     loop: Loop, wish: DesignTarget, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
-    """Return the smallest change along a way in ln that reaches the wish, None where none does."""
+    """Return the smallest change along a direction in ln that fulfils the wish; None without any."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
 
     def room_at(size: float) -> float:
@@ -356,11 +359,12 @@ def _change(loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: S
 
 
 def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) -> pd.DataFrame:
-    """Return how the largest stable stiffness, and the settling time of the nearest wall, follow each quantity."""
+    """Return the sensitivities of the largest stable stiffness, and of the nearest wall's settling time, to each
+    quantity."""
     rows = []
     largest = float(loop.boundary(16).attrs["stiffness_max"])
     for quantity in quantities:
-        ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # nothing is below none
+        ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # a missing quantity cannot decrease
         sides = [quantity.changed(loop, end) for end in ends]
         limits = [float(side.boundary(16).attrs["stiffness_max"]) for side in sides]
         settling = [

@@ -1,4 +1,4 @@
-"""Guidelines for a rig in words and numbers: what delay, sampling, damping, mass and a hand do to its largest wall.
+"""Guidelines for a rig: effect of delay, sampling, damping, mass and a hand on its stiffest wall, in words and numbers.
 
 Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
 """
@@ -20,15 +20,15 @@ RANGES = {"gamma": 1e-3, "delta": 20e-3}
 """Largest normalised stiffness and damping of arm and device at sampling periods up to 1 ms (3.17)."""
 
 _NO_MASS = 1e-9
-"""Mass of an operator of whom only damping or stiffness counts [kg]: one of 0 is no operator."""
+"""Mass [kg] of an operator who only adds damping or stiffness: with zero mass there is no operator."""
 
 USUAL_ARM = "Tsuji et al."
-"""The arm that stands for a usual one: its mass of 1.8 kg is the median of Table 3.2."""
+"""Typical arm: its mass of 1.8 kg is the median of Table 3.2."""
 
 
 @dataclass(frozen=True)
 class Influence:
-    """What one number of a hand alone changes: its value [SI], and the change of the largest stable K in percent."""
+    """Influence of one parameter of a hand: its value [SI], and the change of the largest stable K in percent."""
 
     name: str
     value: float
@@ -37,18 +37,18 @@ class Influence:
 
 @dataclass(frozen=True)
 class Guidelines:
-    """What limits a rig and what does not.
+    """Influences on the stiffest wall of a rig.
 
     Parameters
     ----------
     delay_percent : float or None
-        Change of the largest stable K with a sample less of delay; None where there is less than one.
+        Change of the largest stable K with one sample less delay; None if the delay is shorter.
     sampling_percent : float
-        With half the sampling period and the same delay in time.
+        Change with half the sampling period and the same delay in time.
     damping_percent : float
-        Without any damping of the device.
+        Change without device damping.
     hand : tuple of Influence
-        Mass, damping and stiffness of a hand, each added alone; empty for a rotation, whose arms are not tabled.
+        Mass, damping and stiffness of a hand, each added alone; empty for a rotation, for which no arms are tabulated.
     arm : str
         Whose hand.
     gamma, delta : float
@@ -69,7 +69,7 @@ class Guidelines:
         return {name: getattr(self, name) <= most for name, most in RANGES.items()}
 
     def document(self) -> dict[str, Any]:
-        """Return all as a JSON document, with the sentences."""
+        """Return the guidelines as a JSON document, with the sentences."""
         return asdict(self) | {"within": self.within, "sentences": self.sentences()}
 
     def sentences(self) -> list[str]:
@@ -103,9 +103,9 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
     Parameters
     ----------
     loop : Loop
-        The rig; an operator that it states stands for the hand, and is taken off for what a hand changes.
+        The rig; its operator, if any, is taken as the hand, and is removed to compute the influence of a hand.
     arms : mapping of HumanArm, optional
-        By name; Table 3.2 where not given.
+        By name; Table 3.2 by default.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
 
 
 def _hand(free: Loop, given: Operator, most: float) -> tuple[Influence, ...]:
-    """Return what each number of a hand alone does to the largest stable stiffness."""
+    """Return the influence of each parameter of a hand on the largest stable stiffness."""
     found = []
     for name in ("mass", "damping", "stiffness"):
         value = float(getattr(given, name))

@@ -1,4 +1,4 @@
-"""A picture of the stiffest stable wall over two quantities of a rig, with the rig and the wish marked."""
+"""Figure of the stiffest stable wall over two quantities of a rig, with marks for rig and wish."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pipeline.rig.quantities import QUANTITIES, Quantity
 from pipeline.surface.physical_loop import Loop
 
 _PLACES, _REACH = 15, np.log(4.0)
-"""Places along each axis, from a quarter of the quantity to four times."""
+"""Number of points along each axis, from a quarter of the quantity to four times the quantity."""
 
 
 def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None:
-    """Draw the largest stable stiffness over two quantities, the others as they are.
+    """Draw the largest stable stiffness over two quantities; all others stay unchanged.
 
     Parameters
     ----------
     loop : Loop
         The rig as it is.
     answer : Design
-        Its single changes are marked where they are of one of the two, and a change of both.
+        Design whose changes of one of the two quantities, or of both, are marked.
     over : sequence of str
         Two names of `quantities.QUANTITIES`, across and up.
     path : Path
@@ -35,7 +35,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
     Raises
     ------
     ParameterError
-        If the names are not two that the rig has.
+        If the names are not two quantities of the rig.
     """
     across, up = _two(loop, over)
     stiffest = _stiffest(loop, across, up)
@@ -58,7 +58,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
             if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
                 axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
             axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable, ringing or not")
-        # where a wish asks for more, the limits behind the rigs that reach it are nearly the same
+        # with further requirements, the limits of the rigs that meet them are nearly the same
         if (answer.changes or answer.reached) and wanted is not None:
             limits = [change.wall["stiffness_limit"] or np.nan for change in answer.changes]
             if answer.reached and answer.stiffness_reached:
@@ -104,13 +104,13 @@ def _label(loop: Loop, quantity: Quantity) -> str:
 
 
 def _stiffest(loop: Loop, across: Quantity, up: Quantity) -> Floats:
-    """Return the largest stable stiffness at each place, shape (up, across); nan where there is no rig."""
+    """Return the largest stable stiffness at each point, shape (up, across); nan for an invalid rig."""
     parts, result = _parts(), np.full((_PLACES, _PLACES), np.nan)
     for i, j in np.ndindex(*result.shape):
         try:
             rig = up.changed(across.changed(loop, float(parts[j])), float(parts[i]))
             result[i, j] = rig.boundary(16).attrs["stiffness_max"]
-        except ParameterError:  # no such rig, or none that renders a wall
+        except ParameterError:  # invalid rig, or one without a stable wall
             continue
     return result
 

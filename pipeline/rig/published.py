@@ -17,12 +17,12 @@ from pipeline.theory.boundary import quantum_limit
 from pipeline.theory.passivity import passive_stiffness
 
 _ANGLES = 4000
-"""Angles at which (4.6) is looked at; between them the limit is at most 1e-7 lower."""
+"""Number of angles at which (4.6) is evaluated; between them the limit is at most 1e-7 lower."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of a device, 0 where not known."""
+    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device, 0 if unknown."""
 
     coulomb: float = 0.0
     quantum: float = 0.0
@@ -30,7 +30,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Condition:
-    """A published condition: where it stands, what it promises, what it leaves out, and its largest K at dampings B."""
+    """A published condition: its source, guarantee and assumptions, and its largest K at dampings B."""
 
     name: str
     source: str
@@ -45,7 +45,8 @@ def _late(loop: Loop) -> float:
 
 
 def _passive_damping(loop: Loop) -> float:
-    """Damping of the device per unit of command; nan where the position is sensed beyond a mode: no wall is passive."""
+    """Damping of the device per unit of command; nan if the position is sensed beyond a mode: no wall is passive
+    then."""
     return np.nan if loop.mode and loop.mode.sensor == "load" else loop.passive_damping
 
 
@@ -77,7 +78,7 @@ def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
 
 def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
     d, damping = loop.delay_samples, _passive_damping(loop)
-    if d % 1 and damping >= 0:  # (4.6) is for whole delays; its sum over aliases is for all
+    if d % 1 and damping >= 0:  # (4.6) is for integer delays; its sum over aliases is for any
         unit = loop.units
         ideal = NormalisedLoop.ideal(0.0, damping / unit.damping, d)
         return passive_stiffness(ideal, ideal.delta, B / unit.damping) * unit.stiffness
@@ -142,7 +143,7 @@ CONDITIONS = (
 
 
 def _without(loop: Loop) -> str:
-    """Return which parts of a loop no published condition includes, to go with what a condition assumes."""
+    """Return the parts of a loop that no published condition includes, as a supplement to its assumptions."""
     present = {
         "velocity filter": loop.velocity is not None,
         "actuator lag": loop.actuator_lag_s > 0,
@@ -166,26 +167,26 @@ def published_limits(
     Parameters
     ----------
     loop : Loop
-        Conditions take its mass, damping and stiffness per unit of command, those of an operator where the condition
-        has a hand, and for passivity the damping without that of a mode's load. Filter, lag and the mode itself are in
-        the exact limit alone: no condition knows them.
+        Conditions use its mass, damping and stiffness per unit of command, those of an operator if the condition
+        includes a hand, and for passivity the damping without that of a mode's load. Only the exact limit includes
+        filter, lag and mode.
     damping : array of float
         B of the wall [Ns/m, Nms/rad].
     coulomb, quantum : float, optional
-        Coulomb friction f_c [N, Nm] and sensor quantum [m, rad] of the device, by default those of the loop; 0 where
-        not known.
+        Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of the device, by default those of the loop; 0 if
+        unknown.
 
     Returns
     -------
     pandas.DataFrame
         ``condition``, ``promises`` (stability, passivity), ``assumes`` (with the parts of the loop that the condition
-        does not include), ``source``, ``damping``, ``stiffness`` [N/m, Nm/rad]; nan where a condition says nothing, 0
+        does not include), ``source``, ``damping``, ``stiffness`` [N/m, Nm/rad]; nan where a condition does not apply, 0
         where it allows no wall. The last rows are the exact limit.
 
     Raises
     ------
     ParameterError
-        If friction or quantum is negative or not finite.
+        If friction or resolution is negative or not finite.
 
     Examples
     --------

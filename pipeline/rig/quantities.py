@@ -1,4 +1,4 @@
-"""Quantities of a rig that a lab can change."""
+"""Quantities of a rig that can be changed in a lab."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pipeline.device.parameters import PARAMETERS
 from pipeline.surface.physical_loop import Loop
 
 _SMALL = 1e-2
-"""Damping from which a device without damping is changed, in m/T."""
+"""Reference damping for changes of a device without damping, in m/T."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name, its name in words, the factors it is changed by at most, and its name in `PARAMETERS`.
+    """One quantity: its name, its name in words, its smallest and largest factor of change, its name in `PARAMETERS`.
 
-    A change by x in ln leads from p to p + s (e^x - 1), s = p but for what is zero. ``zero`` is s of what is zero, in
-    m/T, 0 where that is not changed.
+    A change by x in ln turns p into p + s (e^x - 1), with s = p unless p is zero. ``zero`` is s for p = 0, in m/T; 0 if
+    a zero value cannot be changed.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Quantity:
         return PARAMETERS[self.parameter or self.name].unit(loop.motion)
 
     def read(self, loop: Loop) -> float | None:
-        """Return the value of a rig, None where it has no such part."""
+        """Return the value of a rig; None if it lacks this part."""
         return loop.value(self.parameter or self.name)
 
     def write(self, loop: Loop, value: float) -> Loop:
@@ -40,7 +40,7 @@ class Quantity:
         return loop.replace({self.parameter or self.name: value})
 
     def scale(self, loop: Loop) -> float:
-        """Return s; 0 where the rig has no such quantity to change."""
+        """Return s; 0 if the rig lacks this quantity."""
         return (self.read(loop) or 0.0) or self.zero * loop.mass / loop.sampling_period_s
 
     def changed(self, loop: Loop, x: float) -> Loop:
@@ -49,13 +49,13 @@ class Quantity:
         Raises
         ------
         ParameterError
-            If no rig is like that.
+            If the changed rig is invalid.
         """
         return self.write(loop, (self.read(loop) or 0.0) + self.scale(loop) * expm1(x))
 
 
 def with_damping(loop: Loop, value: float) -> Loop:
-    """Return the rig with another damping [Ns/m, Nms/rad], of which the load of a mode has the same share."""
+    """Return the rig with another damping [Ns/m, Nms/rad], with an unchanged share for the load of a mode."""
     changes: dict[str, float | None] = {"damping": value}
     if loop.mode and loop.damping > 0:
         changes["mode.load_damping"] = min(loop.load_damping / loop.damping, 1.0) * value
@@ -80,7 +80,7 @@ QUANTITIES = {
         Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),
     )
 }
-"""By name. The delay is in samples: a change of T alone keeps d and shortens the delay in seconds."""
+"""Quantities by name. The delay is in samples: changing T alone keeps d and changes the delay in seconds."""
 
 
 def present(loop: Loop, keep: tuple[str, ...] = ()) -> list[Quantity]:
@@ -89,7 +89,7 @@ def present(loop: Loop, keep: tuple[str, ...] = ()) -> list[Quantity]:
     Raises
     ------
     ParameterError
-        If ``keep`` names one that there is not.
+        If ``keep`` names an unknown quantity.
     """
     unknown = [name for name in keep if name not in QUANTITIES]
     if unknown:

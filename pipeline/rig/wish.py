@@ -1,4 +1,4 @@
-"""What a wall is wanted to do, and how far a rig is from it."""
+"""Requirements on a wall, and the margin of a rig to them."""
 
 from __future__ import annotations
 
@@ -20,52 +20,54 @@ from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
 OVERSHOOT_SEEN = 1e-3
-"""Overshoot that counts as none: no best wall has exactly none in a sampled loop."""
+"""Largest overshoot that counts as none: in a sampled loop, no optimal wall has exactly zero overshoot."""
 
 _FAINT = 0.1
-"""Share of it down to which motion is followed."""
+"""Amplitude down to which motion is simulated, relative to `OVERSHOOT_SEEN`."""
 
 _DAMPINGS, _STIFFNESSES = 32, 20
 _NARROWER = 2
-"""Walls of the first look over three decades of damping (and two of stiffness), and looks between neighbours after."""
+"""Number of walls of the first grid, over three decades of damping (and two of stiffness), and number of finer grids
+after it."""
 
 _ASIDE, _BESIDE = 2.0, 97
-"""Factor of damping to either side within which the quickest wall is looked for, and walls that are tried."""
+"""Largest factor of damping to either side in the search of the fastest wall, and number of walls tried."""
 
 _SOFTEST, _SOFTER = 1e-3, 16
-"""Softest of the walls that are looked at below one, as a share of it, and how many."""
+"""Stiffness of the softest wall examined below a given one, relative to it, and number of softer walls examined."""
 
 _NARROW = 1e-6
-"""Room that an unstable stretch lacks which is narrower than the steps between them."""
+"""Missing margin of a wall beyond an unstable stretch that is narrower than the spacing of these walls."""
 
 _BISECTIONS = 40
-"""Halvings of the frequency at which a damping becomes unstable: more than its digits."""
+"""Number of bisections for the frequency at which a damping becomes unstable: more than the bits of a double."""
 
 _NOTHING = -10.0
-"""Margin of a stable wall whose settling time is too long to be computed; its negative is that without a bound."""
+"""Margin of a stable wall whose settling time is too long to be computed; its negative is the margin without any
+bound."""
 
 
 @dataclass(frozen=True)
 class DesignTarget:
-    """The wall that is wanted.
+    """Requirements on a wall.
 
     Parameters
     ----------
     stiffness : float, optional
-        K [N/m, Nm/rad]; where not given, any.
+        K [N/m, Nm/rad]; any if not given.
     settling_s : float, optional
         Longest settling time to 2 % [s].
     overshoot : float, optional
-        Largest overshoot, a fraction; below 0.001 counts as none.
+        Largest overshoot, as a fraction; below 0.001 counts as none.
     margin : float
-        The wall stays stable with a stiffness so many times as large, >= 1.
+        Gain margin: the wall stays stable with ``margin`` times its stiffness, >= 1.
     tolerance : float
-        The wish is met with mass, damping and delay wrong by this share, each either way; 0 to 0.9.
+        Relative error of mass, damping and delay, in either direction, for which the wish is still met; 0 to 0.9.
 
     Raises
     ------
     ParameterError
-        If a number is out of its range, or nothing is wished for.
+        If a number is out of range, or no requirement is given.
     """
 
     stiffness: float | None = None
@@ -91,7 +93,7 @@ class DesignTarget:
 
 @dataclass(frozen=True)
 class RigWall:
-    """The wall of a rig that comes nearest to a wish: K, B, and the remaining margin, >= 0 where the wish is met."""
+    """The wall of a rig closest to a wish: K, B, and the remaining margin, >= 0 if the wish is met."""
 
     stiffness: float
     damping: float
@@ -99,11 +101,11 @@ class RigWall:
 
 
 def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWall:
-    """Return the wall that has most room to a wish; or, if that is ``enough``, any that fulfils it.
+    """Return the wall with the largest margin to a wish; with ``enough``, any wall that fulfils it.
 
-    The room of a wall is the smallest of -ln of the spectral radius (behind ``margin``), ln of the settling time that
-    is allowed over its own, and the overshoot that is allowed less its own. A wall counts as stable only if all softer
-    ones of its damping are, too: a device that meets the wall passes through them.
+    The margin of a wall is the smallest of three numbers: -ln of the spectral radius (at ``margin`` times the
+    stiffness), ln of the allowed over the actual settling time, and allowed minus actual overshoot. A wall counts as
+    stable only if all softer ones of its damping are stable, too: a device in contact passes through them.
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
@@ -121,7 +123,8 @@ def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWal
 
 
 def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
-    """Return the wall of the same stiffness that settles first, of those about the best one that fulfil the wish."""
+    """Return the wall of the same stiffness with the shortest settling time, among those near the best one that fulfil
+    the wish."""
     B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
     walls = np.column_stack([np.full(len(B), best.stiffness), B])
     room = _room(_corners(loop, wish.tolerance), wish, walls, -math.inf)
@@ -132,9 +135,9 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
 
 
 def decay(loop: Loop, wish: DesignTarget) -> float:
-    """Return how fast the slowest mode decays [1/s] behind the wall of a first look at which it is fastest.
+    """Return the largest decay rate [1/s] of the slowest mode over the walls of the first grid.
 
-    It is quicker to compute than the margin, and where it is large walls settle early and overshoot little.
+    It is faster to compute than the margin, and a large rate means early settling and little overshoot.
     """
     unit = loop.units
     K, B = np.array(list(product(*_first_look(loop, wish)))).T
@@ -144,7 +147,7 @@ def decay(loop: Loop, wish: DesignTarget) -> float:
 
 
 def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
-    """Return stiffness and damping of the walls that are looked at first."""
+    """Return stiffness and damping of the first grid of walls."""
     largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + loop.delay_samples)
     largest = max(largest, _largest_damping(loop))
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
@@ -155,9 +158,9 @@ def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
 
 
 def _largest_damping(loop: Loop) -> float:
-    """Return about the largest stable B of a device behind its lag: |(m s + b)(tau s + 1)| where its phase is -pi.
+    """Return approximately the largest stable B of a device with lag: |(m s + b)(tau s + 1)| at the phase -pi.
 
-    With the delay of d + 1/2 samples that is where atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
+    With the delay of d + 1/2 samples, the phase condition is atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
     """
     device, lag = loop.apparent(), loop.actuator_lag_s
     m, b, delay = device.mass, device.damping, (0.5 + loop.delay_samples) * loop.sampling_period_s
@@ -170,7 +173,7 @@ def _largest_damping(loop: Loop) -> float:
 
 
 def _between(axis: Floats, value: float) -> Floats:
-    """Return places between the neighbours of a value on an axis."""
+    """Return points between the two grid neighbours of a value on an axis."""
     if len(axis) == 1:
         return axis
     i = int(np.argmin(np.abs(axis - value)))
@@ -178,7 +181,7 @@ def _between(axis: Floats, value: float) -> Floats:
 
 
 def _corners(loop: Loop, tolerance: float) -> list[Loop]:
-    """Return the rigs at the ends of what a tolerance leaves open; of a mode the load has its share of the mass."""
+    """Return the rigs at the corners of a tolerance; a mode's load keeps its share of the mass."""
     if tolerance == 0:
         return [loop]
     rigs = []
@@ -195,7 +198,7 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
 
 
 def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float) -> Floats:
-    """Return the room of each wall, shape (n,), in the worst of rigs; not exact where it is below ``above``."""
+    """Return the margin of each wall, shape (n,), for the worst-case rig; not exact where it is below ``above``."""
     room = np.full(len(walls), np.inf)
     for rig in rigs:
         loop, unit = rig.normalised_loop, rig.units
@@ -205,14 +208,15 @@ def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float)
         left = _softer(loop, wish.margin * alpha, beta, left)
         if wish.settling_s is not None or wish.overshoot is not None:
             stable = left > 0
-            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # whatever is stable comes before what is not
+            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # any stable wall precedes any unstable one
             left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable], above))
         room = np.minimum(room, left)
     return room
 
 
 def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
-    """Return the least that walls and those softer ones that are unstable leave of -ln of the spectral radius, (n,)."""
+    """Return the smallest -ln of the spectral radius over each wall and the softer ones that are unstable, shape
+    (n,)."""
     if first_branch(loop) is not None:  # softer walls are stable
         return left
     share = np.geomspace(_SOFTEST, 1.0, _SOFTER, endpoint=False)
@@ -227,7 +231,7 @@ def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> 
 
 
 def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: float) -> Floats:
-    """Return what stable walls leave of the settling time and the overshoot that are allowed."""
+    """Return the margins of stable walls to the allowed settling time and overshoot."""
     bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
     longest = (wish.settling_s or math.inf) / rig.sampling_period_s * math.exp(-max(above, _NOTHING))
     found = transient_costs(
@@ -235,7 +239,7 @@ def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: fl
     )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
-        # one that is given up settles too late
+        # a response that is given up settles too late
         settled = np.nan_to_num(found["settle_2pct"], nan=math.inf) * rig.sampling_period_s
         spare = np.maximum(math.log(wish.settling_s) - np.log(settled), _NOTHING)
     if wish.overshoot is not None:
