@@ -1,1 +1,1 @@
-"""Figures, tables and pages from finished records."""
+"""Figures, tables and pages from computed results."""

@@ -1,4 +1,4 @@
-"""Every table of a comparison as one pandas data frame with units in ``attrs``, for page, files and Python.
+"""Tables of a comparison as pandas data frames with units in ``attrs``, for page, files and Python.
 
 Values are SI, costs as in the JSON document: settling in samples (and seconds), overshoot as a fraction. Missing
 numbers are NaN, with their reason in another column.
@@ -26,7 +26,7 @@ TEXTS = """
     table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence
     evidence source adequate key text tags log since kind what line theory name device title motion grip verdict
 """
-"""Columns of texts, with None where others have NaN."""
+"""Text columns, which have None instead of NaN."""
 
 FORCED: tuple[Motion, ...] = ("translation", "rotation")
 """Kinds of motion whose commands are forces or torques."""
@@ -46,7 +46,7 @@ _WALL = ("stiffness", "damping", "stable", "unstable", "low", "high")
 
 
 def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
-    """Return the tables of a comparison by name, in the order of files; empty ones too."""
+    """Return the tables of a comparison by name, including empty ones, in the order of files."""
     e, motion = result.experiments, result.motion
     periods = {one.experiment: one.sampling_period_s for one in e}
     stiffness = units_of(_WALL, {motion})
@@ -74,11 +74,11 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
 
 
 _PLAIN = {"loops": "loop", "replay": "replay", "causes": "causes", "model": "model_check", "passive": "passive"}
-"""Frames of the fields of an experiment, a row a record."""
+"""Frames of the fields of an experiment, one row per record."""
 
 
 def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], units: Mapping[str, str]) -> pd.DataFrame:
-    """Return records as rows: the same columns and types whatever there is; units of those that have one."""
+    """Return records as rows, with fixed columns and types even if empty, and the units of columns that have one."""
     import numpy as np
     import pandas as pd
 
@@ -94,7 +94,7 @@ def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], unit
 
 
 def units_of(columns: Iterable[str], motions: Collection[str] = FORCED) -> dict[str, str]:
-    """Return the units of stored columns, without those that have none; both where motions differ."""
+    """Return the units of stored columns, if any; both units if motions differ."""
     units = {}
     for name in (name for name in columns if name in COLUMNS):
         kinds = (motion for motion in MOTIONS if motion in motions)
@@ -117,7 +117,7 @@ def units_of_tables(motion: Motion) -> dict[str, str]:
 
 
 def estimates_frame(results: Iterable[ExperimentResult], *, all_methods: bool = False) -> pd.DataFrame:
-    """Return the estimates: ``recommended`` ones, on request followed by those of the other methods."""
+    """Return the ``recommended`` estimates, on request followed by those of the other methods."""
     rows = []
     for result in results:
         for quantity, best in result.estimates.items():
@@ -129,7 +129,7 @@ def estimates_frame(results: Iterable[ExperimentResult], *, all_methods: bool = 
 
 
 def boundary_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
-    """Return the measured limits; ``stiffness`` is that by the growth rates, ``low`` and ``high`` its 95 % interval."""
+    """Return the measured limits; ``stiffness`` is by the growth rates, ``low`` and ``high`` are its 95 % interval."""
     rows = ({"experiment": e.experiment, **dict(p), "stiffness": p.estimate} for e in results for p in e.boundary)
     units = units_of(_WALL, {motion})
     more = dict.fromkeys(("stiffness_large_motion", "truth"), units["stiffness"])
@@ -137,7 +137,7 @@ def boundary_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.Da
 
 
 def optima_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
-    """Return the best trials, and why a criterion has none."""
+    """Return the best trials, and the reason if a criterion has none."""
     rows: list[Row] = []
     for e in results:
         for criterion, best in e.optimum.items():
@@ -150,16 +150,16 @@ def optima_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.Data
 
 
 def in_seconds(criterion: str, cost: float | None, period: float | None) -> float | None:
-    """Return a cost that counts samples in seconds, None for others."""
+    """Return a cost in samples converted to seconds; None for other costs."""
     return cost * period if cost is not None and period and criterion_of(criterion).family.unit == "samples" else None
 
 
 def flat(record: Record) -> Row:
-    """Return the numbers and texts of a record; a parameter is followed by its interval, lists are left out."""
+    """Return the numbers and texts of a record; its interval follows a parameter, and lists are left out."""
     row: Row = {}
     for name, value in record:
         if isinstance(value, Record):
-            # the unit of a column is that of all its numbers
+            # all numbers of a column have the same unit
             inner = flat(value) if type(value) is not Quantity else value.model_dump(include={"value", "low", "high"})
             row |= {name if key == "value" else f"{name}_{key}": each for key, each in inner.items()}
         elif not isinstance(value, (dict, tuple, list)):
@@ -168,7 +168,7 @@ def flat(record: Record) -> Row:
 
 
 def _records(results: Sequence[ExperimentResult], field: str, units: Mapping[str, str]) -> pd.DataFrame:
-    """Return a field of all experiments that is a record, or several."""
+    """Return a field of all experiments, either one record or several."""
     rows = []
     for e in results:
         found = getattr(e, field) or ()
@@ -221,7 +221,7 @@ def _missing(results: Iterable[ExperimentResult]) -> Iterator[Row]:
 
 
 def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]:
-    """Yield limits and estimates by experiment, with the header lines by which these differ; nothing without any."""
+    """Yield limits and estimates by experiment, with the header lines that differ; empty without such lines."""
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
         about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}
@@ -237,7 +237,7 @@ def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]
 
 
 def differing_lines(results: Sequence[ExperimentResult]) -> tuple[str, ...]:
-    """Return the header lines that two experiments or more have, not all with the same values; dates first."""
+    """Return the header lines of at least two experiments whose values differ; dates first."""
     values: dict[str, list[str]] = {}
     for e in results:
         for line in e.header:
@@ -247,19 +247,19 @@ def differing_lines(results: Sequence[ExperimentResult]) -> tuple[str, ...]:
 
 
 def line_text(result: ExperimentResult, key: str) -> str:
-    """Return what the logs of an experiment say in a header line: its value, or the first of several; else nothing."""
+    """Return the value of a header line in the logs of an experiment, or the first of several; empty without one."""
     line = next((line for line in result.header if line.key == key), None)
     return f"{next(iter(line.values))}{' …' if line.different > 1 else ''}" if line else ""
 
 
 def in_order(results: Sequence[ExperimentResult], keys: Sequence[str]) -> list[ExperimentResult]:
-    """Return experiments in the order of the dates in the first of some header lines; as they are without dates."""
+    """Return experiments sorted by the date in the first of the header lines; in their original order without dates."""
     dates = [_date(line_text(e, keys[0])) for e in results]
     return [results[n] for n in sorted(range(len(dates)), key=lambda n: (dates[n], n))] if all(dates) else list(results)
 
 
 def _date(text: str) -> str:
-    """Return a date in ISO 8601, which sorts as text does; nothing for another text."""
+    """Return a date in ISO 8601, which sorts like text; empty for any other text."""
     try:
         return datetime.fromisoformat(text.removesuffix(" …")).isoformat()
     except ValueError:
@@ -267,5 +267,5 @@ def _date(text: str) -> str:
 
 
 def limit_of(point: BoundaryPoint) -> float | None:
-    """Return the limit at a damping: by the growth rates where they determine it, else the largest stable stiffness."""
+    """Return the limit at a damping: by the growth rates if they determine it, else the largest stable stiffness."""
     return point.stable if point.censored or point.estimate is None else point.estimate

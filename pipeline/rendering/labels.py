@@ -1,4 +1,4 @@
-"""What quantities are called and how numbers are printed in figures and reports."""
+"""Names of quantities and formatting of numbers in figures and reports."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ MISSING = "–"
 
 
 DIGITS = 3
-"""Least digits of an estimate; a narrow interval asks for more."""
+"""Smallest number of digits of an estimate; a narrow interval needs more."""
 
 MOST_DIGITS = 9
-"""Most digits of an estimate: masses from simulated logs without noise are known to 1e-9."""
+"""Largest number of digits of an estimate: masses from noise-free simulated logs are known to 1e-9."""
 
 BEYOND = 1000.0
-"""Deviation in percent from which on its digits are meaningless: the two numbers are unrelated."""
+"""Deviation in percent above which its digits are meaningless: the two numbers are unrelated."""
 
 ALL_BUT_ROUNDING = 1e-9
-"""Distance from 1 up to which a share is all, and from 0 up to which a cost is none: sums of 1e4 round by 1e-12."""
+"""Largest distance of a share from 1 that counts as all, and of a cost from 0 that counts as zero: sums of 1e4 terms
+have rounding errors of 1e-12."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ UNITS: dict[Motion, Units] = {
 
 
 def quantity_name(quantity: str) -> str:
-    """Return what an estimate is called in heads of tables: the label and the symbol of its parameter.
+    """Return the name of an estimate in table heads: the label and the symbol of its parameter.
 
     >>> quantity_name("device_stiffness"), quantity_name("friction"), quantity_name("boundary_area")
     ('stiffness k', 'Coulomb friction', 'area under the boundary')
@@ -63,12 +64,12 @@ def quantity_name(quantity: str) -> str:
 
 
 def criterion_name(name: str) -> str:
-    """Return what a criterion, or another result, is called in print."""
+    """Return the printed name of a criterion or another result."""
     return criterion_of(name).label if is_criterion(name, CRITERIA) else name.replace("_", " ")
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Return a name with its unit, as in ``overshoot [%]``; without, where there is none."""
+    """Return a name with its unit, if any, as in ``overshoot [%]``."""
     return f"{name} [{unit}]" if unit else name
 
 
@@ -84,7 +85,7 @@ def condition_label(condition: str) -> str:
 
 
 def table_label(name: str) -> str:
-    """Return the name of a table of optima: those of the thesis are numbered, the others have an experiment's name."""
+    """Return the name of a table of optima: a number for those of the thesis, else the name of an experiment."""
     return f"Table {name}" if name[:1].isupper() and name[1:2] == "." else name
 
 
@@ -94,22 +95,22 @@ def printed_scale(criterion: str) -> float:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return a text of at most so many characters, its end replaced by an ellipsis where it is longer."""
+    """Return a text cut to ``longest`` characters, with an ellipsis at the end if it was longer."""
     return text if len(text) <= longest else f"{text[: longest - 1].rstrip()}…"
 
 
 def span(show: Callable[[float], str], low: float | None, high: float | None) -> str:
-    """Return an interval as ``low to high``; empty where an end is missing."""
+    """Return an interval as ``low to high``; empty if an end is missing."""
     return "" if low is None or high is None else f"{show(low)} to {show(high)}"
 
 
 def range_text(show: Callable[[float], str], low: float, high: float) -> str:
-    """Return a range as ``low to high``, one number where both ends print the same."""
+    """Return a range as ``low to high``, or one number if both ends print the same."""
     return show(low) if show(low) == show(high) else f"{show(low)} to {show(high)}"
 
 
 def size_text(percent: float) -> str:
-    """Return the size of a deviation in percent with two digits; what is below 0.1 % in words.
+    """Return the absolute value of a deviation in percent with two digits; below 0.1 % in words.
 
     >>> size_text(-4.83), size_text(0.004), size_text(120.4)
     ('4.8 %', 'less than 0.1 %', '120 %')
@@ -119,7 +120,7 @@ def size_text(percent: float) -> str:
 
 
 def fixed(value: float, places: int) -> str:
-    """Return a number with all its decimals, so that those of a row have equally many."""
+    """Return a number with all its decimals, so that all numbers of a row have the same number of decimals."""
     return true_minus(f"{value:.{places}f}")
 
 
@@ -136,13 +137,13 @@ def significant(value: float, digits: int) -> str:
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else MISSING
     size = math.floor(math.log10(abs(value)))
-    if not -4 <= size <= 6:  # longer strings of zeros are harder to read than an exponent
+    if not -4 <= size <= 6:  # an exponent is easier to read than many zeros
         return f"{value:.{digits - 1}e}".replace("-", "\N{MINUS SIGN}")
     return decimal(round(value, digits - 1 - size), max(digits - 1 - size, 0))
 
 
 def at_least(value: float) -> str:
-    """Return two digits of a number that is a lower bound: they are never above it.
+    """Return a lower bound with two digits, rounded down.
 
     >>> at_least(2.057), at_least(0.0999), at_least(0.0)
     ('2', '0.099', '0')
@@ -151,7 +152,7 @@ def at_least(value: float) -> str:
 
 
 def at_most(value: float) -> str:
-    """Return three digits of a number that is an upper bound: they are never below it.
+    """Return an upper bound with three digits, rounded up.
 
     >>> at_most(2.0531), at_most(18.6), at_most(0.0)
     ('2.06', '18.6', '0')
@@ -160,7 +161,7 @@ def at_most(value: float) -> str:
 
 
 def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
-    """Return a number rounded to significant digits in one direction; rounding errors are no digits."""
+    """Return a number rounded to significant digits in one direction, without the effect of rounding errors."""
     if value == 0 or not math.isfinite(value):
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) - digits + 1)
@@ -170,7 +171,7 @@ def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
 
 
 def stiffness_text(value: float) -> str:
-    """Return a stiffness as printed in Tables D.1 to D.5: whole from 100 on, else four digits."""
+    """Return a stiffness as printed in Tables D.1 to D.5: an integer from 100, else four digits."""
     return decimal(value, 0) if abs(value) >= 100 else significant(value, 4)
 
 
@@ -186,7 +187,7 @@ def cost_text(criterion: str, value: float) -> str:
 
 
 def cost_range_text(criterion: str, low: float, high: float) -> str:
-    """Return costs as ``low to high unit``, three digits each; one number where both print the same.
+    """Return costs as ``low to high unit``, three digits each; one number if both print the same.
 
     >>> cost_range_text("overshoot", 1.85e-16, 0.0212)
     '0 to 2.12 %'
@@ -198,12 +199,12 @@ def cost_range_text(criterion: str, low: float, high: float) -> str:
 
 
 def published_text(value: float) -> str:
-    """Return a published value with the digits that were published (six at most), no more and no fewer."""
+    """Return a published value with exactly the published digits (at most six)."""
     return f"{value:.7g}".replace("-", "\N{MINUS SIGN}")
 
 
 def percent_text(value: float, places: int = 1) -> str:
-    """Return a deviation with its sign and one decimal, as in Table D.6; what is beyond all comparison in words.
+    """Return a deviation with its sign and one decimal, as in Table D.6; very large ones in words.
 
     >>> percent_text(-7.5), percent_text(537261.9)
     ('−7.5', 'over +1000')
@@ -215,14 +216,14 @@ def percent_text(value: float, places: int = 1) -> str:
 
 
 def share_text(value: float, places: int = 1) -> str:
-    """Return a share in percent; what is not quite all is not rounded to all.
+    """Return a share in percent; a share below 1 is never rounded to 100 %.
 
     Parameters
     ----------
     value : float
         Share, 1 for all.
     places : int
-        Decimals; one where none would round to 100 % or 0 % what is neither.
+        Number of decimals; one if zero decimals would round a share to 100 % or 0 % that is neither.
     """
     if value == 0.0 or abs(value - 1) <= ALL_BUT_ROUNDING:
         return decimal(100 * value, 0)
@@ -233,9 +234,9 @@ def share_text(value: float, places: int = 1) -> str:
 
 
 def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
-    """Return value and both ends of the interval, to two digits of its half width; empty where missing.
+    """Return value and both ends of the interval, to two digits of its half width; empty if missing.
 
-    A bound on one side is rounded to the safe side: a lower one down, an upper one up.
+    A one-sided bound is rounded conservatively: a lower bound down, an upper bound up.
     """
     given = (estimate.value, estimate.low, estimate.high)
     largest = max((abs(x) for x in given if x is not None), default=0.0)

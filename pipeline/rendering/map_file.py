@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def write_map(
     path: Path, cost_map: CostMap, progress: Callable[[int, int], None] | None = None, points: int = BLOCK
 ) -> int:
-    """Write a map to Parquet so that a reader sees all of it or nothing; return how many of its points are stable.
+    """Write a map to Parquet atomically; return the number of its stable points.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def write_map(
     progress : callable, optional
         Called with (points done, points in all) after each block.
     points : int
-        Points of a block, which becomes a row group: memory does not grow with the map.
+        Number of points per block, written as a row group: memory does not grow with the map.
 
     Raises
     ------
     PipelineError
-        If the file cannot be written; an earlier one stays as it was.
+        If the file cannot be written; an earlier file stays unchanged.
     """
     import pyarrow.parquet as pq
 
@@ -62,7 +62,7 @@ def write_map(
 
 
 def map_schema(cost_map: CostMap) -> pa.Schema:
-    """Return columns of the point, stable and one for each criterion, with units and parameters as metadata."""
+    """Return the columns of the point, of stability and of each criterion, with units and parameters as metadata."""
     import pyarrow as pa
 
     loop = cost_map.loop

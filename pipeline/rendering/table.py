@@ -1,4 +1,4 @@
-"""A table as page, Markdown and LaTeX show it: cells with text, made of the rows of a data frame by columns.
+"""A table for page, Markdown and LaTeX: cells with text, made from the rows of a data frame.
 
 Every cell has a name that is unique in its report, such as ``D.1/settle_2pct/experiment_1/cost``: `verify` compares
 cells by name.
@@ -22,9 +22,9 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Cell:
-    """What is printed; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
+    """Printed content; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
 
-    ``name`` is that of the column; ``trial`` refers to the trial that a number stands for (`trial_page.reference`).
+    ``name`` is the column's name; ``trial`` refers to the trial of a number (`trial_page.reference`).
     """
 
     text: str
@@ -38,29 +38,29 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name in the frame, what is printed above it, and how its values become cells.
+    """A column: its name in the frame, its head, and the conversion of its values to cells.
 
     Parameters
     ----------
     name : str
     label : str
-        Head without unit; the name where it is empty.
+        Head without unit; the name if empty.
     unit, group : str
-        Unit, and heading that neighbours share.
+        Unit, and heading shared with neighbouring columns.
     show : callable, optional
-        Prints a number of a row; words are printed as they are.
+        Formats a number of a row; words are printed unchanged.
     ends : (str, str), optional
-        Columns with the ends of its interval.
+        Columns with the ends of the interval.
     aside : callable, optional
-        Prints the text next to it.
+        Formats the text next to the value.
     why : str
-        Why a value is missing, where the row has no ``reason``.
+        Why a value is missing, if the row has no ``reason``.
     notes : callable, optional
         Yields the texts of its footnotes.
     optional : bool
-        Whether it is left out where no row has a value.
+        Whether the column is left out if no row has a value.
     linked : bool
-        Whether it refers to the trial of its row; ``link``, where given, names another one.
+        Whether the column refers to the trial of its row; ``link``, if given, names another one.
     """
 
     name: str
@@ -118,23 +118,23 @@ class Table:
 
     @property
     def reasons(self) -> dict[str, str]:
-        """The reasons of cells that are no notes, each with the text below the table that it shares with others."""
+        """Return the reasons of cells (except notes), each with the shared text below the table."""
         whys = (cell.why for row in self.rows for cell in row)
         return shared_notes([why for why in whys if why and why not in self.notes])
 
     @property
     def whys(self) -> list[str]:
-        """The texts of `reasons`, each once: print and touch show no text on pointing."""
+        """Return the distinct texts of `reasons`: in print and on touch screens there is no text on hovering."""
         return list(dict.fromkeys(self.reasons.values()))
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Headings above the column heads with the columns each spans; empty where there are none."""
+        """Return the headings above the column heads with the number of columns that each spans; empty without any."""
         spans = [(group, len(list(same))) for group, same in groupby(column.group for column in self.columns)]
         return spans if any(group for group, _ in spans) else []
 
     def mark(self, *notes: str | None) -> tuple[str, ...]:
-        """Return the footnote marks (a, b, c ...) of some notes; the same note keeps its mark."""
+        """Return the footnote marks (a, b, c ...) of notes; equal notes share a mark."""
         told = [note for note in notes if note]
         self.notes += [note for note in dict.fromkeys(told) if note not in self.notes]
         return tuple(footnote(self.notes.index(note)) for note in told)
@@ -149,7 +149,7 @@ def table_of(
     block: Callable[[Row], str] = lambda _: "",
     trial: Callable[[Row], str] = lambda _: "",
 ) -> Table | None:
-    """Return a table of the rows of a frame, None where it has none.
+    """Return a table of the rows of a frame; None without rows.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def table_of(
     row, block : callable
         Name of each row, unique in the table, and heading of the block that it belongs to.
     trial : callable
-        Reference of the trial that the linked columns of a row stand for.
+        Reference of the trial of a row's linked columns.
     """
     rows = records(frame)
     shown = [c for c in columns if not c.optional or any(each.get(c.name) is not None for each in rows)]
@@ -181,13 +181,13 @@ def records(frame: pd.DataFrame | Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def word_table(name: str, caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Table | None:
-    """Return a table of words, or None where it has no rows; the first cell of a row names it."""
+    """Return a table of words, or None without rows; the first cell of a row names it."""
     columns = [Column(head) for head in heads]
     return table_of(name, caption, columns, [dict(zip(heads, row, strict=True)) for row in rows], lambda r: r[heads[0]])
 
 
 def marked(table: Table, *, simulated: bool, more: str = "") -> Table:
-    """Return a table whose caption says that its numbers are those of simulated logs, where they are, and more."""
+    """Return a table with ``more`` in its caption, and a remark if its numbers come from simulated logs."""
     words = "; ".join(filter(None, ["simulated" if simulated else "", more]))
     return replace(table, caption=f"{table.caption} ({words})") if words else table
 
@@ -198,6 +198,6 @@ def footnote(index: int) -> str:
 
 
 def is_sweep(rows: Sequence[Row]) -> bool:
-    """Return whether rows of one table are over delay: its measured ones differ in their experiment only."""
+    """Return whether the rows of one table are over delay: measured rows differ only in their experiment."""
     measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
     return len(set(measured)) < len(measured)

@@ -1,4 +1,4 @@
-"""Tables of a comparison as files: CSV and JSON with all digits of the frames, Markdown and LaTeX as printed."""
+"""Tables of a comparison as files: CSV and JSON with all digits, Markdown and LaTeX as printed."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LONGEST = 45
-"""Rows beyond which a table does not fit on a page, and is a ``longtable``."""
+"""Largest number of rows that fit on a page; a longer table becomes a ``longtable``."""
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""First characters by which a spreadsheet takes a cell for a formula."""
+"""First characters that make a spreadsheet treat a cell as a formula."""
 
 _MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
 
@@ -42,13 +42,13 @@ _LETTERS = {
     "“": "``",
     "”": "''",
 }
-"""What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
+"""LaTeX replacements of characters; other characters stay UTF-8, the default encoding of LaTeX since 2018."""
 
 
 def export_tables(result: ComparisonResult, folder: Path) -> tuple[Path, ...]:
-    """Write the tables of a comparison; files of the same name are replaced, others are left alone.
+    """Write the tables of a comparison; files of the same name are replaced, others are not changed.
 
-    One ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``. Returns the files written.
+    One ``.csv`` and one ``.tex`` per table, ``tables.json``, ``tables.md``. Returns the files written.
     """
     values, printed = named_frames(result), [table for of in printed_tables(result).values() for table in of]
     document = {name: as_document(frame) for name, frame in values.items()}
@@ -62,7 +62,7 @@ def export_tables(result: ComparisonResult, folder: Path) -> tuple[Path, ...]:
 
 
 def named_frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
-    """Return the frames that have rows, Tables D.1 to D.6 by their own names."""
+    """Return the non-empty frames, with Tables D.1 to D.6 under separate names."""
     found = {name: frame for name, frame in frames(result).items() if len(frame)}
     if "tables" not in found:
         return found
@@ -80,9 +80,9 @@ def as_document(frame: pd.DataFrame) -> dict[str, Any]:
 
 
 def csv_text(frame: pd.DataFrame) -> str:
-    """Return a frame as CSV (RFC 4180 with its CR LF) with all digits; the head names units.
+    """Return a frame as CSV (RFC 4180 with CR LF) with all digits; the head states units.
 
-    A text that a spreadsheet would take for a formula gets an apostrophe in front.
+    A text that a spreadsheet would treat as a formula gets an apostrophe in front.
     """
     units = frame.attrs.get("units", {})
     safe = frame.map(lambda value: guarded(value) if isinstance(value, str) else value)
@@ -92,7 +92,7 @@ def csv_text(frame: pd.DataFrame) -> str:
 
 
 def guarded(text: str) -> str:
-    """Return a text with an apostrophe in front where a spreadsheet would take it for a formula; numbers stay.
+    """Return a text, with an apostrophe in front if a spreadsheet would treat it as a formula; numbers are unchanged.
 
     >>> guarded("=1+1"), guarded("-2.5"), guarded("-a")
     ("'=1+1", '-2.5', "'-a")
@@ -122,7 +122,7 @@ def markdown_text(table: Table) -> str:
 
 
 def latex_text(table: Table, label: str) -> str:
-    """Return a table as pandas writes it in LaTeX, a float with caption and label, its notes below."""
+    """Return a table as LaTeX by pandas, a float with caption and label, notes below."""
     printed = as_printed(table, _latex, r"\textsuperscript{{{}}}")
     printed.columns = [_latex(column.head) for column in table.columns]
     name = re.sub(r"[^A-Za-z0-9.:-]+", "-", label)
@@ -162,7 +162,7 @@ def as_printed(table: Table, escape: Any, mark: str) -> pd.DataFrame:
 
 
 def _plain(value: Any) -> Any:
-    return value.item()  # a number of numpy
+    return value.item()  # convert a numpy scalar
 
 
 def _markdown(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Answers of theory as files: rows as CSV or Parquet, and walls in the plane of stiffness and damping as a picture."""
+"""Files with results of theory: rows as CSV or Parquet, and a figure of walls over stiffness and damping."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from pipeline.rendering.labels import UNITS
 from pipeline.theory.cases import Boundary, Case, Optimum, PointCosts, limits_of_walls
 
 TABLES = ("csv", "parquet")
-"""Endings of a file of rows."""
+"""File extensions for rows."""
 
 
 def check_files(out: Path | None, picture: Path | None) -> None:
-    """See that files can be written and end as their kinds do, before anything is computed.
+    """Check that files can be written and have valid extensions, before any computation.
 
     Raises
     ------
     UsageError
-        For another ending, or a folder.
+        For another extension, or a folder.
     PipelineError
-        If a folder takes no files.
+        If a folder is not writable.
     """
     for path, option, endings in ((out, "--out", TABLES), (picture, "--picture", PICTURES)):
         if path is None:
@@ -42,7 +42,7 @@ def check_files(out: Path | None, picture: Path | None) -> None:
 
 
 def unit_of(case: Case | None, name: str) -> str:
-    """Return the unit of a column of an answer; 1 where it has none."""
+    """Return the unit of a result column; 1 without a unit."""
     if case is not None and case.motion is not None and name.startswith(case.axes):
         return str(getattr(UNITS[case.motion], name.split("_")[0]))
     return "samples" if name.startswith(("settle", "rise_time")) else "1"
@@ -58,7 +58,7 @@ def write_rows(path: Path, columns: Mapping[str, Sequence[Any]], case: Case | No
     columns : mapping of sequence
         By name, all of one length.
     case : Case, optional
-        Decides the units of walls; normalised ones have none.
+        Determines the units of walls; normalised walls have none.
     """
     if path.suffix.lower() == ".csv":
         text = io.StringIO()
@@ -89,25 +89,25 @@ def write_rows(path: Path, columns: Mapping[str, Sequence[Any]], case: Case | No
 
 
 def limit_series(case: Case, points: int = 400) -> Series:
-    """Return the limit of walls as it is drawn."""
+    """Return the limit of walls as a series to draw."""
     limits = limits_of_walls(case, points)
     return Series("limit of stability", "edge", limits.stiffness, limits.damping)
 
 
 def robust_series(answer: Boundary) -> Series:
-    """Return the limit of the walls that are stable with every spring as it is drawn."""
+    """Return the limit of the walls stable with every spring, as a series to draw."""
     return Series("stable with every spring", "robust", answer.stiffness, answer.damping)
 
 
 def point_series(answer: PointCosts) -> Iterator[Series]:
-    """Yield stable and unstable walls as they are drawn."""
+    """Yield stable and unstable walls as series to draw."""
     for kind, some in (("stable", answer.stable), ("unstable", ~answer.stable)):
         if some.any():
             yield Series(kind, kind, answer.walls[some, 0], answer.walls[some, 1])
 
 
 def optimum_series(answer: Optimum) -> Series:
-    """Return the best wall as it is drawn."""
+    """Return the best wall as a series to draw."""
     return Series(answer.criterion, "optimum", np.array([answer.stiffness]), np.array([answer.damping]))
 
 

@@ -1,1 +1,1 @@
-"""Figures as SVG from finished numbers."""
+"""Figures as SVG from computed results."""

@@ -1,4 +1,4 @@
-"""Figures of stability limits: every trial of one experiment, experiments over each other, and each with its loop.
+"""Figures of stability limits: all trials of one experiment, several experiments in one plot, each with its loop.
 
 Source: Hulin 2017, Figs. 6.3, 6.4 and 6.9.
 """
@@ -20,7 +20,7 @@ from pipeline.theory.boundary import robust_outline
 from pipeline.theory.predictions import Theory
 
 SEEN = 0.01
-"""Width of a passive region, relative to that of the stable one, from which it is more than a dot: three pixels."""
+"""Smallest width of a passive region, relative to the stable one, for which it is visible: three pixels."""
 
 OVERLAYS: dict[str, Overlay] = {
     "theory": "theory",
@@ -31,7 +31,7 @@ OVERLAYS: dict[str, Overlay] = {
     "friction": "friction",
     "robust": "robust",
 }
-"""Overlay that a kind of series belongs to; measured ones are always drawn."""
+"""Overlay of each kind of series; measured series are always drawn."""
 
 NOT_DRAWN: dict[Overlay, str] = {
     "estimates": "no loop was identified",
@@ -41,7 +41,7 @@ NOT_DRAWN: dict[Overlay, str] = {
     "friction": "no friction was found",
     "robust": "known for a damped mass with a delay alone, and there are other parts or no damping",
 }
-"""Why a requested overlay is missing in the figure of a single experiment."""
+"""Reason why a requested overlay is missing in the figure of a single experiment."""
 
 ANSWER = "boundaries-answer"
 """Identifier of the figure on the first screen."""
@@ -54,39 +54,40 @@ MEASURED = (
 def measured(
     limits: Sequence[BoundaryPoint], label: str, number: int | None, *, intervals: bool = False
 ) -> Iterator[Series]:
-    """Yield the last stable stiffness at each damping, 0 where none was stable, and apart from it lower bounds.
+    """Yield the largest stable stiffness at each damping, 0 without a stable trial, and lower bounds as a separate
+    series.
 
-    With ``intervals`` the limits themselves: by the growth rates with their 95 % intervals, else in the middle of the
-    last stable and the first unstable trial, with these as ends.
+    With ``intervals`` the limits: by the growth rates with their 95 % intervals, else the middle between the last
+    stable and the first unstable trial, with these as ends.
     """
     stable = [p.stable is not None for p in limits]
-    # dampings without a stable trial next to those with one close the curve; further ones add nothing
+    # dampings without a stable trial, next to those with one, close the curve; further ones are not needed
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
     K = np.array([p.limit.stiffness if intervals and p.limit else p.stable or 0.0 for p in points])
     B = np.array([p.damping for p in points])
     bound = np.array([p.censored for p in points], dtype=np.bool_)
-    line = np.where(bound, np.nan, K)  # a lower bound is no limit: a line through it would claim one
+    line = np.where(bound, np.nan, K)  # a lower bound is not a limit: a line through it would suggest one
     yield Series(label, "measured", line, B, low if intervals else None, high if intervals else None, number)
     if bound.any():
         yield Series(f"_{label}: at least", "bound", K[bound], B[bound], number=number)
 
 
 def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
-    """Return the boundary by theory in physical units, with gaps between separate regions."""
+    """Return the theoretical boundary in physical units, with gaps between separate regions."""
     border, units = theory.boundary, theory.units
     return Series(label, "theory", border.alpha * units.stiffness, border.beta * units.damping, number=number)
 
 
 def _identified(result: ExperimentResult, label: str) -> Series:
-    """Return the limits that the loop found in the logs predicts at the tested dampings."""
+    """Return the limits that the identified loop predicts at the tested dampings."""
     limits = result.loop_boundary or ()
     return Series(label, "identified", *np.array([(limit.stiffness, limit.damping) for limit in limits]).T)
 
 
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
-    """Return a figure of limits on axes of equal range; a wide interval goes on beyond them."""
+    """Return a figure of limits with equal axis ranges; wide intervals extend beyond them."""
     series = [s for panel in panels for s in panel.series]
     B = [s.y for s in series if s.kind != "linear"]
     limits = (0.0, reach(*(s.x for s in series if s.kind != "envelope"))[1]), reach(*B)
@@ -97,7 +98,7 @@ def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier:
 
 
 def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tuple[str, str] | None = None) -> Panel:
-    """Return axes of stiffness and damping, with what they show in words."""
+    """Return axes of stiffness and damping, with a description of their content."""
     units = UNITS[motion]
     told = [
         f"{s.label.lstrip('_')}: up to {stiffness_text(float(np.nanmax(s.x)))} {units.stiffness} and "
@@ -112,7 +113,8 @@ def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tu
 def answer_figure(
     result: ExperimentResult, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
 ) -> Figure:
-    """Return the first screen's picture: limits as measured, by theory and with friction, walls to use, all trials.
+    """Return the figure of the first screen: measured and theoretical limits, limits with friction, walls to use, all
+    trials.
 
     Parameters
     ----------
@@ -120,7 +122,7 @@ def answer_figure(
     theory : Theory, optional
     motion : Motion
     number : int
-        Place of the experiment in its report.
+        Index of the experiment in its report.
     trials : (float64, float64, array of str), shape (n,) each
         Stiffness, damping and verdict.
     """
@@ -145,7 +147,7 @@ def answer_figure(
 
 
 def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *, predicted: bool = True) -> Figure:
-    """Return measured limits of experiments, also of several devices, in the plane of alpha and beta.
+    """Return measured limits of experiments, possibly of several devices, in the plane of alpha and beta.
 
     Parameters
     ----------
@@ -186,13 +188,13 @@ def boundary_figures(
     sweep: bool,
     printed: PublishedBound | None = None,
 ) -> list[Figure]:
-    """Return limits of all experiments over each other, each with its loop, and normalised, as far as asked for.
+    """Return the requested figures of limits: all experiments in one plot, each with its loop, and normalised.
 
-    ``printed`` is the straight bound that is published of the device. Where the delay of a device file jitters, theory
-    is also drawn at the ends of its range: limits lie between these (6.1.3).
+    ``printed`` is the published straight bound of the device. If the delay of a device file jitters, theory is also
+    drawn at the ends of its range: limits lie between these (6.1.3).
     """
     figures = []
-    # without an operator (Fig. 6.3) or over delay (Fig. 6.9) together; with one a panel a configuration (Fig. 6.4)
+    # one panel without an operator (Fig. 6.3) or over delay (Fig. 6.9); else one per configuration (Fig. 6.4)
     numbered = list(enumerate(results))
     held = [] if sweep else [r.configuration for r in results if r.grip != "none"]
     groups = {"no operator" if held else "": [(n, r) for n, r in numbered if not held or r.grip == "none"]}
@@ -236,7 +238,7 @@ def boundary_figures(
 
 
 def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
-    """Return a printed bound from the stiffest of some limits to the largest damping."""
+    """Return a published bound from the stiffest limit to the largest damping."""
     stiffest = max((float(np.nanmax(s.x)) for s in beside if np.isfinite(s.x).any()), default=bound.stiffness)
     last = max((float(np.nanmax(s.y)) for s in beside if np.isfinite(s.y).any()), default=0.0)
     damping = np.array([max((stiffest - bound.stiffness) / bound.slope, 0.0), last])
@@ -247,7 +249,7 @@ def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
 def _over_each_other(
     group: Sequence[tuple[int, ExperimentResult]], theories: Mapping[str, Theory], shown: Shown, others: int
 ) -> list[Series]:
-    """Return limits of experiments with theory; the colours of delays are behind those of all experiments."""
+    """Return limits of experiments with theory; colours of delays follow those of all experiments."""
     series: list[Series] = []
     for number, result in group:
         grip = "" if result.grip == "none" else f", {result.grip} grip"
@@ -266,7 +268,7 @@ def _over_each_other(
 
 
 def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
-    """Measured limits of one experiment with its theory, its identified loop, and conditions."""
+    """Return measured limits of one experiment with its theory, its identified loop, and conditions."""
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
     if result.loop_boundary:
         B, low, high = (
@@ -285,9 +287,10 @@ def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, sho
 
 
 def conditions(theory: Theory, robust: bool = True) -> Iterator[Series]:
-    """Yield the linear condition (3.25), the passive region, and if asked what is stable with every spring (4.3.3).
+    """Yield the linear condition (3.25), the passive region, and on request the region stable with every spring
+    (4.3.3).
 
-    The last takes as long as a third of a report.
+    The last one takes a third of the time of a report.
 
     Source: Hulin 2017, eqs. 3.25, 4.12 and sec. 4.3.3.
     """

@@ -1,7 +1,7 @@
 """Figures by matplotlib: panels of series, as SVG in the colours of a page, as PDF, and as a data frame.
 
-A figure is data: panels of series, each of a kind that `LOOKS` describes. Two things are no series: contours
-and marks of a map (`Panel.paint`).
+A figure is data: panels of series, each of a kind that `LOOKS` describes. Only contours and marks of a map are not
+series (`Panel.paint`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pipeline.records.models import FigureKind
 from pipeline.records.trials import Floats
 from pipeline.rendering.labels import shortened
 
-if TYPE_CHECKING:  # takes half a second, which who draws nothing need not wait for
+if TYPE_CHECKING:  # takes half a second; only drawing needs it
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
@@ -46,10 +46,10 @@ ON_PAGE = {
     colour: f"var(--fig-{name},{colour})"
     for name, colour in zip(("blue", "vermillion", "green", "purple", "orange", "sky"), SERIES[:6], strict=True)
 }
-"""Variables of the page's style sheet, so that one drawing serves light and dark."""
+"""Variables of the page's style sheet, so that one drawing suits light and dark mode."""
 
 RC: Any = {
-    "text.parse_math": False,  # a dollar sign in a name is no formula
+    "text.parse_math": False,  # a dollar sign in a name does not start a formula
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
     "path.simplify_threshold": 0.15,
@@ -73,10 +73,10 @@ RC: Any = {
 }
 
 MISSING_GLYPH = r"Glyph \d+ .* missing from font"
-"""Warning of matplotlib of a character that its font does not have."""
+"""Matplotlib's warning about a character that its font lacks."""
 
 LARGER = 1.4
-"""Text in print and on a phone, whose style sheets enlarge it, relative to that of the drawing: legends leave room."""
+"""Largest text size in print and on a phone, relative to the drawing: legends leave room for it."""
 
 _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
 LOOKS: dict[str, dict[str, Any]] = {
@@ -111,18 +111,18 @@ LOOKS: dict[str, dict[str, Any]] = {
     "mark": {"color": VERMILLION, "ls": "none", "marker": "o", "ms": 7, "mfc": "none", "mew": 1.5},
     "estimate": {"color": BLUE, "ls": "none", "marker": "o", "ms": 6, "mew": 0, "interval": 1.4},
 }
-"""How each kind of series is drawn, in this order, which is that of the legend: what `plot` takes; ``fill`` is the
+"""Appearance of each kind of series, in the order of drawing and of the legend: arguments of `plot`; ``fill`` is the
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
-``high``, ``span`` the opacity of a strip over the whole height. Without a colour a series has that of its number."""
+``high``, ``span`` the opacity of a strip over the whole height. A series without a colour gets that of its number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """What is drawn as one: x and y, shape (n,), of a kind of `LOOKS`.
+    """A series to draw: x and y, shape (n,), of a kind in `LOOKS`.
 
     ``low`` and ``high`` are an interval along ``along`` ("x" or "y"), ``value`` a third number for each point, with
-    its name. ``number`` is the place of an experiment in the report, by which it has the same colour in each figure. A
-    label that begins with an underscore stands in no legend.
+    its name. ``number`` is the index of an experiment in the report, which gives it the same colour in each figure. A
+    label that begins with an underscore is left out of legends.
     """
 
     label: str
@@ -139,9 +139,9 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Axes with series, named by quantity and unit, and what they show in words; ``below`` shares the abscissa.
+    """Axes with series, labelled by quantity and unit, and their description; ``below`` shares the abscissa.
 
-    ``paint`` draws what is no series. ``ticks`` are texts at the places 0, 1, 2 ... of the abscissa.
+    ``paint`` draws everything that is not a series. ``ticks`` are texts at 0, 1, 2 ... of the abscissa.
     """
 
     title: str
@@ -156,9 +156,9 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A figure of a report: panels side by side, with the words around them.
+    """A figure of a report: panels side by side, with title and caption.
 
-    ``show`` and ``criterion`` are what a figure of costs is chosen by among the others; ``size`` is that of a panel.
+    ``show`` and ``criterion`` select a figure of costs among the others; ``size`` is that of a panel.
     """
 
     kind: FigureKind
@@ -190,7 +190,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure on the page: panels as ``<svg>`` elements, with the numbers that appear when one points at them."""
+    """A figure on the page: panels as ``<svg>`` elements, with the numbers shown on hovering."""
 
     figure: Figure
     panels: tuple[str, ...]
@@ -211,12 +211,12 @@ def draw(figure: Figure) -> Drawn:
 
 
 def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
-    """Return a drawing as an ``<svg>`` element of a page: in the page's colours, the same for the same."""
+    """Return a drawing as an ``<svg>`` element of a page: in the page's colours, reproducible."""
     import matplotlib
 
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": identifier}), warnings.catch_warnings():
-        # text stays text in the file, and the viewer has fonts for it
+        # text stays text in the file; the viewer provides the fonts
         warnings.filterwarnings("ignore", MISSING_GLYPH, UserWarning)
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _for_page(stream.getvalue(), identifier, title, words)
@@ -225,7 +225,7 @@ def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
 def spell_missing_glyphs(drawing: Drawing) -> None:
     """Replace the characters that the font of a drawing lacks by their code points, as in ``[U+673A]``.
 
-    For formats that contain glyphs and no text: a box would be the same for all of them. Marks that combine with others
+    For formats that contain glyphs instead of text, where all missing characters would be the same box. Combining marks
     are left out.
     """
     from matplotlib.font_manager import findfont, get_font
@@ -245,7 +245,7 @@ def _code_point(character: str) -> str:
 
 
 def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
-    """Write each panel as SVG and PDF, and the numbers of each figure as CSV; other files are left alone."""
+    """Write each panel as SVG and PDF, and the numbers of each figure as CSV; other files are not changed."""
     written = []
     for figure in figures:
         written.append(folder / f"{figure.identifier}.csv")
@@ -264,12 +264,12 @@ def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Write a figure of one panel as SVG, PDF or PNG, by the ending of a path.
+    """Write a figure of one panel as SVG, PDF or PNG, by the file extension.
 
     Raises
     ------
     UsageError
-        For another ending.
+        For another extension.
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in PICTURES:
@@ -287,30 +287,30 @@ def write_picture(figure: Figure, path: Path) -> None:
 
 
 PICTURES = ("svg", "pdf", "png")
-"""Endings of a picture's name."""
+"""File extensions of a picture."""
 
 PLAIN: dict[str, dict[str, str | None]] = {
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
     "png": {"Software": None},
 }
-"""Metadata that are left out, so that the same figure gives the same file."""
+"""Metadata that are omitted, so that equal figures give equal files."""
 
 
 def standalone(svg: str) -> str:
-    """Return a drawing of a page as a file: with its namespaces, in colours of print."""
+    """Return a drawing of a page as a standalone file: with namespaces, in print colours."""
     plain = re.sub(r"var\(--[\w-]+,([^()]*)\)", r"\1", svg).replace("currentColor", "#000000")
     spaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return plain.replace("<svg ", f"<svg {spaces} ", 1) + "\n"
 
 
 def reach(*values: Floats) -> tuple[float, float]:
-    """Return limits of an axis from zero, or below, to some room beyond all finite values."""
+    """Return axis limits from zero, or below, to slightly beyond all finite values."""
     known = np.concatenate([np.zeros(1), *(each[np.isfinite(each)] for each in values)])
     return float(known.min()) * 1.06, float(known.max()) * 1.06 or 1.0
 
 
 def around(*values: Floats) -> tuple[float, float]:
-    """Return limits of an axis with some room on both sides of all finite values."""
+    """Return axis limits with a margin on both sides of all finite values."""
     known = np.concatenate([each[np.isfinite(each)] for each in values])
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     room = 0.06 * (high - low) or 0.05 * abs(high) or 1.0
@@ -324,7 +324,7 @@ def _both(panel: Panel) -> Iterator[Panel]:
 
 
 def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
-    """Yield each panel with its drawing, all of one size, within the settings of `RC`."""
+    """Yield each panel with its drawing, all of equal size, with the settings of `RC`."""
     import matplotlib
     from matplotlib.figure import Figure as Drawing
 
@@ -358,7 +358,7 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
 
 
 def _legend_lines(panel: Panel, width: float) -> tuple[int, int]:
-    """Return columns and lines of the legend of a panel; none where a single series needs no name."""
+    """Return the number of columns and lines of a panel's legend; zero if a single series needs no name."""
     labels = [s.label for own in _both(panel) for s in own.series if not s.label.startswith("_")]
     if not labels:
         return 0, 0
@@ -390,7 +390,7 @@ def _paint(axes: Axes, panel: Panel) -> None:
 
 
 def _paint_series(axes: Axes, series: Series, place: str) -> None:
-    if series.kind == "told":  # what `Panel.paint` draws, for pointing and files
+    if series.kind == "told":  # drawn by `Panel.paint`; needed for hovering and files
         return
     look = dict(LOOKS[series.kind])
     fill, dots_, interval, span = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span"))
@@ -415,7 +415,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         axes.fill([], [], color=look["color"], alpha=fill, lw=0, **named)
         return
     if series.low is not None and series.high is not None and interval:
-        # an interval from zero on bounds nothing from below
+        # an interval from zero has no lower bound
         known = np.isfinite(series.low) & np.isfinite(series.high) & ((series.low > 0) | (series.along == "y"))
         lines = axes.hlines if series.along == "x" else axes.vlines
         at = y if series.along == "x" else x
@@ -427,7 +427,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
 
 
 def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False) -> None:
-    """Draw points as one path of dots, small however many there are: lines without length and with round ends."""
+    """Draw points as one compact path of dots: lines of zero length with round caps."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
@@ -448,7 +448,7 @@ _SHORTER = [
         (r"<metadata>.*?</metadata>|<!--.*?-->|<defs>\s*<style.*?</style>\s*</defs>", ""),
         (r'<g id="[^"]*"', "<g"),
         (r' transform="rotate\(-0 [^)]*\)"', ""),
-        (r'<path d="[^"]*"(?: clip-path="[^"]*")? fill="none"/>', ""),  # areas of nothing
+        (r'<path d="[^"]*"(?: clip-path="[^"]*")? fill="none"/>', ""),  # empty areas
         (r"M (\S+) (\S+)\s+L \1 \2\s+(?=[M\"])", r"M\1 \2h0"),  # dots
         (r"(?<=\d)\s+L (?=[-\d])", " "),
         (r"\s*\n\s*", " "),
@@ -460,14 +460,14 @@ _NUMBER = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?(?=[\s\"),z])")
 
 
 def _for_page(text: str, identifier: str, title: str, words: str) -> str:
-    """Return what matplotlib wrote as an ``<svg>`` element of a page: short, in its colours, with a name.
+    """Return matplotlib's output as an ``<svg>`` element of a page: short, in the page's colours, with a name.
 
-    Places are rounded to a tenth of a pixel; styles become attributes, which a policy of a page does not forbid.
+    Coordinates are rounded to a tenth of a pixel; styles become attributes, which the page's policy allows.
     """
     text = text[text.index("<svg ") :]
     box = re.search(r'viewBox="[^"]*"', text)
     body = _STYLE.sub(_attributes, text[text.index(">") + 1 : text.rindex("</svg>")])
-    # of attributes alone: a text may be the number of an equation
+    # only in attributes: a text may be an equation number
     body = re.sub(r"<[^>]*>", lambda tag: _NUMBER.sub(_tenths, tag[0]), body)
     for pattern, shorter in _SHORTER:
         body = pattern.sub(shorter, body)
@@ -487,7 +487,7 @@ def _tenths(number: re.Match[str]) -> str:
 
 
 def _without_plain_groups(body: str) -> str:
-    """Return elements without groups that have no attributes or no content."""
+    """Return elements without groups that lack attributes or content."""
     open_groups: list[bool] = []
 
     def kept(tag: re.Match[str]) -> str:
@@ -514,7 +514,7 @@ def _attributes(style: re.Match[str]) -> str:
 
 
 def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
-    """Return what axes show for pointing: their box in the drawing, the values at its ends, names and series."""
+    """Return the data of axes for hovering: their box in the drawing, the values at its ends, names and series."""
     box = axes.bbox
     third = next((s.value_name for s in panel.series if s.value_name), "")
     found = []
@@ -533,6 +533,6 @@ def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
 
 
 def few_digits(value: float, digits: int) -> float | int | None:
-    """Return a number with so many digits, as an integer where it is one; None where there is none."""
+    """Return a number rounded to ``digits`` digits, as an integer if it is one; None if it is not finite."""
     found = float(f"{value:.{digits}g}") if np.isfinite(value) else None
     return int(found) if found is not None and found == int(found) else found

@@ -19,11 +19,11 @@ from pipeline.rendering.labels import criterion_label, printed_scale, quantity_n
 from pipeline.rendering.table import is_sweep, records
 
 MOST_POINTS = 1600
-"""Points of a line; of more rows the least and the largest of each pixel are drawn."""
+"""Largest number of points of a line; of more rows, the minimum and maximum of each pixel are drawn."""
 
 
 def trend_figure(result: ComparisonResult) -> list[Figure]:
-    """Return limits and estimates over experiments; none where no header line differs between them."""
+    """Return limits and estimates over experiments; empty if no header line differs between them."""
     rows = records(frames(result)["trend"])
     if not rows:
         return []
@@ -50,7 +50,7 @@ DampedCosts = Mapping[tuple[str, str, float], float]
 
 
 def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Figure]:
-    """Return optimal costs over total delay, theory and experiment, of each table that is a sweep."""
+    """Return theoretical and experimental optimal costs over total delay, for each table that is a sweep."""
     figures: list[Figure] = []
     for table in dict.fromkeys(row.table for row in rows):
         own = [row for row in rows if row.table == table and row.delay_samples is not None and row.cost is not None]
@@ -83,7 +83,8 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
 
 
 def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[tuple[float, float]]]]:
-    """Yield label, kind and points (delay, cost) of theory, theory on the tested walls, experiment, and the printed."""
+    """Yield label, kind and points (delay, cost) of theory, theory on the tested walls, experiment, and published
+    values."""
     theory = {row.delay_samples or 0.0: row.cost or 0.0 for row in rows if row.condition == "theory_discrete"}
     measured = [row for row in rows if row.condition != "theory_discrete"]
     tested, printed = [], []
@@ -101,21 +102,21 @@ def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[
 
 @dataclass(frozen=True, eq=False)
 class RecordedColumn:
-    """A column of a log as it was recorded, over time [s] or the number of the row.
+    """A raw column of a log over time [s] or row number.
 
     Parameters
     ----------
     name, unit : str
-        ``unit`` is empty where it is not known.
+        ``unit`` is empty if unknown.
     place, values : float64, shape (rows,)
     jumps : tuple of int
         Rows at which it jumps.
     rests : tuple of (int, int)
-        First row of each rest, and the one behind its last.
+        First row of each rest, and the row after its last.
     gaps : tuple of int
         Rows before which rows are missing.
     step_row : int or None
-        Row of the step, where it is known.
+        Row of the step, if known.
     """
 
     name: str
@@ -129,7 +130,7 @@ class RecordedColumn:
 
     @property
     def words(self) -> str:
-        """What was found in it as a sentence."""
+        """Findings in the column as a sentence."""
         found = [] if self.step_row is None else [f"step in row {self.step_row}"]
         found += [f"jumps in row {', '.join(map(str, self.jumps))}"] if self.jumps else []
         found += [f"rests in rows {', '.join(f'{a} to {b - 1}' for a, b in self.rests)}"] if self.rests else []
@@ -138,7 +139,7 @@ class RecordedColumn:
 
 
 def recorded_figure(identifier: str, title: str, columns: Sequence[RecordedColumn], abscissa: str) -> Figure:
-    """Return the columns of a log over an abscissa, each by itself."""
+    """Return the columns of a log over an abscissa, one panel each."""
     panels = []
     for c in columns:
         at, label = c.place, f"{c.name} [{c.unit}]" if c.unit else c.name
@@ -155,7 +156,7 @@ def recorded_figure(identifier: str, title: str, columns: Sequence[RecordedColum
 
 
 def thinned(place: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a line with at most `MOST_POINTS` points that looks the same: least and largest of each part, in order."""
+    """Return a line of at most `MOST_POINTS` points that looks the same: minimum and maximum of each part, in order."""
     parts = MOST_POINTS // 2
     each = len(values) // parts
     if each <= 2:

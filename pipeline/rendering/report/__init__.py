@@ -1,1 +1,1 @@
-"""Report pages from finished numbers."""
+"""Report pages from computed results."""

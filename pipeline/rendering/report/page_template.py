@@ -1,7 +1,7 @@
-"""Pages from templates: what a log says is escaped, and a name that a template misspells is an error.
+"""Pages from templates: text from logs is escaped, and a misspelt name in a template is an error.
 
-A report's page makes no request to any host. Its policy forbids all but inline styles, images inside the page, and the
-scripts whose hashes it names, so that a name in a log that slipped through the escaping would still not run.
+A report's page makes no request to any host. Its policy allows only inline styles, images inside the page, and scripts
+with the listed hashes, so that code in a log would not run even if the escaping failed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FILTERS = {
     "counted": counted,
     "listed": listed,
 }
-"""How templates write quantities."""
+"""Functions by which templates format quantities."""
 
 
 def fill_template(name: str, **content: object) -> str:
@@ -47,12 +47,12 @@ def fill_template(name: str, **content: object) -> str:
     name : str
         File name of the template.
     **content : object
-        What its names stand for. In pages (``.html.j2``) text is escaped unless the template calls it safe.
+        Values of its names. In pages (``.html.j2``) text is escaped unless the template marks it as safe.
 
     Raises
     ------
     jinja2.UndefinedError
-        If the template uses a name that is not given: a defect, never a matter of the data.
+        If the template uses a name without a value: a defect of the code, never of the data.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
 

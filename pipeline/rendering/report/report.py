@@ -1,6 +1,6 @@
-"""One self-contained HTML file from finished numbers: no network, readable without its scripts, deterministic.
+"""One self-contained HTML file from computed results: works offline, readable without its scripts, deterministic.
 
-The page has every table cell under a name, and a digest over all of them, which `pipeline verify` compares.
+Every table cell of the page has a name; `pipeline verify` compares cells and a digest of the page.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from pipeline.rendering.report.tables import NO_TRIALS, TrialPage, tables_of
 from pipeline.rendering.table import Table, footnote, marked, word_table
 
 SEVERAL = ("optima", "delay_tables")
-"""Names that stand for any number of tables."""
+"""Names that denote any number of tables."""
 
 ALWAYS = ("missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
-"""Tables that a reader needs to trust the others: no scene leaves them out."""
+"""Tables needed to judge the others: no scene leaves them out."""
 
 OF_COSTS = ("optima", "delay_tables", "delay_form", "measured_optima", "use")
 """Tables with measured costs."""
@@ -53,11 +53,11 @@ class ReportData:
     result : ComparisonResult
     figures : tuple of Figure
     stages : tuple of (str, str, str)
-        Stage, what was done with it (run, reuse, leave out), and why.
+        Stage, action (run, reuse, leave out), and reason.
     accuracy : AccuracyReport, optional
-        Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here.
+        Error and run time of the theory's methods, if `pipeline accuracy` was run with this code on this machine.
     tables : tuple of str, optional
-        Names of the tables that are shown; None for all. What is missing, and the origin, is always shown.
+        Names of the tables to show; None for all. The tables in `ALWAYS` are shown in any case.
     trials : TrialPage, optional
         All trials for the interactive part.
     request : dict
@@ -79,7 +79,7 @@ def render(data: ReportData) -> str:
     Raises
     ------
     PipelineError
-        If two cells got the same name, as from an experiment that occurs twice.
+        If two cells have the same name, for example because an experiment occurs twice.
     """
     from markupsafe import escape
 
@@ -119,30 +119,30 @@ def render(data: ReportData) -> str:
             f"report of {result.device}: table cells with equal names {found.doubles[:3]}; expected one row "
             "for each table, criterion and condition. Give each experiment and criterion once."
         )
-    # The slot stands in the head, before anything a log could have written.
+    # The slot is in the head, before any text from a log.
     page = page.replace(_DIGEST_SLOT, digest(found.cells), 1)
     digests = report_parts.digests_of(page, found).model_dump_json()
     return page.replace(_PARTS_SLOT, str(escape(digests)), 1)
 
 
 def write(data: ReportData, path: Path) -> None:
-    """Render a report and write it so that a reader sees all of it or nothing."""
+    """Render a report and write it atomically."""
     write_text(path, render(data))
 
 
 def pack(content: Any) -> str:
-    """Return a JSON value as deflated text in base64, which a browser unpacks by itself (``DecompressionStream``)."""
+    """Return a JSON value as deflated text in base64, which a browser can unpack (``DecompressionStream``)."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
     return base64.b64encode(zlib.compress(text.encode(), 7)).decode()
 
 
 def answer_content(result: ComparisonResult) -> dict[str, Any]:
-    """Return what the templates of the answer need in addition to the result: units, and the sampling period [s]."""
+    """Return the content for the answer's templates in addition to the result: units and sampling period [s]."""
     return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
 
 
 def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
-    """Return the five answers as lines of text; none where there is no answer."""
+    """Return the five answers as lines of text; empty without an answer."""
     if result.answer is None:
         return ()
     text = fill_template("answer.txt.j2", result=result, **answer_content(result))
@@ -150,7 +150,8 @@ def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
 
 
 def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
-    """Return all tables of a comparison as printed, by the names of `tables_of`: simulated and measured ones marked."""
+    """Return all tables of a comparison as printed, by the names of `tables_of`, with a mark on simulated and measured
+    ones."""
     about = ABOUT_MEASURED if result.measuring.final == "measured" else ""
     return {
         name: [marked(table, simulated=result.simulated, more=about * (name in OF_COSTS)) for table in tables]
@@ -159,7 +160,7 @@ def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> d
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
-    """Return what the templates get: a table or None, or a list for a name that stands for several."""
+    """Return the tables for the templates: a table or None, or a list for a name that denotes several."""
     result = data.result
     found = printed_tables(result, data.trials or NO_TRIALS)
     rest = {
@@ -169,7 +170,7 @@ def _tables(data: ReportData) -> dict[str, Any]:
     }
     found |= {name: [table] if table else [] for name, table in rest.items()}
     asked = {name: [t for t in tables if _is_asked(name, t.name, data.tables)] for name, tables in found.items()}
-    asked["delay_form"] = found["delay_form"] if asked["delay_tables"] else []  # the same costs in another form
+    asked["delay_form"] = found["delay_form"] if asked["delay_tables"] else []  # the same costs in another layout
     return {name: tables if name in SEVERAL else next(iter(tables), None) for name, tables in asked.items()}
 
 
@@ -179,7 +180,7 @@ def _is_asked(name: str, table: str, names: Sequence[str] | None) -> bool:
 
 
 def _accuracy_table(accuracy: AccuracyReport | None) -> Table | None:
-    """Error and run time of our own methods, one row a quantity."""
+    """Return error and run time of this package's methods, one row per quantity."""
     if accuracy is None:
         return None
     rows = [(r.quantity, r.setting, error_text(r.error), duration(r.seconds)) for r in own_rungs(accuracy)]

@@ -22,7 +22,7 @@ _four = digits(4)
 
 @dataclass(frozen=True)
 class AgainstPage:
-    """A finished comparison with its figures (one a pair)."""
+    """A finished comparison with its figures (one per pair)."""
 
     result: AgainstResult
     figures: tuple[Figure, ...]
@@ -50,20 +50,20 @@ def write(page: AgainstPage, path: Path) -> AgainstResult:
 
 
 def sentences_of(pair: PairDifference) -> tuple[str, ...]:
-    """Return what a pair comes to, in sentences."""
+    """Return the conclusions on a pair, in sentences."""
     lines = fill_template("against.txt.j2", pair=pair).splitlines()
     return tuple(" ".join(line.split()) for line in lines if line.strip())
 
 
 def value_name(name: str) -> str:
-    """Return what a quantity of a `ValueDifference` is called: its name, or part and name with a slash between."""
+    """Return the label of a quantity of a `ValueDifference`: its name, or part and name joined by a slash."""
     criterion, _, what = name.partition("/")
     named = criterion_name(criterion.removesuffix("_samples"))
     return f"{named}: {what.replace('_', ' ')}" if what else named
 
 
 def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Table]:
-    """Return the tables of a pair that have rows; cells of several pairs on a page need different names."""
+    """Return the non-empty tables of a pair; ``index`` makes the cell names of several pairs on a page unique."""
     K, B = (UNITS[motion].stiffness, UNITS[motion].damping) if pair.plane == "physical" else ("α", "β")
     first, second = pair.labels
     judged = (

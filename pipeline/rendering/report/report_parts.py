@@ -1,7 +1,7 @@
-"""What stands on a page of a report, part by part and by name: cells of tables, embedded data, sentences.
+"""Content of a report page by named parts: table cells, embedded data, sentences.
 
-`verify` splits two pages into parts, the report and a recomputed one, and compares the parts. Some parts are not
-determined by logs, such as run times; for those `digests` stores short hashes in the page itself.
+`verify` splits two pages into parts, the report and a recomputed one, and compares the parts. Some parts, such as run
+times, do not depend on logs; for those `digests` stores short hashes in the page.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ DIGESTS_META = "pipeline-digests"
 REQUEST_META = "pipeline-request"
 
 FREE_TABLES = ("accuracy", "stages", "provenance")
-"""Tables that no log determines: run times, what was reused, where files lay."""
+"""Tables that do not depend on any log: run times, reused stages, file locations."""
 
 FREE_SECTIONS = ("sec-accuracy", "sec-origin")
-"""Sections whose sentences no log determines."""
+"""Sections whose sentences do not depend on any log."""
 
 DIGITS = 8
-"""Hexadecimal digits of the hash of a part: a change stays unseen once in 4e9 times. The hash of the page has 64."""
+"""Hexadecimal digits of the hash of a part: a change goes undetected with a probability of 1 in 4e9. The hash of the
+page has 64."""
 
 _LEAVES = frozenset({"p", "li", "dt", "dd", "figcaption", "caption", "summary", "h1", "h2", "h3", "h4", "th", "td"})
-"""Elements that contain one sentence, or a few; named cells are not among the sentences."""
+"""Elements with one or a few sentences; named cells do not count as sentences."""
 
 _DRAWING = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 _BLOCK = re.compile(r"<(script|style)\b([^>]*)>(.*?)</\1>", re.DOTALL)
@@ -40,7 +41,7 @@ _META = re.compile(rf'(<meta name="(?:{CELLS_META}|{DIGESTS_META})" content=")[^
 
 
 class Digests(BaseModel):
-    """Hashes that a page carries of itself: of each free part, and of all of it."""
+    """Hashes in a page of its own content: of each free part, and of the whole page."""
 
     page: str = ""
     cells: dict[str, str] = {}
@@ -54,7 +55,7 @@ class Parts:
     Parameters
     ----------
     cells : dict of str to str
-        Text of each named cell as a reader sees it, marks of notes included.
+        Visible text of each named cell, including footnote marks.
     doubles : list of str
         Names that occur twice.
     data : dict of str to str
@@ -73,7 +74,7 @@ class Parts:
 
     @property
     def digests(self) -> Digests | None:
-        """Return the hashes that the page carries; None where it has none that can be read."""
+        """Return the hashes in the page; None if there are none or they are unreadable."""
         try:
             return Digests.model_validate_json(self.metas.get(DIGESTS_META, ""))
         except ValidationError:
@@ -81,7 +82,7 @@ class Parts:
 
     @property
     def request(self) -> Mapping[str, object] | None:
-        """Return how the report was asked for; None where the page does not say."""
+        """Return the request of the report; None if the page does not contain it."""
         try:
             found = json.loads(self.metas.get(REQUEST_META, ""))
         except json.JSONDecodeError:
@@ -90,26 +91,26 @@ class Parts:
 
 
 def take_apart(page: str) -> Parts:
-    """Return the parts of a page that `report.render` made; other HTML has few or none."""
+    """Return the parts of a page made by `report.render`; other HTML has few or none."""
     data: dict[str, str] = {}
     counts: Counter[str] = Counter()
     for kind, attributes, content in _BLOCK.findall(page):
         named = _ID.search(attributes)
         data[named[1] if named else f"{kind}-{counts[kind]}"] = content
         counts[kind] += not named
-    # drawings are most of a page, and no cell stands in one
+    # drawings are most of a page and contain no cells
     reader = _Reader(_DRAWING.sub("", _BLOCK.sub("", page)))
     return Parts(reader.cells, reader.doubles, data, reader.texts, reader.metas)
 
 
 def digests_of(page: str, parts: Parts | None = None) -> Digests:
-    """Return the hashes of a page; its own, in the head, count as empty.
+    """Return the hashes of a page, computed with empty hashes in its head.
 
     Parameters
     ----------
     page : str
     parts : Parts, optional
-        Of this page, where they are known.
+        Parts of this page, if known.
     """
     found = parts or take_apart(page)
     cells = {name: short(text) for name, text in found.cells.items() if is_free_cell(name)}
@@ -128,12 +129,12 @@ def short(text: str) -> str:
 
 
 def is_free_cell(name: str) -> bool:
-    """Return whether no log determines a cell."""
+    """Return True if a cell does not depend on any log."""
     return name.partition("/")[0] in FREE_TABLES
 
 
 def is_free_text(name: str) -> bool:
-    """Return whether no log determines a sentence."""
+    """Return True if a sentence of the report does not depend on any log."""
     return name.partition("/")[0] in FREE_SECTIONS
 
 

@@ -1,4 +1,4 @@
-"""The tables of a report: which columns of which frame stand where, how they are printed, and why a cell is empty."""
+"""The tables of a report: source frame and order of their columns, formatting, and reasons for empty cells."""
 
 from __future__ import annotations
 
@@ -69,14 +69,14 @@ class TrialPage:
     Parameters
     ----------
     content : dict
-        What the page's script reads: plain JSON values, with the trials of each experiment packed.
+        Input of the page's script: plain JSON values, with the trials of each experiment packed.
     trials, responses : int
-        Number of trials, and of those whose response is in the page.
+        Number of trials, and number of trials with a response in the page.
     places : dict
         ``(experiment, trial id)`` to the trial's reference in the page.
     limits : dict
-        ``(experiment, damping, stiffness)`` to the reference of the trial that stands in the boundary there; the
-        stiffness is that of the table of limits.
+        ``(experiment, damping, stiffness)`` to the reference of the boundary trial there; the stiffness is that of the
+        table of limits.
     """
 
     content: dict[str, Any]
@@ -86,12 +86,12 @@ class TrialPage:
     limits: dict[tuple[str, float, float], str] = field(default_factory=dict)
 
     def place(self, experiment: str | None, trial_id: str | None) -> str:
-        """Return how tables refer to a trial; empty where the page does not show it."""
+        """Return the reference of tables to a trial; empty if the page does not show it."""
         return self.places.get((experiment or "", trial_id or ""), "")
 
 
 NO_TRIALS = TrialPage({}, 0, 0)
-"""Of a report without trials."""
+"""Trial page of a report without trials."""
 
 
 def _by(show: Callable[[Any], str]) -> Callable[[Any, Row], str]:
@@ -99,7 +99,7 @@ def _by(show: Callable[[Any], str]) -> Callable[[Any, Row], str]:
 
 
 def digits(count: int) -> Callable[[Any, Row], str]:
-    """Return what prints a cell with so many significant digits."""
+    """Return a function that prints a cell with ``count`` significant digits."""
     return lambda value, _: significant(value, count)
 
 
@@ -121,7 +121,7 @@ def _of_experiment(row: Row) -> str:
 
 
 YES_OR_NO = {True: "yes", False: "no"}
-"""Words for what is known."""
+"""Words for a known truth value."""
 
 
 def _name(row: Row) -> str:
@@ -133,7 +133,7 @@ def _of_what(what: str) -> Callable[[Row], str]:
 
 
 def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
-    """Return the tables of a report by the names that its templates and scenes use; empty where there is nothing."""
+    """Return the tables of a report by the names used in templates and scenes; empty lists without data."""
     f = {name: records(frame) for name, frame in frames(result).items()}
     units = UNITS[result.motion]
     place = _place(trials)
@@ -203,14 +203,14 @@ _NEAR_TEXTS = {"stiffness": stiffness_text, "damping": damping_text}
 
 
 def _near(row: Row, axis: str, show: Callable[[float], str]) -> str:
-    """Return the range of walls that are nearly as good as an optimum; empty in documents of former versions."""
+    """Return the range of walls nearly as good as an optimum; empty for documents of earlier versions."""
     if row[f"near_{axis}_low"] is None:
         return ""
     return range_text(show, row[f"near_{axis}_low"], row[f"near_{axis}_high"])
 
 
 def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
-    """Return the tables of what logs show of their device."""
+    """Return the tables of the devices identified from logs."""
     return {
         "causes": table_of(
             "causes",
@@ -236,7 +236,7 @@ def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
 
 
 def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
-    """Return the tables of what is missing, excluded and noted."""
+    """Return the tables of missing results, excluded trials and notes."""
     return {
         "missing": table_of(
             "missing",
@@ -336,7 +336,7 @@ THESIS = {"delay_samples": "first_change", "mass": "thesis_momentum_balance"}
 
 
 def _thesis_value(estimate: Estimate | None, method: str) -> float | None:
-    """Return an estimate by a method of the thesis; None where there is none."""
+    """Return an estimate by a method of the thesis; None without one."""
     found = None if estimate is None else estimate.by_method.get(method)
     return None if found is None else found.value
 
@@ -377,7 +377,7 @@ def _experiments(result: ComparisonResult) -> Table | None:
 
 
 def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
-    """Return the column of an estimate, followed by its interval, with warnings as notes; rows have the record."""
+    """Return the column of an estimate and its interval, with warnings as notes; rows contain the record."""
 
     def texts(row: Row) -> tuple[str, str, str]:
         return estimate_texts(row[quantity])
@@ -386,7 +386,7 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
         found: Estimate | None = row.get(quantity)
         clauses = found.warning.split("; ") if found and found.warning else []
         drifts = any(clause.startswith(DRIFTS) for clause in clauses)
-        # the interval of a value that may be zero follows it
+        # a value that may be zero is followed by its interval
         others = "; ".join(c.partition(" (95 % interval")[0] for c in clauses if not c.startswith(DRIFTS))
         return [found.reason if found else None, DRIFT if drifts else None, others]
 
@@ -416,13 +416,13 @@ def _theory(theory: SourcedLoop | None, result: ComparisonResult) -> str:
 
 
 def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dict[str, list[Table]]:
-    """Tables D.1 to D.5 and others like them, and those over delay, as D.6."""
+    """Return Tables D.1 to D.5 and similar ones, and those over delay, as D.6."""
     found: dict[str, list[Table]] = {"optima": [], "delay_tables": []}
     for name in dict.fromkeys(row["table"] for row in rows):
         own = [dict(row) for row in rows if row["table"] == name]
         swept = is_sweep(own)
         for row, after in zip(own, [*own[1:], own[-1]], strict=True):
-            # over delay, theory of each experiment stands before it
+            # over delay, each experiment follows its theory
             row |= {"reason": row["note"], "raw": row["condition"], "of": row["experiment"] or after["experiment"]}
             row["condition"] = condition_label(row["condition"])
             if row["delay_samples"] is not None and (swept or not row["condition"].startswith("theory")):
@@ -469,7 +469,8 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
 
 
 def _delay_form(rows: Sequence[Row]) -> Table | None:
-    """Costs over delay in the form of Table D.6: a row a delay; theory, experiment and deviation side by side."""
+    """Return costs over delay in the form of Table D.6: one row per delay; theory, experiment and deviation side by
+    side."""
     swept = next(
         (n for n in dict.fromkeys(r["table"] for r in rows) if is_sweep([r for r in rows if r["table"] == n])), None
     )
@@ -497,7 +498,8 @@ def _delay_form(rows: Sequence[Row]) -> Table | None:
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
-    """Return how rows are named: by criterion and condition, and by delay and experiment where others share these."""
+    """Return the naming function of rows: by criterion and condition, and by delay and experiment if these are not
+    unique."""
 
     def names(row: Row) -> list[str]:
         delay = "" if row["delay_samples"] is None else f"/d={significant(row['delay_samples'], 3)}"
@@ -509,7 +511,7 @@ def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
 
 
 def _parts(row: Row) -> str:
-    """What a deviation is made of, in a line; parts that are printed as zero are left out, but for the model's."""
+    """Return the parts of a deviation in one line; parts that print as zero are left out, except the model's."""
     if row["model"] is None:
         return ""
     nothing, low, high = (percent_text(value) for value in (0.0, row["model_low"], row["model_high"]))
@@ -560,7 +562,7 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
     shown = [row | {"limit": row["stiffness"] or row["low"] or row["high"] or None} for row in map(dict, rows)]
 
     def name(row: Row) -> str:
-        # dampings that are chosen by chance may be equal as they are printed
+        # random dampings may be equal when printed
         return f"{row['experiment']}/{row['damping']:.15g}"
 
     return table_of("boundary", caption, columns, shown, name, _of_experiment)
@@ -602,7 +604,7 @@ def _methods(rows: Sequence[Row], result: ComparisonResult) -> Table | None:
 
 
 def _loops(result: ComparisonResult) -> Table | None:
-    """The loop of each experiment and whether it is adequate."""
+    """Return the loop of each experiment and whether it is adequate."""
     units = UNITS[result.motion]
     rows = []
     for e in result.experiments:
@@ -635,7 +637,7 @@ def _loops(result: ComparisonResult) -> Table | None:
 
 
 def _shapes(result: ComparisonResult) -> Table | None:
-    """Delay and line that each measured boundary stands for."""
+    """Return the implied delay and the fitted line of each measured boundary."""
     units, rows = UNITS[result.motion], []
     for e in result.experiments:
         delays, line = e.implied_delay, e.straight_bound
@@ -693,7 +695,7 @@ def _outcomes(result: ComparisonResult) -> Table | None:
 
 
 def _truth(result: ComparisonResult) -> Table | None:
-    """The truth of simulated experiments next to the estimates."""
+    """Return the truth of simulated experiments next to the estimates."""
     known = [e for e in result.experiments if e.truth and e.truth_held]
     rows = []
     for e in known:
@@ -723,7 +725,7 @@ def _truth(result: ComparisonResult) -> Table | None:
 
 
 def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
-    """The walls to use of each experiment with the costs of the trials there."""
+    """Return the walls to use of each experiment with the costs of the trials there."""
     units = UNITS[result.motion]
     names = [name for name in result.criteria if any(e.use and name in e.use.costs for e in result.experiments)]
     rows = []
@@ -762,7 +764,7 @@ def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
 
 
 def use_note(result: ExperimentResult) -> str:
-    """Return why no cost chose the walls to use, or why there are none; empty where a cost did."""
+    """Return why the walls to use were not selected by a cost, or why there are none; empty if a cost selected them."""
     if not result.use_reason:
         return ""
     return f"{'None' if result.use is None else 'Chosen by stiffness'}: {result.use_reason}."
