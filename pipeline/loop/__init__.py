@@ -1,1 +1,1 @@
-"""The sampled, delayed loop: the one definition of it, and the exact motion over a sample."""
+"""The sampled, delayed loop: its only definition, and the exact motion over a sampling interval."""

@@ -1,17 +1,17 @@
-"""One trial behind a wall, row by row: sensor, velocity, wall law, late command, and exact motion with friction.
+"""Simulation of one trial at a wall, row by row: sensor, velocity, wall law, delayed command, exact motion with
+friction.
 
 The compiled run follows a controller that samples at t_k = k T:
 
     y[k] = round((p(t_k) + n[k])/q) q        F[k] = E[k] - K (y[k] - y[0] + s) - B v[k]
 
-with the sensor's position p, noise n, quantum q, external force E, the depth s of the wall at the first row, and the
-velocity v that an estimator makes of y. F, limited and amplified, reaches the plant some time later; between two
-changes of it the plant moves by x(t + h) = e^(A h) x(t) in the region of friction that it is in: see
-`pipeline.loop.motion`.
+with the sensor's position p, noise n, resolution q, external force E, depth s in the wall at the first row, and the
+velocity v estimated from y. F, limited and amplified, reaches the plant after the delay. While F is constant, the plant
+moves by x(t + h) = e^(A h) x(t) within its region of friction: see `pipeline.loop.motion`.
 
-The parts of a row (estimator of velocity, step of motion) are separate functions, which numba compiles into the loops
-that call them; they are plain Python elsewhere. Numba looks at the file of a loop alone for whether its machine code is
-old: so they are in this module, as are the constants that they use.
+The parts of a row (velocity estimator, step of motion) are separate functions, which numba inlines into the loops that
+call them; elsewhere they run as plain Python. To detect outdated machine code, numba checks only the file of the loop
+itself. Therefore these functions and their constants are in this module.
 
 Source: Hulin 2017, sec. 3.1 and 6.1.1.
 """
@@ -29,36 +29,37 @@ STICK, CREEP, SLIDE = 0, 1, 2
 """Regions of friction. Without a Stribeck effect there is no `SLIDE`: every motion is a `CREEP` at constant force."""
 
 CELLS = 32
-"""Cells of a grid in time on which a change of region is looked for."""
+"""Number of cells of a time grid on which a change of region is searched."""
 
 TERMS = 17
-"""Terms of the power series within a cell."""
+"""Number of terms of the power series within a cell."""
 
 MOST_EVENTS = 400
-"""Changes of region and cells looked into, after which a motion stays in its region: an end to any chatter."""
+"""Largest number of region changes and examined cells; after that a motion stays in its region, which ends any
+chatter."""
 
 SETTLED = 2.0**-50
-"""Newton's step, relative to a cell, that is rounding."""
+"""Newton step, relative to a cell, that counts as rounding."""
 
 MOST_STEPS = 60
-"""Steps to a zero: bisection alone needs 53 for a double."""
+"""Largest number of steps to a zero: bisection alone needs 53 for a double."""
 
 FILTER, DIFFERENCE, WINDOW, LEVANT = 0, 1, 2, 3
 """Estimators of velocity: a linear filter, the difference over several samples, the adaptive window, and Levant's."""
 
 Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
-"""Exact motion over a time, and what is needed to stop it inside, for R regions of friction and n states.
+"""Exact motion over a time interval, with the data to stop within it, for R regions of friction and n states.
 
-- ``whole`` (R, n + 4, n + 3): state at its end, then guard and slope of the guard before and after; without friction
-  R is 1, and the state is all.
-- ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): the time cut into cells, and a cell of each grid into cells again;
-  state, guard and slope at each edge.
-- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the last grid.
-- ``bounds`` (2, R): between which the guard lies in its region; (2, 0) without friction.
+- ``whole`` (R, n + 4, n + 3): state at the end, then guard and its slope at the start and at the end; without friction
+  R is 1 and only the state is stored.
+- ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): state, guard and slope at the edges of cells; each level divides one
+  cell of the level above.
+- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid.
+- ``bounds`` (2, R): lower and upper bound of the guard in its region; (2, 0) without friction.
 - ``force`` (n + 3,): force on the motor without friction.
-- The time [s], and whether the motion is so slow that its end points show whether it may leave a region.
+- Duration [s], and whether the motion is slow enough for its end points to show whether it may leave a region.
 
-All are products with z: the state, command, force in addition to it, direction of friction.
+All are multiplied by z: state, command, additional force, direction of friction.
 """
 
 _INTERVAL = "Tuple((f8[:,:,::1],f8[:,:,:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[::1],f8,b1))"
@@ -75,7 +76,7 @@ def dot(a: Floats, b: Floats) -> float:
 
 @inlined
 def polynomial(series: Floats, time: float) -> float:
-    """Return a polynomial with the lowest power first, at a time."""
+    """Return the value of a polynomial, lowest power first, at a time."""
     total = 0.0
     for k in range(len(series) - 1, -1, -1):
         total = total * time + series[k]
@@ -104,7 +105,7 @@ def derivative(series: Floats) -> Floats:
 def last_zero(series: Floats, end: float) -> float:
     """Return the last zero of a polynomial that is not negative at 0 and negative at ``end``."""
     slopes, low, high = derivative(series), 0.0, end
-    # from the parabola through value and slope at 0 and value at the end
+    # start from the parabola through value and slope at 0 and value at the end
     first, rate = series[0], series[1] * end
     bend = min(polynomial(series, end), 0.0) - first - rate
     divisor = sqrt(max(rate * rate - 4 * bend * first, 0.0)) - rate
@@ -126,10 +127,10 @@ def last_zero(series: Floats, end: float) -> float:
 
 @inlined
 def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[float, int]:
-    """Return when a polynomial leaves its bounds within [0, span], and whether downwards (-1) or upwards (1).
+    """Return the time at which a polynomial leaves its bounds within [0, span], and its direction: down (-1) or up (1).
 
-    One that does not leave (0) has the span as its time. One that starts on a bound is judged by how it goes on. Within
-    the span it may turn once.
+    If it stays inside, the direction is 0 and the time is the span. If it starts on a bound, its further motion
+    decides. It may turn once within the span.
     """
     start, slope, until = series[0], series[1], span
     slopes = derivative(series)
@@ -153,15 +154,15 @@ def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[fl
 
 @inlined
 def extent(guard: float, later: float, slope: float, later_slope: float, span: float) -> tuple[float, float]:
-    """Return between which values a guard stays over a span of time, by value and slope at both ends."""
-    # a guard that turns between the ends is nowhere steeper than at both together
+    """Return lower and upper bound of a guard over a span of time, by value and slope at both ends."""
+    # between the ends, a turning guard is never steeper than the sum of both end slopes
     reach = span * (abs(slope) + abs(later_slope)) if slope * later_slope < 0 else 0.0
     return min(guard, later) - reach, max(guard, later) + reach
 
 
 @inlined
 def region_behind(z: Floats, region: int, upwards: bool, bounds: Floats, force: Floats) -> int:
-    """Return the region that a motion enters whose guard has reached a bound; its velocity is set to the bound."""
+    """Return the region that a motion enters when its guard reaches a bound; set its velocity to the bound."""
     stops = region == CREEP and not upwards
     if not stops and region != STICK:
         z[1] = bounds[1, CREEP] * z[-1]
@@ -214,7 +215,7 @@ def advance_through_regions(z: Floats, region: int, interval: Interval) -> None:
 
 @inlined
 def advance(z: Floats, interval: Interval) -> None:
-    """Advance the state in z = (state, command, force in addition to it, direction of friction) over an interval."""
+    """Advance the state in z = (state, command, additional force, direction of friction) over an interval."""
     whole, _, _, bounds, _, time_s, slow = interval
     n, region = len(z) - 3, 0
     if bounds.shape[1]:
@@ -237,19 +238,19 @@ def advance(z: Floats, interval: Interval) -> None:
 
 @inlined
 def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position: Floats, row: int) -> float:
-    """Return the velocity that an estimator makes of the positions up to a row, and update its memory.
+    """Return the velocity estimated from the positions up to a row, and update the estimator's memory.
 
     Parameters
     ----------
     kind : int
         `FILTER` (transposed direct form), `DIFFERENCE`, `WINDOW` or `LEVANT`.
     numbers : float64, shape (2, m)
-        Of a filter b and a in powers of 1/z, with a zero behind each; else in its first row: samples of the difference;
-        bound and longest length of the window; acceleration of Levant's differentiator.
+        For a filter, b and a in powers of 1/z, with a zero appended to each; else, in the first row: samples of the
+        difference; bound and longest length of the window; acceleration of Levant's differentiator.
     period : float
         T [s].
     memory : float64, shape (m,)
-        What the estimator remembers, zero before the first row.
+        Memory of the estimator, zero before the first row.
     position : float64, shape (rows,)
     row : int
     """
@@ -257,7 +258,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
     if kind == DIFFERENCE:
         return float(position[row] - position[max(row - int(first), 0)]) / period / first
     if kind == WINDOW:
-        # the slope over the longest window with all samples within a bound of its line
+        # the slope over the longest window whose samples all lie within the bound of its line
         for count in range(1, min(row, int(numbers[0, 1])) + 1):
             slope = (position[row] - position[row - count]) / count
             for i in range(1, count):
@@ -300,26 +301,27 @@ def run_trial(
     estimator: tuple[int, Floats, float],
     motion: tuple[Floats, int, tuple[Interval, Interval]],
 ) -> tuple[Floats, Floats]:
-    """Return command [N, Nm] and position [m, rad] of each row of a trial, which ends with the first beyond its travel.
+    """Return command [N, Nm] and position [m, rad] of each row of a trial; it ends with the first row beyond its
+    travel.
 
     Parameters
     ----------
     wall : K, B, depth, side
         Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], depth of the first position in the wall, and the sign of the
-        depth at which a one-sided wall pushes; 0 for a wall of both sides.
+        depth at which a one-sided wall pushes; 0 for a two-sided wall.
     signals : external, push, noise, repeats, slots
         For each row: external force in the command, force on the device in addition to the command [N, Nm], noise of
-        the reading [m, rad], whether the sensor repeats its reading; and for each part of the interval behind the row
-        (parts, rows) the row of the command in force, counted from 1. 0 is that before the first row.
+        the reading [m, rad], whether the sensor repeats its reading; and for each part of the interval after the row
+        (parts, rows) the row of the applied command, counted from 1. 0 is the command before the first row.
     place : start, centre, travel, stop
-        Position at the start, the middle of the range, largest distance from it, and that of rigid stops [m, rad].
+        Position at the start, the middle of the range, largest distance from it, and distance of rigid stops [m, rad].
     ranges : quantum, limit, gain
-        Sensor's quantum [m, rad], 0 for none, limit of the command [N, Nm], and force per unit of it.
+        Sensor resolution [m, rad], 0 if ideal, limit of the command [N, Nm], and force per unit of command.
     estimator : kind, numbers, period
         See `velocity`.
     motion : rest, sensed, intervals
-        State per unit of a lasting command, row of the state that the sensor sees, and both parts of an interval; the
-        second is not used where ``slots`` has one.
+        Steady state per unit of a constant command, index of the sensed state, and both parts of an interval; the
+        second part is unused if ``slots`` has only one.
     """
     K, B, depth, side = wall
     external, push, noise, held, slots = signals

@@ -1,4 +1,4 @@
-"""A device with Coulomb friction that runs free under logged commands: one segment, row by row."""
+"""Free run of a device with Coulomb friction under logged commands: one segment, row by row."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ def free_run(
     start: Floats,
     sub_steps: int,
 ) -> Floats:
-    """Return the positions that the sensor of a device reads in a free run, shape (N,).
+    """Return the sensor positions of a device in a free run, shape (N,).
 
     In each sub-step of each piece of an interval, in which the command u is constant,
 
         x <- F x + G_1 u + G_2 (f - c s)
 
-    with the direction s of friction: that of the velocity, or at rest that of the force a = A_2 x + b_2 u + f. A device
-    at rest stays where it is if |a| <= c. One whose velocity changes its sign stops if |a| <= c at the start of the
-    sub-step; it is late by a sub-step at most. Without friction the run is linear, and one sub-step is enough.
+    with the direction s of friction: that of the velocity or, at rest, that of the force a = A_2 x + b_2 u + f. A
+    device at rest stays at rest if |a| <= c. If the velocity changes sign, the device stops if |a| <= c at the start of
+    the sub-step, late by at most one sub-step. Without friction the run is linear, and one sub-step is enough.
 
     Parameters
     ----------
     device : C, A_2, b_2
-        Rows of the sensor and of the acceleration, shape (n,), and the acceleration by a unit command, of a device of
-        mass 1 whose first states are position and velocity (`pipeline.loop.state_space`).
+        Output rows of sensor and acceleration, shape (n,), and the acceleration per unit command, for a device of mass
+        1 whose first states are position and velocity (`pipeline.loop.state_space`).
     pieces : F, G, place
-        Transitions (m, n, n) over a sub-step, what unit command and force add in it (m, n, 2), and which of these m
-        belongs to each piece of the interval that follows each row (P, N).
+        Transitions (m, n, n) over a sub-step, input gains of unit command and force (m, n, 2), and the index (of these
+        m) for each piece of the interval after each row (P, N).
     commands : float64, shape (P, N)
-        Command u in force in each piece, times the gain.
+        Applied command u in each piece, times the gain.
     forces : f, c
         Constant force and Coulomb friction.
     start : float64, shape (n,)
         State at the first row.
     sub_steps : int
-        Of each piece.
+        Number of sub-steps of each piece.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Small matrices and polynomials in many digits: what is computed once for a loop and must not cancel.
+"""Small matrices and polynomials in many digits, for quantities computed once per loop without cancellation.
 
-Matrices and polynomials are numpy arrays of `decimal.Decimal`, polynomials lowest power first. The digits are those of
-the decimal context, which `many_digits` sets.
+Matrices and polynomials are numpy arrays of `decimal.Decimal`, polynomials lowest power first. The decimal context, set
+by `many_digits`, determines the number of digits.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ Digits = NDArray[np.object_]
 """Array of Decimal."""
 
 _SMALL = 0.0625
-"""Norm to which a matrix is halved before its exponential is summed."""
+"""Norm to which a matrix is scaled down by halving before its exponential is summed."""
 
 exact = np.frompyfunc(Decimal, 1, 1)
 """Decimal of each float, without rounding."""
 
 
 def many_digits(digits: int) -> AbstractContextManager[Context]:
-    """Return a context in which Decimal numbers have so many digits, and any size."""
+    """Return a Decimal context with the given number of digits and an unlimited exponent range."""
     return localcontext(Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN))
 
 
@@ -42,13 +42,13 @@ def as_floats(values: Digits) -> NDArray[np.float64]:
 
 
 def exponential(matrix: Digits, digits: int) -> Digits:
-    """Return exp of a square matrix: the power series of a part of it, squared again and again."""
+    """Return exp of a square matrix: power series of the scaled matrix, then repeated squaring."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
     part = matrix / Decimal(2) ** halvings
     result = term = as_exact(np.eye(len(matrix)))
     smallest = Decimal(10) ** -(digits + halvings)
-    for n in range(1, 4 * digits):  # the terms fall by 16 n each
+    for n in range(1, 4 * digits):  # each term is smaller by a factor of 16 n
         term = term @ part / n
         result = result + term
         if np.abs(term).max() < smallest:

@@ -1,10 +1,9 @@
-"""Exact motion of a device under constant forces, with vibration mode, actuator lag and friction: its matrices.
+"""Matrices of the exact motion of a device under constant forces, with vibration mode, actuator lag and friction.
 
-The compiled loops of `pipeline.loop.closed_loop` step by them. Without friction the motion is that of
+The compiled loops of `pipeline.loop.closed_loop` use them. Without friction the motion is that of
 `pipeline.loop.state_space`, and a step of time is one product with its exponential. Friction makes it piecewise linear:
-the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time at which it leaves one region
-for another is found on the exact motion. Between stiction at rest and Coulomb friction at the Stribeck velocity the
-force falls linearly.
+the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a change of region is found
+on the exact motion. Between stiction at rest and Coulomb friction at the Stribeck velocity the force falls linearly.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ from pipeline.loop.closed_loop import CELLS, TERMS, Interval, advance_states
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
     from pipeline.device.loop import Loop
     from pipeline.device.parts import Friction
 
 BREAKAWAY = 1e-12
-"""Force beyond stiction, relative to it, that sets a resting device in motion: rounding alone must not."""
+"""Force beyond stiction, relative to it, that sets a resting device in motion, so that rounding alone does not."""
 
 LEFT_OUT = 1e-17
-"""Share of a motion that its power series may leave out."""
+"""Largest truncation error of the power series, relative to the motion."""
 
 QUARTER = pi / 4
-"""Largest phase [rad] of the fastest oscillation over a time of which the ends alone are looked at."""
+"""Largest phase [rad] of the fastest oscillation over an interval for which evaluating the ends suffices."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +40,15 @@ class FrictionalMotion:
     Parameters
     ----------
     plant : Plant
-        Linear motion with forces as inputs, in SI; its spring is relaxed at the start.
+        Linear motion with forces as inputs, in SI; its spring is relaxed at the initial position.
     friction : Friction or None
         Coulomb friction and stiction [N, Nm] on the motor.
 
     Notes
     -----
-    The state has a row a quantity, a column a trial: displacement [m, rad] and velocity of the motor, then of the load,
-    then the actuator's force. Rates and motions are of z: the state, command, force in addition, direction of friction.
+    The state has one row per quantity and one column per trial: displacement [m, rad] and velocity of the motor, then
+    of the load, then the actuator's force. Rates and motions refer to z: state, command, additional force, direction of
+    friction.
 
     Examples
     --------
@@ -62,7 +62,7 @@ class FrictionalMotion:
 
     @classmethod
     def of(cls, loop: Loop) -> Self:
-        """Return the motion of a device with its operator; its inputs are forces, behind the gain of the loop."""
+        """Return the motion of a device with its operator; inputs are forces, after the gain of the loop."""
         friction = loop.friction
         if friction is not None and max(friction.coulomb, friction.stiction or 0.0) == 0:
             friction = None
@@ -70,12 +70,12 @@ class FrictionalMotion:
 
     @property
     def motor_mass(self) -> float:
-        """Mass of the motor and all that moves with it rigidly [kg, kg m^2]."""
+        """Mass of the motor and all parts rigidly attached to it [kg, kg m^2]."""
         return self.plant.mass - self.plant.load_mass
 
     @property
     def sensed(self) -> int:
-        """Row of the state that the sensor sees."""
+        """Index of the sensed state."""
         return 2 if self.plant.sensor_at_load else 0
 
     @property
@@ -84,11 +84,11 @@ class FrictionalMotion:
         return _of_motor_and_load(self.plant).states
 
     def rest(self, command: Floats) -> Floats:
-        """Return the state at rest, shape (states, n), where the actuator has long had a command [N, Nm]."""
+        """Return the state at rest, shape (states, n), with the actuator settled at a command [N, Nm]."""
         return np.outer(_of_motor_and_load(self.plant).at_rest, command)
 
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
-        """Return the state after a time [s] under a constant command, and a further force without lag [N, Nm]."""
+        """Return the state after a time [s] under a constant command and an additional force without lag [N, Nm]."""
         n = self.states
         z = np.zeros((state.shape[1], n + 3))
         z[:, :n], z[:, n], z[:, n + 1] = state.T, command, push
@@ -96,11 +96,11 @@ class FrictionalMotion:
         return np.ascontiguousarray(z[:, :n].T)
 
     def interval(self, time_s: float) -> Interval:
-        """Return what compiled loops need to advance it by a time [s]."""
+        """Return the data with which compiled loops advance the state by a time [s]."""
         return _interval(self, time_s)
 
     def rates(self) -> list[Floats]:
-        """Return A of z' = A z in each region, z being the state without the region; the last row is the direction."""
+        """Return A of z' = A z in each region, with z without the region; the last row is the direction."""
         n, linear = self.states, _of_motor_and_load(self.plant)
         free = np.zeros((n + 3, n + 3))
         free[:n, : n + 2] = np.column_stack((linear.matrix, linear.command, linear.force))
@@ -116,19 +116,21 @@ class FrictionalMotion:
 
     @property
     def levels(self) -> tuple[float, float, float]:
-        """Coulomb friction, stiction [N, Nm] and what friction loses a unit of speed below the Stribeck velocity."""
+        """Coulomb friction, stiction [N, Nm] and the decrease of friction per unit of speed below the Stribeck
+        velocity."""
         assert self.friction is not None
         stiction = self.friction.coulomb if self.friction.stiction is None else self.friction.stiction
         return self.friction.coulomb, stiction, (stiction - self.friction.coulomb) / self.friction.stribeck_velocity
 
     def motor_force(self) -> Floats:
         """Return the row that gives the force on the motor without friction [N, Nm] from z."""
-        # the acceleration of a motor with a mass of 1
+        # the acceleration of a motor of mass 1
         linear = _of_motor_and_load(replace(self.plant, mass=1.0 + self.plant.load_mass))
         return np.concatenate((linear.matrix[1], [linear.command[1], linear.force[1], 0.0]))
 
     def guards(self) -> list[tuple[Floats, float, float]]:
-        """Return for each region a row C and two bounds: C z times the direction lies between them inside."""
+        """Return for each region a row C and two bounds: inside the region, C z times the direction lies between
+        them."""
         assert self.friction is not None
         velocity = np.zeros(self.states + 3)
         velocity[1] = 1.0
@@ -142,7 +144,7 @@ class FrictionalMotion:
 
 @lru_cache(maxsize=64)
 def _of_motor_and_load(plant: Plant) -> StateSpace:
-    """Return the state space with positions and velocities of motor and load, which `state_space` has about the centre.
+    """Return the state space in coordinates of motor and load, while `state_space` uses the centre of mass.
 
     The motor is at x_1 = c - (m_2/m_1) y, the load at x_2 = c + y, so that with the load's share s of the mass
     c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
@@ -168,7 +170,7 @@ def _interval(motion: FrictionalMotion, time_s: float) -> Interval:
     from scipy.linalg import expm
 
     rates, n = motion.rates(), motion.states
-    # velocities are counted per the time of the step, so that entries of a matrix are of one size
+    # velocities are scaled by the step time, so that matrix entries have similar sizes
     unit = np.ones(n + 3)
     mechanical = _of_motor_and_load(motion.plant).mechanical
     unit[1:mechanical:2] = time_s

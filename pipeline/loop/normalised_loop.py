@@ -24,7 +24,7 @@ from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
     from pipeline.device.loop import Loop
     from pipeline.device.parts import LinearFilter
 
@@ -32,21 +32,21 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command to run
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
 LARGEST_DELAY = 256
-"""Largest delay factor; beyond it the loop matrices of a map no longer fit into memory sensibly."""
+"""Largest delay factor; with longer delays the loop matrices of a map need too much memory."""
 
 LARGEST_FILTER = 96
-"""Samples that a velocity filter remembers; beyond it boundaries and modes take seconds."""
+"""Longest memory of a velocity filter in samples; longer ones make boundaries and modes take seconds."""
 
 SMALLEST, LARGEST = 1e-60, 1e60
-"""Sizes of a mass per unit of command, and of a sampling period: their units of stiffness and damping neither overflow
-nor vanish. Each number of a device is narrower (`device.parts`)."""
+"""Range of a mass per unit of command, and of a sampling period, in which units of stiffness and damping neither
+overflow nor vanish. The parameters of a device have narrower ranges (`device.parts`)."""
 
 LARGEST_RATE = 1e7
-"""Largest entry of the device's normalised matrix; a lag of 1e-7 samples is none."""
+"""Largest entry of the device's normalised matrix; a lag below 1e-7 samples counts as none."""
 
 _DIGITS = 100
-"""Digits of what is computed once, and one for each order, whose binomials take them. Boundaries need 16 at angles of
-1e-6, where products of ten factors of 1e-6 meet others of 1."""
+"""Number of digits of quantities computed once per loop; one more is added per order, for the binomials. Boundaries
+need 16 digits at angles of 1e-6, where products of ten factors of 1e-6 are added to terms of size 1."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class LoopUnits:
     Parameters
     ----------
     mass : float
-        m of the device that the wall feels, per unit of command [kg, kg m^2], > 0.
+        Effective mass m of the device at the wall, per unit of command [kg, kg m^2], > 0.
     sampling_period_s : float
         T [s], > 0.
     """
@@ -78,18 +78,18 @@ class LoopUnits:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness [N/m, Nm/rad] that alpha = 1 stands for: m/T^2."""
+        """Stiffness [N/m, Nm/rad] for alpha = 1: m/T^2."""
         return self.mass / self.sampling_period_s**2
 
     @property
     def damping(self) -> float:
-        """Damping [Ns/m, Nms/rad] that beta = 1 stands for: m/T."""
+        """Damping [Ns/m, Nms/rad] for beta = 1: m/T."""
         return self.mass / self.sampling_period_s
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of a sampling interval with constant plant input: duration [T] and age of the force in samples."""
+    """Part of a sampling interval with constant plant input: duration [T] and delay of the applied force in samples."""
 
     duration: float
     age: int
@@ -97,7 +97,8 @@ class Segment:
 
 @dataclass(frozen=True)
 class Sampled:
-    """Delayed device and filter as ratios of polynomials in w, each pair of one degree; Decimal, lowest power first.
+    """Delayed device and filter as ratios of polynomials in w, of equal degree within a pair; Decimal, lowest power
+    first.
 
     Position over wall force is z^-delay force/motion, filtered velocity over position
     2 w/(1 + w) velocity/filter.
@@ -112,7 +113,7 @@ class Sampled:
 
 @dataclass(frozen=True)
 class OwnSteps:
-    """What a sample makes of all states but the delayed forces: ``free`` (own, own), and ``gains`` of the segments.
+    """Transition over a sample of all states except delayed forces: ``free`` (own, own), and ``gains`` of the segments.
 
     ``position`` and ``velocity`` are the rows (own,) of sensed position and filtered velocity; all Decimal.
     """
@@ -125,19 +126,19 @@ class OwnSteps:
 
 @dataclass(frozen=True)
 class NormalisedLoop:
-    """A plant behind a delay, without its wall; alpha and beta are arguments of what is computed from it.
+    """A plant with delay, without its wall; alpha and beta are arguments of its methods.
 
-    Its motion is linear: a continuous device with two to five states, and a wall law with a filter.
+    The loop is linear: a continuous device with two to five states, and a wall law with a filter.
 
     Parameters
     ----------
     plant : Plant
-        Of mass 1, with the sampling period as the unit of time: gamma = k T^2/m is its stiffness, delta = b T/m its
-        damping; gamma <= pi^2 + delta^2/4, both >= 0 and <= 1e7.
+        Plant of mass 1, with the sampling period as unit of time: stiffness gamma = k T^2/m, damping delta = b T/m;
+        gamma <= pi^2 + delta^2/4, both >= 0 and <= 1e7.
     delay : float
         Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256.
     velocity : LinearFilter, optional
-        With frequencies per sampling rate; it remembers at most 96 samples.
+        Filter with frequencies relative to the sampling rate and a memory of at most 96 samples.
 
     Raises
     ------
@@ -146,11 +147,11 @@ class NormalisedLoop:
 
     Notes
     -----
-    States: those of the device, the last sampled position, the filter's, the wall's forces of the last samples, newest
-    first; d + 3 of an ideal loop with integer d (eq. 3.18).
+    States: those of the device, the last sampled position, those of the filter, the wall forces of the last samples,
+    newest first; d + 3 states for an ideal loop with integer d (eq. 3.18).
 
-    With w = (z - 1)/(z + 1) the unit circle is the imaginary axis, and both ends of it (slow motion at w = 0, half the
-    sampling rate at w = infinity) keep their digits. The transfer functions of device and filter are therefore kept as
+    With w = (z - 1)/(z + 1) the unit circle is the imaginary axis, and no digits are lost at either end (slow motion at
+    w = 0, half the sampling rate at w = infinity). The transfer functions of device and filter are therefore kept as
     polynomials in w, exact to many digits: `Sampled`.
 
     Examples
@@ -165,12 +166,13 @@ class NormalisedLoop:
 
     @classmethod
     def ideal(cls, gamma: float, delta: float, delay: float) -> NormalisedLoop:
-        """Return the loop of a mass with damper and spring, and the plain difference as velocity."""
+        """Return the loop of a mass with damper and spring, with the plain difference as velocity."""
         return cls(Plant(1.0, delta, gamma), delay)
 
     @classmethod
     def of(cls, loop: Loop) -> NormalisedLoop:
-        """Return the normalised loop of a device, without what linear theory cannot include (`Loop.left_out`).
+        """Return the normalised loop of a device, without the parts that linear theory cannot include
+        (`Loop.left_out`).
 
         Raises
         ------
@@ -217,7 +219,7 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """By how much the actuator delays a slow command [T]: the time constant of a first-order lag."""
+        """Delay of a slow command by the actuator [T]: the time constant of a first-order lag."""
         return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:
@@ -235,7 +237,7 @@ class NormalisedLoop:
 
     @property
     def oldest_force(self) -> int:
-        """Age in samples of the oldest wall force that still acts."""
+        """Delay in samples of the oldest wall force that still acts."""
         return self.segments[0].age
 
     @cached_property
@@ -245,7 +247,7 @@ class NormalisedLoop:
 
     @property
     def digits(self) -> int:
-        """Digits for what is computed once."""
+        """Number of digits of quantities computed once per loop."""
         return _DIGITS + int(self.delay) + filter_order(self.velocity)
 
     def moved(self, duration: float) -> tuple[Digits, Digits]:
@@ -260,7 +262,7 @@ class NormalisedLoop:
 
     @cached_property
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
-        """Transition of a whole sampling interval, and what the force of each segment adds at its end."""
+        """Transition over a whole sampling interval, and input gain of the force of each segment."""
         with many_digits(self.digits):
             whole = as_exact(np.eye(len(self.device.sensor)))
             gains: list[Digits] = []
@@ -276,7 +278,7 @@ class NormalisedLoop:
             whole, gains = self.pushes
             bottom, adjugate = resolvent(whole)
             tops = [as_exact(self.device.sensor) @ adjugate @ gain for gain in gains]
-            # the newer force comes first by one sample: z times its polynomial
+            # the newer force is one sample ahead: z times its polynomial
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
             return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *filter_in_w(self.velocity))
@@ -290,7 +292,7 @@ class NormalisedLoop:
 
     @cached_property
     def own(self) -> OwnSteps:
-        """Motion of all states but the delayed forces, over a sample; exact."""
+        """Transition of all states except the delayed forces over a sample; exact."""
         whole, gains = self.pushes
         with many_digits(self.digits):
             b, a, keep, rise = filter_steps(self.velocity)
@@ -310,10 +312,11 @@ class NormalisedLoop:
 
     @cached_property
     def open_loop(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """State matrix (n, n) without wall, column of the wall's force, rows of sensed position and filtered velocity.
+        """State matrix (n, n) without wall, input column of the wall force, output rows of sensed position and filtered
+        velocity.
 
-        States: the device's, the last sampled position, the filter's, and the wall's forces of the last samples, newest
-        first.
+        States: those of the device, the last sampled position, those of the filter, and the wall forces of the last
+        samples, newest first.
         """
         steps, delay = self.own, self.oldest_force
         own = len(steps.free)
@@ -342,14 +345,14 @@ class NormalisedLoop:
         return np.asarray(free + push[:, None] * self.law(alpha, beta)[:, None, :])
 
     def law(self, alpha: Floats, beta: Floats) -> Floats:
-        """Return the rows that make the wall's force of the state, shape (n, states)."""
+        """Return the feedback rows from the state to the wall force, shape (n, states)."""
         _, _, position, velocity = self.open_loop
         return np.asarray(-np.asarray(alpha)[:, None] * position - np.asarray(beta)[:, None] * velocity)
 
     def seen(self, law: Floats, values: NDArray[_Number]) -> NDArray[_Number]:
-        """Return what a sampling interval's motion follows from, shape (n, q, m), of states, shape (n, states, m).
+        """Return the inputs of a sampling interval's motion, shape (n, q, m), for states of shape (n, states, m).
 
-        The device's state at the start, and the wall's force in each of `segments`, for the ``law`` of each point.
+        They are the device state at the start, and the wall force in each of `segments`, by the ``law`` of each point.
         """
         p, newest = len(self.device.sensor), self.states - self.oldest_force - 1
         forces = [
@@ -361,7 +364,7 @@ class NormalisedLoop:
         """Return z_0 of each point, shape (n, states).
 
         A ``step`` (deviation -1 from the final position, at rest) is part of the command, so it passes the lag; an
-        ``impulse`` is a hit of unit momentum on the motor's side.
+        ``impulse`` is an impact of unit momentum on the motor side.
         """
         p = len(self.device.sensor)
         z = np.zeros((len(alpha), self.states))

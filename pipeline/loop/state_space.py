@@ -1,4 +1,4 @@
-"""The linear motion of a device as a state space: the only place where a loop's mechanics become matrices.
+"""The linear motion of a device as a state space: the only place that turns a loop's mechanics into matrices.
 
 Theory, estimators, simulator and checks all take their matrices from `state_space`.
 """
@@ -13,33 +13,33 @@ import numpy as np
 
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
     from pipeline.device.loop import Loop
 
 LEAST_RATIO = 1e-12
-"""Damping ratio of a mode without any: without loss the device's zeros lie on the unit circle, and the crossings
-next to them are closer than doubles separate.
-It moves a limit by less than 1e-9 of it, a pole by less than its rounding."""
+"""Damping ratio assumed for an undamped mode: without loss the zeros of the device lie on the unit circle, and doubles
+cannot separate the crossings next to them. It moves a limit by less than 1e-9 of it, and a pole by less than its
+rounding error."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """The numbers of a linear motion, in any consistent units: SI, or those of mass and sampling period.
+    """Parameters of a linear motion, in any consistent units: SI, or units in which mass and sampling period are 1.
 
-    They are not checked: those of a search may be negative, or complex for slopes.
+    They are not checked: in a search they may be negative, and for derivatives complex.
 
     Parameters
     ----------
     mass, damping, stiffness : float
-        Of the whole device, per unit of command where the input is one: m, b, k.
+        m, b, k of the whole device, per unit of command if the input is a command.
     lag : float
         Time constant of the actuator, 0 for none.
     load_mass, load_damping : float
-        Parts of mass and damping that belong to the load of a vibration mode; no mode where ``load_mass`` is 0.
+        Parts of mass and damping that belong to the load of a vibration mode; no mode if ``load_mass`` is 0.
     spring, spring_damping : float
-        What joins load and motor.
+        Stiffness and damping between load and motor.
     sensor_at_load : bool
-        Whether the position of the load is read instead of that of the motor.
+        Whether the sensor reads the position of the load instead of that of the motor.
     """
 
     mass: float
@@ -59,10 +59,10 @@ class Plant:
 
 
 def plant_of(loop: Loop) -> Plant:
-    """Return the linear motion of a device as its wall feels it, operator included, per unit of command.
+    """Return the linear motion of a device at the wall, operator included, per unit of command.
 
-    Of a mode with free-free resonance w, damping ratio z and masses m_1 (motor) and m_2 (load), the spring is
-    M w^2 and its damping 2 z w M with the reduced mass M = m_1 m_2/(m_1 + m_2). Friction is no part of it.
+    For a mode with free-free resonance w, damping ratio z and masses m_1 (motor) and m_2 (load), the spring is
+    M w^2 and its damping 2 z w M with the reduced mass M = m_1 m_2/(m_1 + m_2). Friction is not included.
     """
     device = loop.apparent()
     mode = device.mode
@@ -93,11 +93,11 @@ class StateSpace:
     ----------
     matrix : ndarray, shape (n, n)
     command, force : ndarray, shape (n,)
-        Columns of the command, through the actuator, and of a force that acts on the motor itself.
+        Input columns of the command, through the actuator, and of a force on the motor itself.
     sensor : ndarray, shape (n,)
-        Row of the position that is read.
+        Output row of the sensed position.
     at_rest : ndarray, shape (n,)
-        State per unit of a force that the actuator has long exerted while the device cannot move.
+        State per unit of a constant actuator force while the device cannot move.
     mechanical : int
         Number of states of the mechanics, which come first; the others are those of the actuator.
     """
@@ -116,14 +116,14 @@ class StateSpace:
 
     @property
     def actuator(self) -> tuple[Floats, Floats, Floats]:
-        """A, B, C of the actuator from command to force, x' = A x + B u, f = C x; without states where it is ideal."""
+        """A, B, C of the actuator from command to force, x' = A x + B u, f = C x; without states if it is ideal."""
         first = self.mechanical
         inner = self.matrix[first:, first:]
         return inner, self.command[first:], np.eye(1, len(inner))[0]
 
     @property
     def mean_lag(self) -> float:
-        """By how much the actuator delays a slow command: C A^-2 B, tau of a first-order lag."""
+        """Delay of a slow command by the actuator: C A^-2 B, tau of a first-order lag."""
         A, B, C = self.actuator
         return float(C @ np.linalg.solve(A, np.linalg.solve(A, B))) if len(A) else 0.0
 
@@ -134,7 +134,7 @@ def state_space(plant: Plant) -> StateSpace:
     Parameters
     ----------
     plant : Plant
-        With real or complex numbers; an imaginary part of 1e-20 gives the slope along a number (Squire, Trapp 1998).
+        Real or complex parameters; an imaginary part of 1e-20 gives the derivative by a parameter (Squire, Trapp 1998).
 
     Returns
     -------
@@ -143,8 +143,9 @@ def state_space(plant: Plant) -> StateSpace:
 
     Notes
     -----
-    About the centre of mass, so that a blow on however light a motor is one of 1/m in each state: with the motor at
-    x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l x_2'.
+    Coordinates are about the centre of mass, so that an impulse on the motor, however light it is, changes each state
+    by 1/m: with the motor at x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l
+    x_2'.
 
     Examples
     --------
@@ -178,7 +179,7 @@ def state_space(plant: Plant) -> StateSpace:
 
 
 def _behind_lag(system: StateSpace, lag: float) -> StateSpace:
-    """Return a system whose command passes a first-order lag before."""
+    """Return a system with a first-order lag in front of its command."""
     n = system.states
     matrix = np.zeros((n + 1, n + 1), np.result_type(system.matrix, np.asarray(lag)))
     matrix[:n, :n], matrix[:n, n], matrix[n, n] = system.matrix, system.command, -1 / lag

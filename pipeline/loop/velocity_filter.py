@@ -10,12 +10,12 @@ import numpy as np
 
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, shifted
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
     from pipeline.device.parts import LinearFilter, VelocityFilter
 
 
 def filter_order(velocity: VelocityFilter | None) -> int:
-    """Return the number of samples that a filter remembers; 0 of what is not linear."""
+    """Return the memory of a filter in samples; 0 for a nonlinear filter."""
     if velocity is not None and velocity.kind == "kalman":
         return 2
     if velocity is not None and (velocity.kind == "foaw" or velocity.kind == "levant"):
@@ -28,7 +28,8 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
-    """Return a filter with its frequencies per sampling rate; None for the plain difference, and what is not linear."""
+    """Return a filter with frequencies relative to the sampling rate; None for the plain difference and nonlinear
+    filters."""
     if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
     if velocity.kind == "difference" and velocity.samples == 1:
@@ -41,7 +42,7 @@ def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> Lin
 
 
 def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
-    """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
+    """Return numerator and denominator of a velocity filter as polynomials in w, of equal degree."""
     if velocity is None:
         return as_exact([1]), as_exact([1])
     if velocity.kind == "butterworth":
@@ -67,7 +68,7 @@ def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
 
 
 def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
-    """Return numerator and denominator of a velocity filter in powers of 1/z, the first of the denominator 1."""
+    """Return numerator and denominator of a velocity filter in powers of 1/z, normalised to a[0] = 1."""
     # w = (1 - 1/z)/(1 + 1/z): the same change of variable leads back, to powers of -1/z
     b, a = (
         bilinear(part, len(part) - 1) * as_exact([(-1) ** k for k in range(len(part))])
@@ -79,8 +80,8 @@ def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
 def filter_steps(velocity: LinearFilter | None) -> tuple[Digits, Digits, float, float]:
     """Return a realisation by states s_i: v = b_0 u + s_1 and s_i(k + 1) = keep s_i + rise s_{i+1} + b_i u - a_i v.
 
-    That of powers of 1/z has keep = 0 and rise = 1. Poles of a low cut-off lie so close to z = 1 that it loses all
-    digits; a Butterworth filter is one in powers of z - 1, its states in units of the cut-off.
+    The realisation in powers of 1/z has keep = 0 and rise = 1. It loses all digits for a low cut-off, whose poles lie
+    close to z = 1; therefore a Butterworth filter is realised in powers of z - 1, with states in units of the cut-off.
     """
     b, a = filter_in_z(velocity)
     if velocity is None or velocity.kind != "butterworth":

@@ -40,7 +40,7 @@ _NARROW = 1e-6
 """Missing margin of a wall beyond an unstable stretch that is narrower than the spacing of these walls."""
 
 _BISECTIONS = 40
-"""Number of bisections for the frequency at which a damping becomes unstable: more than the bits of a double."""
+"""Number of bisections for the frequency at which a damping becomes unstable: to 1e-12 of it."""
 
 _NOTHING = -10.0
 """Margin of a stable wall whose settling time is too long to be computed; its negative is the margin without any
