@@ -1,7 +1,7 @@
-"""Readers: one small module per file format, and one that maps what they find to SI.
+"""Readers: one small module per file format, and one that converts their columns to SI.
 
-A format module turns bytes into `FileColumns` (`pipeline.readers.file_columns`), `pipeline.readers.mapping` turns
-frames into logs. The native log has a separate reader, which parses many files at once.
+A format module turns bytes into `FileColumns` (`pipeline.readers.file_columns`), `pipeline.readers.mapping` turns these
+columns into logs. The native log has a separate reader, which parses many files at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pipeline.readers.log import Log, RawLog, check_samples, find_together
 __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "find_together", "reader_of"]
 
 Outcome = tuple[Log, ...] | LogError
-"""The logs in a raw log, one or several, or the reason why it is refused."""
+"""The logs in a raw log (one or several), or the reason why it is refused."""
 
 Reader = Callable[[Profile, Sequence[RawLog]], list[Outcome]]
 """Function ``read(profile, raws)`` that gives one outcome for each raw log, in the order given."""

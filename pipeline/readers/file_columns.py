@@ -21,26 +21,27 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.records.trials import Integers
 
 LARGEST_LOG = 256 << 20
-"""Bytes above which a file is not read, packed or not: 10^6 times a usual log, so it is something else."""
+"""Largest size [byte] of a file that is read, compressed or not: a larger file is no log."""
 
 MOST_VALUES = 1 << 26
-"""Values of a file: 10^7 rows of six columns; the worker that reads has no memory for many more."""
+"""Largest number of values in a file: 10^7 rows of six columns, about as many as fit into the memory of a worker."""
 
 SMALL_FILE = 64 << 20
-"""Bytes that reading any file may take: 10^6 rows of eight columns; a constant column packs 1000 times and more."""
+"""Unpacked size [byte] allowed for any file: 10^6 rows of eight columns; a constant column is compressed by 1000 or
+more."""
 
 EXPANSION = 30
-"""Times its own size that reading a larger file may take; recorded samples pack 1 to 20 times."""
+"""Largest ratio of unpacked to packed size of a larger file; recorded samples are compressed by 1 to 20."""
 
 LONGEST_HEADER = 1 << 16
-"""Bytes searched for the column line; a header is some hundred bytes, a file without one may be huge."""
+"""Number of bytes searched for the column line; a header has a few hundred, a file without one may be huge."""
 
 KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE = 100, 10_000
-"""Most attributes of a file that are stored with each of its trials, and characters of each: a workspace dump may have
-thousands of attributes, and one of them may be a whole file."""
+"""Largest number of file attributes stored with each trial, and largest length of each [characters]: a workspace dump
+may have thousands of attributes, and one of them may be a whole file."""
 
 LISTED_ELEMENTS, LISTED_NAMES = 64, 40
-"""Elements of one vector that are listed, and names in a message: a robot has fewer, an image has more."""
+"""Largest number of listed elements of one vector, and of names in a message: a robot has fewer, an image has more."""
 
 
 def allowed_bytes(size: int) -> int:
@@ -52,12 +53,12 @@ Scalar = str | float | int
 Array = NDArray[Any]
 
 ARRAY = 800
-"""Values for which an array counts by itself: a damaged file may claim millions of empty ones."""
+"""Number of values that each array counts at least: a damaged file may declare millions of empty arrays."""
 
 
 @dataclass
 class FileColumns:
-    """FileColumns of a file: columns and attributes.
+    """Columns and attributes of a file.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ class FileColumns:
     wanted : tuple of str
         Names that a profile asks for; others are left out. Empty means all.
     most : int
-        Most values that the file may contain.
+        Largest number of values that the file may contain.
     row_name : str
         What a row is called there: "line", "record", "sample", "message".
     columns : dict of str to array, shape (rows,)
@@ -75,19 +76,19 @@ class FileColumns:
         (``"state.q"``), elements of a matrix in brackets, counted from 0 (``"state.q[3]"``). NaN (an empty text in a
         text column) is a missing cell, as in sparse files of several rates. Nothing is interpolated.
     hints : dict of str to str
-        Units and descriptions that are shown only.
+        Units and descriptions, only for display.
     units : dict of str to str
-        Units of times that their type in the file states beyond doubt, such as ns of a ROS stamp; a profile that says
-        otherwise is refused. Units in names, headers and attributes are no such units: they are shown only.
+        Time units that are fixed by the data type in the file, such as ns of a ROS stamp; a profile that contradicts
+        them is refused. Units in names, headers and attributes are not included here: they are only shown.
     attributes : dict of str to str, float or int
         Scalars and texts found in the file, such as HDF5 attributes or lines "label: value"; a profile may take
         conditions from them.
     refused : dict of str to str
-        What is in the file but cannot be read, and why.
+        Parts of the file that cannot be read, and the reason.
     warnings : tuple of str
-        What was accepted and should be known, such as a last row that was cut.
+        Irregularities that were accepted, such as an incomplete last row.
     row : int64, shape (rows,)
-        Where each row stands in the file, counted from 1; empty before it is known.
+        Position of each row in the file, counted from 1; empty while unknown.
     keys : dict of str to str
         Keys of a profile that this file needs, as TOML.
     """
@@ -113,17 +114,17 @@ class FileColumns:
     def add(
         self, path: str, values: Array | Callable[[], Any], hint: str = "", unit: str = "", axis: int | None = None
     ) -> None:
-        """Keep an array, or the reason why it cannot be read: one that cannot must not hide the others.
+        """Add an array, or the reason why it cannot be read, so that the other arrays remain available.
 
         Parameters
         ----------
         path : str
         values : array, or callable that loads one
-            An array with one axis longer than 1 is one column; of a matrix, each element ``path[0]``, ``path[1]``, ...
+            An array with one axis longer than 1 is one column; a matrix gives one column per element: ``path[0]``, ...
         hint, unit : str
-            What the file says of it, and the unit of times that its type states.
+            Description in the file, and the time unit that is fixed by its data type.
         axis : int, optional
-            The axis that is time; the longest one where the format does not say it.
+            Time axis; by default the longest one.
 
         Raises
         ------
@@ -156,7 +157,7 @@ class FileColumns:
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
 
     def note(self, key: str, value: Any) -> None:
-        """Keep a single value as an attribute, if it is a number or a text."""
+        """Store a single value as an attribute if it is a number or a text."""
         if isinstance(value, np.ndarray) and value.size == 1:
             value = value.reshape(-1)[0]
         value = value.item() if isinstance(value, np.generic) else value
@@ -165,12 +166,13 @@ class FileColumns:
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
 
     def cut_row(self, text: str, row: int) -> None:
-        """Say that the last row is cut and left out, and keep it verbatim."""
+        """Report that the last row is incomplete and omitted, and keep its text."""
         self.note("cut_last_row", text)
         self.warnings += (f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim",)
 
     def find(self, wanted: str) -> str | None:
-        """Return the name of a column that is wanted, or None: slash and index of a single element may be left out."""
+        """Return the name of a wanted column, or None; the first slash and the index of a single element may be
+        omitted."""
         names = (wanted, re.sub(r"(\[0\])+$", "", wanted))
         return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
@@ -194,17 +196,18 @@ class FileColumns:
         )
 
     def lacks(self) -> bool:
-        """Return whether a wanted column is not there, and not known to be unreadable."""
+        """Return whether a wanted column is missing without being listed as unreadable."""
         refused = [key for key in self.wanted if any(_is_part(key, path) for path in self.refused)]
         return any(self.find(key) is None and key not in refused for key in self.wanted)
 
     def frame(self) -> Self:
-        """Return the wanted columns alone, by the names that are wanted; without any, all that are no single values.
+        """Return only the wanted columns under the wanted names; if none are named, all columns that are not single
+        values.
 
         Raises
         ------
         LogError
-            If a name is not there or cannot be read, or lengths differ.
+            If a column is missing or unreadable, or if lengths differ.
         """
         vectors = {name: column for name, column in self.columns.items() if len(column) != 1} or self.columns
         columns = {key: self._column(key) for key in self.wanted} or vectors
@@ -248,11 +251,11 @@ class FileColumns:
 
 
 _INSIDE = ("/", ".", "@")
-"""Signs between a group and what is in it: a column, a field, an attribute."""
+"""Characters between a group and its members: columns, fields, attributes."""
 
 
 _ELEMENT = re.compile(r"\[\d+\]$")
-"""An element of a matrix whose columns are a trial."""
+"""Element index of a matrix whose elements are the columns of a trial."""
 
 
 def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
@@ -274,18 +277,17 @@ def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
 
 
 def _ends(name: str) -> tuple[str, ...]:
-    """Return how the names of columns in groups end whose name in the group is this one."""
+    """Return the possible endings of a full column name, given the name inside its group."""
     return (name,) if _ELEMENT.fullmatch(name) else tuple(f"{sign}{name}" for sign in _INSIDE[:2])
 
 
 _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|filtered", re.IGNORECASE)
-"""Groups of what was wanted, or of the same motion once more, are no trials."""
+"""Names of groups that are not trials: reference signals, or a second recording of the same motion."""
 
 
 def trial_groups(contents: FileColumns) -> list[str]:
-    """Return groups that look like trials of one kind, with the same columns of several rows.
-
-    They are numbered, or were recorded at other times, or each has another value in a column that is constant.
+    """Return groups that look like trials of one kind: the same columns, each with several rows. Their names are
+    numbered, their recording times differ, or a constant column has a different value in each.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(FileColumns("a", columns=dict.fromkeys(names, np.zeros(9))))
@@ -307,14 +309,14 @@ def trial_groups(contents: FileColumns) -> list[str]:
 
 
 def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
-    """Return the columns of several rows in each group by their names in it: fields, or the elements of a matrix."""
+    """Return the columns with several rows in each group by their names in it: fields, or the elements of a matrix."""
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
         element = None if whole else _ELEMENT.search(name)
         at = max(name.rfind(sign) for sign in _INSIDE[:2]) if element is None else element.start()
         if at > 0 and len(values) > 2 and values.dtype.kind != "U" and (whole or element):
             leaves.setdefault(name[:at], []).append(name[at + (element is None) :])
-    # a matrix is a trial where it has a clock; else it is a vector
+    # a matrix with a time column is a trial; without one it is a vector signal
     timed = (
         group for group, inside in leaves.items() if whole or any(_rises(contents.columns[group + e]) for e in inside)
     )
@@ -322,7 +324,7 @@ def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
 
 
 def _are_trials(contents: FileColumns, groups: Sequence[str], inside: Sequence[str]) -> bool:
-    """Return whether groups of the same columns are trials, and no two devices at the same time."""
+    """Return whether groups with the same columns are trials, not several devices recorded at the same time."""
     clocks_differ = []
     for name in inside:
         places = (f"{group}{end}" for group in groups for end in _ends(name))
@@ -339,13 +341,13 @@ def _rises(values: Array) -> bool:
 
 
 def _is_part(column: str, path: str) -> bool:
-    """Return whether a column is what stands at a path, or in it; the first slash may be left out."""
+    """Return whether a column is at a path or below it; the first slash may be omitted."""
     column, path = column.removeprefix("/"), path.removeprefix("/")
     return column == path or column.startswith((f"{path}[", f"{path}."))
 
 
 def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array by name: one, whatever its axis, or the elements of a matrix."""
+    """Yield the columns of an array by name: one for a vector of any orientation, or one per element of a matrix."""
     shape = array.shape
     if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):
         yield path, array.reshape(-1)
@@ -356,18 +358,18 @@ def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, 
 
 
 def plain_column(values: Array) -> Array:
-    """Return values in one of the types of columns: float64, integers of 64 bits, or str.
+    """Convert values to a column type: float64, 64-bit integers or str.
 
     Raises
     ------
     TypeError
-        If they are none of these.
+        If they cannot be converted.
     """
     kind = values.dtype.kind
     if kind == "f":
         return values.astype(np.float64, copy=False)
     if kind in "biu":
-        # a counter of 64 bits may be above the largest signed number
+        # a 64-bit counter may exceed the largest signed integer
         return values.astype(np.uint64 if kind == "u" and values.dtype.itemsize == 8 else np.int64, copy=False)
     if kind == "c":
         raise TypeError("contains complex numbers; save real and imaginary part: re = real(x); im = imag(x)")
@@ -379,7 +381,7 @@ def plain_column(values: Array) -> Array:
 
 
 def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Array:
-    """Return values at their places among so many rows, NaN or an empty text at the others."""
+    """Return a column of the given number of rows with values at their places, and NaN or an empty text elsewhere."""
     full = len(values) == rows or values.dtype.kind == "U"
     result: Array = np.zeros(rows, values.dtype) if full else np.full(rows, np.nan)
     result[place] = values
@@ -387,12 +389,12 @@ def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Arra
 
 
 def library(module: str, extra: str) -> Any:
-    """Import a module that needs a library which only some formats need.
+    """Import a module that needs an optional library.
 
     Raises
     ------
     LogError
-        If it is not installed; says how to install it.
+        If it is not installed; the message explains how to install it.
     """
     try:
         return import_module(module)

@@ -1,8 +1,9 @@
-"""Does the command of a log obey the gains that its header states? If not: which it obeys, and the line that cures it.
+"""Check whether the command of a log obeys the gains in its header. If not: the gains it obeys, and the line to
+correct.
 
 The wall law is u_k = F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Other gains are reported
-only where the wall law with these gains explains the command. A velocity filter, a clipped or one-sided wall, or a
-coarse sensor may leave the question open.
+only if the wall law with these gains explains the command. A velocity filter, a clipped or one-sided wall, or a coarse
+sensor may leave the question open.
 """
 
 from __future__ import annotations
@@ -18,54 +19,54 @@ from pipeline.readers.log import Log
 from pipeline.records.trials import Booleans, Floats
 
 EXACT = 0.02
-"""Largest unexplained share of the command for which each gain is identifiable by itself; a velocity filter or a coarse
-sensor leaves more."""
+"""Largest unexplained share of the command for which each gain is identifiable separately; the residual of a velocity
+filter or a coarse sensor is larger."""
 
 EXPLAINED = 0.02
-"""Part of what the header's law leaves that other gains may leave: a velocity filter shifts gains by some percent, and
-leaves a quarter."""
+"""Largest residual with other gains, relative to that of the stated wall law: a velocity filter shifts gains by a few
+percent and leaves a quarter of the residual."""
 
 NEARLY = 0.3
-"""Part that it may leave where gains are a power of ten or a unit off, as seen through a filter."""
+"""The same limit if gains are wrong by a power of ten or a unit and the velocity is filtered."""
 
 FACTOR = 8.0
-"""Factor by which K and B together must be off to be reported behind a velocity filter: units differ by at least 10,
-and a clipped wall that only pushes looks like one with a quarter of its gains."""
+"""Smallest factor by which K and B together must be wrong to be reported if the velocity is filtered: units differ by
+at least 10, and a clipped one-sided wall looks like one with a quarter of its gains."""
 
 UNIT_TOLERANCE = 0.2
-"""Part by which the factor between two units may be off in a log whose velocity is filtered."""
+"""Relative tolerance of the factor between two units in a log whose velocity is filtered."""
 
 SURE = 6.0
-"""Standard errors by which a gain must differ: noise of a sensor is not white."""
+"""Smallest deviation of a gain in standard errors: sensor noise is not white."""
 
 TOLERANCE = 0.1
-"""Part by which a gain must differ, and by which two factors may that are one."""
+"""Smallest relative deviation of a gain that is reported, and largest one between two factors that count as equal."""
 
 SHIFTED_ROWS = 2.0
-"""Rows by which command and position of a log may be shifted against each other."""
+"""Largest offset, in rows, between command and position of a log."""
 
 SHARE = 0.05
-"""Least share of the largest command that a gain must contribute to be estimated."""
+"""Smallest share of the largest command that a gain must contribute to be estimated."""
 
 LIMIT_ROWS = 3
-"""Rows at the largest or smallest command from which on it is clipped there."""
+"""Smallest number of rows at the largest or smallest command for which it counts as clipped."""
 
 LEAST_ROWS = 12
 
 PULSE_PARTS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Parts of a log after which the pulse of a hit may have ended."""
+"""Fractions of a log at which the pulse of a hit may have ended."""
 
 MOST_EDGES = 4
-"""Jumps that are tried as the step: before it, noise and the sensor's step make one or two that stand out."""
+"""Largest number of jumps tried as the step: noise and sensor resolution cause one or two large jumps before it."""
 
 STANDS_OUT, SMALL_JUMP = 8.0, 1e-6
-"""Factor by which the jump of a step exceeds all before it, which noise and the rounding of a sensor make; and part of
-the largest jump below which one is arithmetic."""
+"""Factor by which the jump of a step exceeds all earlier jumps, which are noise and sensor quantization; and size
+relative to the largest jump below which a jump is rounding error."""
 
 
 @dataclass(frozen=True)
 class FollowedGains:
-    """Gains that the command obeys [SI] where the header states others, by name; and what the header states."""
+    """Gains that the command obeys [SI] and that differ from the header, by name; and the values in the header."""
 
     found: dict[str, float]
     stated: dict[str, float]
@@ -83,12 +84,13 @@ class FollowedGains:
 
     @property
     def factors(self) -> dict[str, float]:
-        """By which factor each is other than stated; infinite where 0 is stated."""
+        """Ratio of each gain to the stated one; infinite if 0 is stated."""
         return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
 
 
 def followed_gains(log: Log) -> FollowedGains | None:
-    """Return which other gains the command of a log obeys; None where they are as stated, or not to be seen."""
+    """Return the gains that the command of a log obeys if they differ from the stated ones; None if they agree or
+    cannot be identified."""
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), _size(command)
@@ -123,7 +125,7 @@ def followed_gains(log: Log) -> FollowedGains | None:
 
 
 def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | None:
-    """Return which other gains the command of a released or hit device obeys, as `followed_gains`."""
+    """Return the differing gains that the command of a released or hit device obeys, like `followed_gains`."""
     gains = (log.header.stiffness, log.header.damping)
     fitted = _free_fit(log.time, log.command, log.position) if any(gains) else None
     if fitted is None or not fitted[0].stiffness:
@@ -140,9 +142,8 @@ def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | N
 
 
 class WallGains(NamedTuple):
-    """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds.
-
-    What makes no part of the command that is seen is 0.
+    """Stiffness, damping and step that explain a command, in units of command and position columns and seconds. A gain
+    without a visible contribution to the command is 0.
     """
 
     stiffness: float
@@ -151,10 +152,10 @@ class WallGains(NamedTuple):
 
 
 def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | None:
-    """Return the gains that a command follows, or None where no wall law explains it.
+    """Return the gains that a command follows, or None if no wall law explains it.
 
-    A step of the force is a step or a release, a pulse of it a hit. Where no wall law explains all rows, the gains are
-    those of the rows behind the pulse.
+    A force step is a step or a release, a force pulse a hit. If no wall law explains all rows, the gains are estimated
+    from the rows after the pulse.
 
     Parameters
     ----------
@@ -168,7 +169,8 @@ def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | N
 
 
 def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the law of a released or hit device and the standard errors of its gains; None where none explains it."""
+    """Return the wall law of a released or hit device and the standard errors of its gains; None if none explains the
+    command."""
     if not _may_follow(time, command, position):
         return None
     peak = float(np.abs(command).max())
@@ -178,7 +180,7 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
         rows = (time[behind], command[behind], position[behind])
         if not _may_follow(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
             return None
-        # what the position has moved before is a constant part of the command
+        # the displacement before these rows is a constant part of the command
         fitted = _fitted(_terms(*rows, 0), command[behind])
         if fitted is not None:
             return fitted[0]._replace(step=0.0), fitted[1]
@@ -186,14 +188,14 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
 
 
 def _may_follow(time: Floats, command: Floats, position: Floats) -> bool:
-    """Return whether a law may be seen in some rows."""
+    """Return whether a wall law can be identified from these rows."""
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all():
         return False
     return bool(np.ptp(command) and np.ptp(position))
 
 
 def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the law that explains a command, and the standard errors of its gains; None where none does."""
+    """Return the wall law that explains a command, and the standard errors of its gains; None if none does."""
     free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
@@ -205,9 +207,8 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
 
 
 def _edges(command: Floats) -> list[int]:
-    """Return the rows in which the step may happen: the largest jump, and the first that stand out from those before.
-
-    The command of an unstable wall jumps by more than its step later on.
+    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier ones. The
+    command of an unstable wall later jumps by more than its step.
     """
     jump = np.abs(command[1:] - command[:-1])
     largest = int(jump.argmax()) + 1
@@ -219,7 +220,7 @@ def _edges(command: Floats) -> list[int]:
 
 
 def _best_terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
-    """Return the terms of the law whose edge leaves least of the command, shape (3, rows)."""
+    """Return the terms of the wall law with the step row of smallest residual, shape (3, rows)."""
     edges = [int(declared)] if declared is not None else _edges(command)
     every = [_terms(time, command, position, edge) for edge in edges]
     return min(every, key=lambda terms: _fit(terms, command)[2]) if len(every) > 1 else every[0]
@@ -236,11 +237,11 @@ def _terms(time: Floats, command: Floats, position: Floats, edge: int) -> Floats
 
 def _size(values: Floats) -> float:
     """Return the root of the mean square."""
-    return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # squares of damaged numbers have no double
+    return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # squares of damaged numbers may overflow
 
 
 def _free(command: Floats) -> Booleans:
-    """Return the rows in which the command stands at no limit that it keeps; none where they are less than half."""
+    """Return the rows in which the command is not clipped; no rows if they are less than half."""
     free = np.ones(len(command), dtype=np.bool_)
     for limit in (command.max(), command.min()):
         at = command == limit
@@ -251,7 +252,7 @@ def _free(command: Floats) -> Booleans:
 
 
 def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
-    """Return the factors of terms, their standard errors, and what they leave of the command (rms)."""
+    """Return the factors of the terms, their standard errors, and the rms residual of the command."""
     scale = np.where(terms.any(axis=1), np.abs(terms).max(axis=1), 1.0)
     scaled = terms.T / scale
     inverse = np.linalg.pinv(scaled.T @ scaled)
@@ -261,7 +262,8 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
 
 
 def gain_mismatch(profile: Profile, log: Log) -> str | None:
-    """Return which other gains the command of a log obeys, and the line that cures it; None where it does not."""
+    """Return the differing gains that the command of a log obeys, and the line that corrects them; None if it obeys the
+    stated gains."""
     found = followed_gains(log)
     if found is None:
         return None
@@ -270,7 +272,7 @@ def gain_mismatch(profile: Profile, log: Log) -> str | None:
 
 
 def _native_remedy(found: FollowedGains, log: Log) -> str:
-    """Return by what a column that is not in SI has to be multiplied, or the lines of the header that agree with it."""
+    """Return the factor that converts a column to SI, or header lines that agree with the command."""
     header = "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
     pace = float(np.median(np.diff(log.time))) / log.header.sampling_period_s
     column, factor = _column(found)
@@ -280,7 +282,8 @@ def _native_remedy(found: FollowedGains, log: Log) -> str:
 
 
 def _column(found: FollowedGains) -> tuple[str, float]:
-    """Return the column whose unit alone explains the gains, and its unit in the stated one; empty where none does."""
+    """Return the column whose wrong unit alone explains the gains, and the factor to the stated unit; empty if there is
+    none."""
     factors = found.factors
     first = next(iter(factors.values()))
     if not first or not all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()):
@@ -292,7 +295,7 @@ def _column(found: FollowedGains) -> tuple[str, float]:
 
 
 def _remedy(profile: Profile, found: FollowedGains) -> str:
-    """Return the lines of a profile by which header and command would agree."""
+    """Return the lines of a profile with which header and command agree."""
     column, factor = _column(found)
     lines = _lines(column, profile.column_sources()[column], factor) if column else []
     units = [f'{name} = "{unit}"' for name, times in found.factors.items() if (unit := _unit(profile, name, times))]
@@ -300,22 +303,23 @@ def _remedy(profile: Profile, found: FollowedGains) -> str:
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
     whole = " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
-    # several gains that differ together are the unit or the sign of a column
+    # if several gains differ together, the unit or the sign of a column is wrong
     alone = _alone(profile, found) if len(found.found) == 1 else ""
     return f"{whole}.{ALONE} {alone}" if alone else whole
 
 
 ALONE = " If this log alone is at fault:"
-"""Begin of the part of a cure that is for one log; many that are at fault have one in common."""
+"""Beginning of the part of a remedy that applies to a single log; many faulty logs have a common cause."""
 
 
 def common_remedy(cure: str) -> str:
-    """Return a cure without what is for one log alone."""
+    """Return a remedy without the part for a single log."""
     return cure.partition(f".{ALONE}")[0]
 
 
 def _alone(profile: Profile, found: FollowedGains) -> str:
-    """Return where a log states what its command contradicts, and by which number; empty where all logs share it."""
+    """Return where a log states the contradicted value, and the correct number; empty if all logs share the
+    statement."""
     by_file = {key for entry in profile.file for key in entry.given()}
     places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
         profile.name_groups(), "its name"
@@ -331,7 +335,7 @@ def _alone(profile: Profile, found: FollowedGains) -> str:
 
 
 def _lines(key: str, source: Source, factor: float) -> list[str]:
-    """Return the line that corrects a column whose numbers are so many times as large."""
+    """Return the line that corrects a column whose numbers are too large by a factor."""
     parts = [f"sign = {-(getattr(source, 'sign', 1) or 1)}"] if factor < 0 else []
     if abs(abs(factor) - 1) > TOLERANCE:
         unit = unit_between(source.unit or "", abs(factor), UNIT_TOLERANCE)
@@ -345,4 +349,4 @@ def _unit(profile: Profile, name: str, factor: float) -> str | None:
     """Return the unit in which a condition seems to be given."""
     stated = getattr(profile.units, name, None) or si_unit(quantity(name, profile.motion))
     unit = unit_between(stated, factor, UNIT_TOLERANCE)
-    return "N/mm" if unit == "kN/m" else unit  # the same, and what labs write
+    return "N/mm" if unit == "kN/m" else unit  # the same unit, in the spelling that labs use

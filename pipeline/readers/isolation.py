@@ -1,8 +1,8 @@
 """Reading of files in a separate process with limited time and memory, for all formats.
 
-A log comes from a foreign computer: cut, changed on the way, or larger than it looks. libhdf5 loops for ever on some
-changed bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
-exception can be caught then. A worker reads many files; one that dies costs only its file.
+A log comes from another computer: it may be truncated, corrupted, or larger than it looks. libhdf5 loops forever on
+some corrupted bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
+exception can be caught then. A worker reads many files; if it crashes, only the current file is lost.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from pipeline.readers.file_columns import MOST_VALUES, FileColumns, allowed_byte
 from pipeline.readers.formats import FORMATS
 
 COPIES, SLACK = 3, 32 << 20
-"""Copies of the unpacked file that reading may keep in memory (as read, as numbers, as columns), and additional memory
+"""Number of copies of the unpacked file that may be in memory (as read, as numbers, as columns), and additional memory
 for a library's caches, buffers and allocator [byte]."""
 
 CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
-"""Processor time for any file, and more for each byte: libraries take 3e-9, ten times that where it is packed, and
-other machines are six times slower. Messages, and objects in text, are made one by one: some 20 us for 60 bytes."""
+"""Processor time [s] for any file, and per byte: libraries take 3e-9 s, ten times that for compressed files, and other
+machines are six times slower. Messages and text objects are decoded one by one: about 20 us for 60 bytes."""
 
 WALL_FACTOR = 30
-"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
+"""Longest wait as a multiple of the processor time, for busy machines."""
 
 
 def read_file(
@@ -51,7 +51,7 @@ def read_file(
     names, data : sequence of str and bytes
         The file; a split bag has several.
     wanted : sequence of str
-        Columns that are asked for; empty means all.
+        Wanted columns; empty means all.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
         contents = FileColumns(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
-            # the refusal lists what the file has
+            # the error message lists the columns of the file
             contents = FileColumns(name, most=most)
             read(paths[0], settings, contents)
             contents.wanted = wanted
@@ -85,7 +85,7 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
 
 
 def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: str = "") -> Any:
-    """Return what the function at a place makes of a file, called in a worker process.
+    """Call a function on a file in a worker process, and return its result.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     *more
         Further arguments, such as its content.
     imports : str
-        Modules that the function imports, parted by blanks; the time to do so does not count.
+        Modules that the function imports, separated by blanks; the import time does not count.
 
     Returns
     -------
@@ -110,7 +110,7 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     Raises
     ------
     LogError
-        What the function raises, or that the file crashed the library or took more than the time allowed.
+        If the function raises one, if the file crashes the library, or if reading exceeds the time limit.
     """
     seconds = CPU_SECONDS + CPU_SECONDS_PER_BYTE * size
     worker = _IDLE.pop() if _IDLE else _Worker()
@@ -125,18 +125,18 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
 
 
 def serve() -> None:
-    """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
+    """Serve calls from standard input: the main loop of a worker process, which ends with its parent."""
     begin_alone()
     without_pandas(import_module("pyarrow"))
     calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
-    # whatever a library prints must not get between the results
+    # output of libraries must not mix with the results
     os.dup2(2, 1)
     with contextlib.suppress(EOFError):
         while True:
             place, imports, kind, arguments, seconds, size = pickle.load(calls)
             module, _, function = place.partition(":")
             work = getattr(import_module(module), function)
-            with contextlib.suppress(ImportError):  # the function itself says what is missing and how to install it
+            with contextlib.suppress(ImportError):  # the function itself reports what is missing and how to install it
                 for needed in imports.split():
                     import_module(needed)
             with _bounded(seconds, size):
@@ -152,7 +152,7 @@ def serve() -> None:
 
 @contextlib.contextmanager
 def reading(name: str, kind: str) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into the `LogError` that says so.
+    """Convert any exception of a library on a damaged file to a `LogError`.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def reading(name: str, kind: str) -> Iterator[None]:
     Raises
     ------
     LogError
-        For every exception inside; a `LogError` passes, with the file in front.
+        For every exception inside; a `LogError` is raised again with the file name prepended.
     """
     try:
         yield
@@ -172,17 +172,16 @@ def reading(name: str, kind: str) -> Iterator[None]:
         raise error if error.reason.startswith(name) else error.reworded(f"{name}: {error.reason}") from error
     except MemoryError as error:
         raise refusal("unpacks-too-large", name, "takes more memory than a file of its size may") from error
-    except Exception as error:  # libraries document no complete list of what damage makes them raise
+    except Exception as error:  # libraries do not document all exceptions that damaged files cause
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error
 
 
 @contextlib.contextmanager
 def _bounded(seconds: float, size: int) -> Iterator[None]:
-    """Bound what a library does with a file of so many bytes, even where it keeps the interpreter to itself.
-
-    The system ends this process after so much processor time, or with its parent (which closes the pipe of calls), and
-    gives it no more memory than what the file may unpack to needs; only on Linux.
+    """Limit time and memory of a library for a file of this size [byte], even while it blocks the interpreter. The
+    system ends this process after the given processor time, or with its parent (which closes the pipe of calls), and
+    limits its memory to the need of the largest allowed content; only on Linux.
     """
     try:
         resource, fcntl = import_module("resource"), import_module("fcntl")
@@ -217,7 +216,7 @@ class _Worker:
         self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
 
     def call(self, call: tuple[Any, ...], wait: float) -> Any:
-        """Return what a call gives, or None where the process died of it or did not end within so many seconds."""
+        """Return the result of a call, or None if the process crashed or did not answer within `wait` seconds."""
         watch = threading.Timer(wait, self.process.kill)
         watch.daemon = True
         watch.start()
@@ -228,7 +227,7 @@ class _Worker:
         except (EOFError, OSError, pickle.UnpicklingError):
             return None
         except BaseException:
-            self.end()  # an interrupted call would leave its result to the next one
+            self.end()  # the result of an interrupted call would be read by the next one
             raise
         finally:
             watch.cancel()
@@ -245,7 +244,7 @@ class _Worker:
 
 
 _IDLE: list[_Worker] = []
-"""Workers without a call; as many were made as threads read at a time."""
+"""Idle workers; there are as many workers as threads that read at the same time."""
 
 
 @atexit.register

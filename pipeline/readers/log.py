@@ -1,4 +1,4 @@
-"""What every reader hands on: a log in SI that was checked, and how regular its time stamps are."""
+"""The output of every reader: a checked log in SI, and the regularity of its time stamps."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from pipeline.records.native import NativeHeader
 from pipeline.records.trials import Booleans, Floats, Integers
 
 GAP = 30.0
-"""Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,
-from which on no motion gives it: an unstable loop that grows tenfold a sample leaves gaps of ten."""
+"""Threshold above which a reading is an outlier: its distance from the centre of its log, relative to the largest
+smaller distance and to the range of those readings. An unstable loop that grows tenfold a sample gives 10."""
 
 LARGEST = {"time": 1e12, "command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
-"""Largest size of a reading [SI]: more than 100 km or 16,000 turns, 1,000 t and 1,000 km/s are no readings but signs of
-missing values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the numbers of a whole device."""
+"""Largest magnitude of a reading [SI]: values above 100 km or 16,000 turns, 1,000 t and 1,000 km/s are codes of missing
+values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the results of a whole device."""
 
 LARGEST_CONDITION = 1e12
-"""Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
+"""Largest stiffness, damping and step [SI]: a metre of steel has 1e11 N/m."""
 
 SMALLEST_CONDITION = 1e-30
-"""Smallest stiffness, damping and step [SI] that is not 0: far below any, and its square can still be computed."""
+"""Smallest nonzero stiffness, damping and step [SI]: far below any real one, and its square does not underflow."""
 
 PERIODS = (1e-9, 1e6)
 """Shortest and longest sampling period [s]: a gigahertz, and ten days."""
@@ -38,15 +38,17 @@ PERIODS = (1e-9, 1e6)
 _LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
 
 OUTSIDE = 20
-"""Part of the readings (a twentieth) at either end that their range leaves out: a few bad ones do not move it."""
+"""Reciprocal of the fraction of readings trimmed at either end (1/20) for their range, so that a few outliers do not
+change it."""
 
 LONGEST_PAUSE = 1e6
-"""Ratio of the longest time between two rows to the sampling period, or the reverse: minutes at 1 kHz are no pause
-within one response, and a period of minutes is none of rows that are 1 ms apart."""
+"""Ratio of the longest time between two rows to the sampling period, or the reverse: a response at 1 kHz has no pause
+of minutes, and rows 1 ms apart have no period of minutes."""
 
 
 MISSING = 1.5
-"""Step between samples, in sampling periods, from which on samples are missing: the nearest multiple is 2 or more."""
+"""Threshold of the step between samples, in sampling periods, above which samples are missing: it rounds to 2 or
+more."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +70,14 @@ class Log:
     force, velocity : float64, shape (rows,), optional
         Measured force [N, Nm] and logged velocity [m/s, rad/s], where the log has them.
     raw_time : float64 or int64, shape (rows,), optional
-        Time stamps as they stand in the file; None where they are ``time`` itself.
+        Time stamps as in the file; None if they equal ``time``.
     counts : mapping of str to int
-        What was found and settled in the rows: wraps of the counter, rows out of order, ...
+        Number of repairs of the rows by kind: counter wraps, rows out of order, ...
     warnings : tuple of str
-        What was accepted and should be known.
-    label : str, optional
+        Irregularities that were accepted. label : str, optional
         Name of the trial in its file, where the file has several.
     noted : tuple of Finding
-        What is known of the recording beforehand: what was repaired in the samples, and where else they are.
+        Findings from reading: repairs of the samples, and other files with the same samples.
     """
 
     header: NativeHeader
@@ -93,14 +94,15 @@ class Log:
 
     @cached_property
     def samples_sha256(self) -> str:
-        """Hash of commands and positions, whatever header and stamps say."""
+        """Hash of commands and positions only, independent of header and time stamps."""
         joined = sha256()
         for values in (self.command, self.position):
             joined.update(np.ascontiguousarray(values).data)
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header of the same conditions, and one more warning; its findings stay."""
+        """Return the log with another header of the same conditions and an additional warning; its findings are
+        kept."""
         log = replace(self, header=header, warnings=(*self.warnings, warning))
         log.__dict__["findings"] = self.findings
         return log
@@ -117,12 +119,12 @@ class Log:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the recording: what is known beforehand, and what its samples show."""
+        """Faults of the recording: those found while reading, and those found in its samples."""
         return (*self.noted, *check_recording(self.recording))
 
 
 def find_together(logs: Sequence[Log]) -> None:
-    """Look for the findings of many logs at once; each has them afterwards.
+    """Find the faults of many logs at once, and store them in each log.
 
     Parameters
     ----------
@@ -149,7 +151,8 @@ def check_samples(
     header : NativeHeader
     time, command, position : float64, shape (rows,)
     row : int or int64, shape (rows,)
-        Where each sample stands in the file, counted from 1; one number where each sample is one line, of the first.
+        Position of each sample in the file, counted from 1; a single number is the line of the first sample, with one
+        sample per line.
     force, velocity : float64, shape (rows,), optional
     unwrap : bool or float, optional
         As `recording.wrapping.unwrapped` takes it [m, rad]; by default only a rotation is unwrapped.
@@ -187,7 +190,7 @@ def check_samples(
     for name, values in columns.items():
         if values is None:
             continue
-        if not (-LARGEST[name] <= values.min() and values.max() <= LARGEST[name]):  # what is no number is neither
+        if not (-LARGEST[name] <= values.min() and values.max() <= LARGEST[name]):  # NaN fails both comparisons
             finite, beyond = np.isfinite(values), np.abs(values) > LARGEST[name]
             if not finite.all():
                 at = int(np.argmin(finite))
@@ -216,13 +219,13 @@ def check_samples(
 
 
 def stray(readings: Floats, scale: float) -> int | None:
-    """Return the first row whose reading no motion gives: a lost bit, a counter that ran over, a missing value.
+    """Return the first row that is an outlier beyond any motion: a lost bit, a counter overflow, a missing value.
 
     Parameters
     ----------
     readings : float64, shape (rows,)
     scale : float
-        What the readings are expected to change by at least, in their unit; 0 where that is not known.
+        Smallest expected change of the readings, in their unit; 0 if unknown.
     """
     if readings.max() - readings.min() <= GAP * scale:
         return None
@@ -239,7 +242,7 @@ def stray(readings: Floats, scale: float) -> int | None:
 
 
 def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, float | int | None]]:
-    """Return how regular the samples of trials are.
+    """Compute the regularity of the samples of trials.
 
     Parameters
     ----------
@@ -254,8 +257,8 @@ def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, f
     -------
     list of dict, length n
         ``gaps``: steps longer than `MISSING` periods; ``dropped``: samples missing in them, to the nearest one;
-        ``dropped_fraction``: of all that should be there; ``longest_step_s``; ``mean_step_s``, ``jitter_rms_s`` and
-        ``jitter_max_s``: mean of the other steps, and their deviation from T; None where all are gaps.
+        ``dropped_fraction``: share of all expected samples; ``longest_step_s``; ``mean_step_s``, ``jitter_rms_s`` and
+        ``jitter_max_s``: mean of the other steps, and their deviation from T; None if all are gaps.
     """
     inside = np.ones(max(len(time) - 1, 0), dtype=np.bool_)
     inside[np.cumsum(rows)[:-1] - 1] = False

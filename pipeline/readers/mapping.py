@@ -1,6 +1,6 @@
-"""Turns what was read of a foreign log into logs in SI: columns, trials, windows, step, conditions.
+"""Converts the columns of a foreign log to logs in SI: columns, trials, windows, step, conditions.
 
-The order is: rows of a trial, missing cells, stamps to seconds, order of time, doubled stamps, windows. Nothing is
+The order is: rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows. Nothing is
 interpolated.
 """
 
@@ -48,20 +48,21 @@ from pipeline.records.native import FREE, NativeHeader, parse_header
 from pipeline.records.trials import Floats, Integers
 
 Part = tuple[FileEntry | None, StepEntry | None]
-"""What a profile says of a file, and of a step in it."""
+"""Entries of a profile for a file, and for a step in it."""
 
 WINDOW_TOLERANCE = 1e-6
-"""Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
-rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
+"""Tolerance, in sampling periods, of a stamp outside a window or before the declared time of the step: rounding alone
+makes 3 x 0.1 s exceed 0.3 s, and 501 x 1e-6 s fall below 0.000501 s."""
 
 MOST_STEPS = 24
-"""Most changes of a command that count as separate steps: relays and random sequences have hundreds."""
+"""Largest number of command changes that count as separate steps: relays and random sequences have hundreds."""
 
 SHORTEST_STEP = 12
-"""Rows between two changes from which on a step has a response."""
+"""Smallest number of rows between two changes for a usable step response."""
 
 LONGEST_STEP = 1.5
-"""Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
+"""Threshold of the time between rows, in sampling periods, above which a row is missing: the velocity there is
+unknown."""
 
 
 def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | LogError]:
@@ -70,13 +71,13 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     Parameters
     ----------
     profile : Profile
-        A profile of any format but ``native``.
+        A profile of any format except ``native``.
     raws : sequence of RawLog
 
     Returns
     -------
     list of tuple of Log, or LogError
-        In the order given; one trial that is refused refuses its file.
+        In the order given; if one trial is refused, its file is refused.
     """
     outcomes: list[tuple[Log, ...] | LogError] = []
     for raw in raws:
@@ -85,13 +86,13 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
         except LogError as error:
             outcomes.append(error)
         except ProfileError as error:
-            # one file that does not fit must not stop the others
+            # an unsuitable file must not stop the others
             outcomes.append(LogError(str(error), code="profile-wrong"))
     return outcomes
 
 
 def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
-    """Return the logs of a file, of each of its groups where these are trials.
+    """Return the logs of a file: one per group if its groups are trials.
 
     Raises
     ------
@@ -123,16 +124,16 @@ def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
 
 
 def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
-    """Read what a profile asks for of each file of a log.
+    """Read the columns that a profile needs from each file of a log.
 
     Raises
     ------
     LogError
-        If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
+        If a file cannot be read, is of another kind, lacks a column, or has a time unit that contradicts the profile.
     """
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
-    # without a partner, several files are those of a split bag
+    # if there is no partner, several files belong to a split bag
     pairs = [(raw.names, raw.data)]
     if profile.partner is not None:
         pairs = [((name,), (data,)) for name, data in zip(raw.names, raw.data, strict=False)]
@@ -147,7 +148,8 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
 
 
 def _check_units(profile: Profile, name: str, role: str, frame: FileColumns) -> None:
-    """Refuse a unit of the profile that contradicts the type of its column, and warn of one that the file denies."""
+    """Refuse a unit of the profile that contradicts the type of its column; warn if it contradicts a unit in the
+    file."""
     for key, source in profile.column_sources().items():
         if source.unit is None or source.file != role:
             continue
@@ -171,12 +173,12 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     names : sequence of str
         File names.
     frames : sequence of FileColumns
-        What was read of each file.
+        Columns of each file.
 
     Raises
     ------
     LogError
-        If anything in the file is not as the profile says; with the row, and the line of the profile that would help.
+        If the file contradicts the profile; the message has the row and the line of the profile that would help.
     """
     frame, name = frames[0], names[0]
     for other, other_name in zip(frames[1:], names[1:], strict=False):
@@ -191,7 +193,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     logs = []
     for label, index in _trials(profile, name, frame):
         where = name if label is None else f"{name}, trial {label!r}"
-        # what several steps differ in is asked for step by step
+        # conditions that differ between steps are requested for each step
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
         given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
         period = float(given["sampling_period_s"])
@@ -211,7 +213,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
 
 
 def _steps_of(log: Log) -> list[Log]:
-    """Return a log step by step where its command is constant between a few changes and no wall is rendered."""
+    """Split a log into its steps if its command is constant between a few changes and no wall is rendered."""
     header, changes = log.header, changes_of(log.command)
     if header.stiffness or header.damping or (header.step and len(changes) < 2):
         return [log]
@@ -227,7 +229,7 @@ def changes_of(command: Floats) -> Integers:
 
 
 def is_staircase(command: Floats) -> bool:
-    """Return whether a command is constant between a few changes, each for as long as a response takes to be seen."""
+    """Return whether a command is constant between a few changes, each time long enough for a visible response."""
     changes = changes_of(command)
     return 0 < len(changes) <= MOST_STEPS and min(np.diff([*changes, len(command)])) >= SHORTEST_STEP
 
@@ -341,7 +343,7 @@ def _inside(window: Window, table: Table, period: float) -> Table:
 
 
 def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | None:
-    """Return the declared row of the step among the stored ones, or None where it is to be found in the command."""
+    """Return the declared row of the step among the stored ones, or None if it must be found in the command."""
     time, number, slack = table["time"], table["number"], WINDOW_TOLERANCE * period
     if step.step_at is not None or not step.declared:
         return 0 if step.step_at == "first row" else None
@@ -368,12 +370,12 @@ def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[s
     extra |= {f"file.{key}": str(value)[:LONGEST_ATTRIBUTE] for key, value in attributes[:KEPT_ATTRIBUTES]}
     if frame.warnings:
         extra["warnings"] = "; ".join(frame.warnings)
-    # some formats contain texts that UTF-8 cannot encode
+    # texts of some formats cannot be encoded in UTF-8
     return {storable(key): storable(value) for key, value in extra.items()}
 
 
 def entry_of(profile: Profile, name: str) -> FileEntry | None:
-    """Return what the profile says of a single file, or None where it says nothing.
+    """Return the entry of the profile for a single file, or None.
 
     Raises
     ------
@@ -388,9 +390,9 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
 
 
 def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, Any]]:
-    """Return the place of the profile that gives each condition of a trial, and its value; None where the file has it.
-
-    The most special place counts: that of the step, of the file, then columns, attributes, the file name, constants.
+    """Return the key of the profile that gives each condition of a trial, and its value; None if the file contains the
+    value. The most specific key has priority: that of the step, of the file, then columns, attributes, the file name,
+    constants.
 
     Raises
     ------
@@ -431,12 +433,12 @@ def conditions_of(
     ----------
     profile : Profile
     names : tuple of str
-        File name; and file with trial, for messages.
+        File name, and file name with trial for messages.
     frame : FileColumns
     rows : int64
-        Rows of the trial, for conditions that stand in a column.
+        Rows of the trial, for conditions in a column.
     part : FileEntry or None, StepEntry or None
-        What the profile says of the file and of the step.
+        Entries of the profile for the file and for the step.
     required : sequence of str
         Conditions without which the trial is refused.
 
@@ -457,7 +459,7 @@ def conditions_of(
             found = f"has no attribute {attributes[key]!r} (the {key}); found {sorted(frame.attributes)[:40]}"
             raise refusal("condition-missing", where, found)
         given[key] = _in_si(profile, where, key, value, inside)
-    # where other files of the profile have walls, one without is not known to be free
+    # if other files of the profile have walls, a file without conditions may have one, too
     if given.keys().isdisjoint(FREE) and profile.conditions().isdisjoint(FREE):
         given |= dict.fromkeys(FREE, 0.0)
     if missing := next((key for key in required if key not in given), None):
@@ -482,7 +484,7 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
         header = parse_header(lines)
     except LogError as error:
         reason = f"{where}: by the conditions that profile {profile.name} gives, {error.reason}"
-        # the row is that of the lines made here, which the file does not have
+        # the row belongs to the lines made here, which do not exist in the file
         raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
         found = f"device {given['device']!r} or experiment {given['experiment']!r} has a part in brackets"
@@ -504,12 +506,11 @@ def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column:
 
 
 def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool = False) -> Scalar:
-    """Return a condition in SI; a unit that stands behind the value in the file counts.
-
-    ``inside`` says that the value stands in the file: where numbers have a decimal comma, a point may part thousands.
+    """Return a condition in SI; a unit after the value in the file has priority. ``inside`` means that the value is in
+    the file: with a decimal comma, a point may separate thousands.
     """
     if key not in CONDITION_QUANTITIES:
-        # 1.0 of a column of floats is the experiment "1"
+        # 1.0 in a column of floats means the experiment "1"
         return int(value) if isinstance(value, float) and value.is_integer() else value
     factor = profile.condition_factor(key)
     if not isinstance(value, str):

@@ -1,6 +1,7 @@
-"""Rows of one trial of a foreign file: numbers, missing cells, stamps as seconds, order of time, as the profile says.
+"""Rows of one trial of a foreign file: numbers, missing cells, stamps in seconds, order of time, according to the
+profile.
 
-Nothing is interpolated. Rows are left out only where the profile says so, and each kind is counted.
+Nothing is interpolated. Rows are omitted only if the profile requests it, and each kind is counted.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from pipeline.readers.file_columns import FileColumns
 from pipeline.records.trials import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
-"""Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies
-farther away (a count of 16 bits by 1.5e-5)."""
+"""Relative tolerance within which a number equals the sentinel: single precision rounds by 6e-8, the next sensor
+reading lies farther away (a count of 16 bits by 1.5e-5)."""
 
 DATE_S = 2.0**28
-"""Seconds from zero (8.5 years) beyond which a stamp is a date: no machine runs that long, and the origins in use
-(1904, 1970, 1980, 2000) are farther away. Nearer than this, floats of seconds are right to 30 ns."""
+"""Threshold [s] (8.5 years) above which a stamp is a date: no machine runs that long, and the origins in use
+(1904, 1970, 1980, 2000) are farther away. Below it, seconds in double precision are accurate to 30 ns."""
 
 ROUNDING = 1e-3
-"""Part of a sampling period by which two stamps that are one period apart may differ from it: two dates in floats, the
-coarsest stamps, by 2.4e-7 s."""
+"""Tolerance, in sampling periods, of the difference of two stamps one period apart: dates in floats, the coarsest
+stamps, are wrong by 2.4e-7 s."""
 
 _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d")
-"""What dates and times of day have, and numbers do not."""
+"""Pattern that occurs in dates and times of day, but not in numbers."""
 
 _BACKWARDS = (
     'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter starts again, order = "sort" if rows are '
@@ -50,7 +51,7 @@ Table = dict[str, NDArray[Any]]
 def rows_of(
     profile: Profile, where: str, names: Sequence[str], frames: Sequence[FileColumns], index: Integers, period: float
 ) -> tuple[Table, dict[str, int]]:
-    """Return the rows of a trial in order of time, without missing values, and what was found and settled in them.
+    """Return the rows of a trial in order of time, without missing values, and the number of repairs by kind.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ def rows_of(
     where : str
         File and trial, for messages.
     names, frames : sequence of str and FileColumns
-        Files of the log and what was read of them.
+        Files of the log and their columns.
     index : int64, shape (rows,)
         Rows of the trial in the frames.
     period : float
@@ -69,19 +70,19 @@ def rows_of(
     tuple of dict and dict
         ``time`` [s], ``raw_time`` (stamps as in the file, where there are some; with a fraction, both parts in its
         unit), the other columns as numbers of the file, ``number`` (row of the trial as read, from 0), ``row`` (of the
-        file, from 1); and counts by name, nothing where it is zero.
+        file, from 1); and counts by name, without those that are zero.
 
     Raises
     ------
     LogError
-        If a cell is no number or has no value, or time is not as the profile says.
+        If a cell is no number or has no value, or time contradicts the profile.
     """
     sources, gaps = profile.column_sources(), dict[str, Booleans]()
     table: Table = {"number": np.arange(len(index)), "row": frames[0].row[index]}
     keep, counts = np.ones(len(index), dtype=np.bool_), dict[str, int]()
     homes = dict(zip(("source", "partner"), zip((where, *names[1:]), frames, strict=False), strict=False))
     for key, source in sources.items():
-        if source.in_file:  # else rows are counted, or the value is stated
+        if source.in_file:  # otherwise rows are counted, or the value is stated
             table[key], gaps[key] = _numbers(profile, *homes[source.file], index, key)
     for key, missing in gaps.items():
         if sources[key].blanks == "skip":
@@ -106,7 +107,7 @@ def rows_of(
     keep = ~gaps.pop("")
     for key, missing in gaps.items():
         if sources[key].blanks == "hold" and missing.any():
-            # the value before it in place of each missing one
+            # replace each missing value by the last valid one
             last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
             table[key], known = table[key][np.maximum(last, 0)], last >= 0
             counts |= {f"held_{key}": int((missing & known).sum()), f"before_first_{key}": int((~known & keep).sum())}
@@ -124,7 +125,7 @@ def _taken(table: dict[str, Any], rows: Integers | Booleans) -> dict[str, Any]:
 def _numbers(
     profile: Profile, place: str, frame: FileColumns, index: Integers, key: str
 ) -> tuple[NDArray[Any], Booleans]:
-    """Return a column as numbers, and where it has no value."""
+    """Return a column as numbers, and a mask of its missing values."""
     source = profile.column_sources()[key]
     values = frame.columns[source.key][index]
     if values.dtype.kind not in "iufb":
@@ -143,7 +144,7 @@ def _numbers(
 def _no_number(
     profile: Profile, where: str, frame: FileColumns, values: NDArray[Any], index: Integers, key: str, source: Source
 ) -> LogError:
-    """Return the refusal that names the first cell of a text column that is no number."""
+    """Return the error that names the first cell of a text column that is not a number."""
     cells = [str(value).strip() for value in values.tolist()]
     at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), 0)
     cell, row, sign = cells[at], int(frame.row[index[at]]), profile.decimal_sign
@@ -153,7 +154,7 @@ def _no_number(
         found, line = f"{found}: dates and times of day are not read", '[columns.time]\nkind = "sampled"'
     elif profile.format == "delimited" and other in cell:
         line = f'decimal = "{other}"'
-    # a cell with digits is a number written in another way, such as "1 234" or "5 N", which must not get lost
+    # a cell with digits is a number in another notation, such as "1 234" or "5 N", and must not be lost
     elif profile.format == "delimited" and not any(sign.isdigit() for sign in cell):
         line = f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
     return refusal("not-a-number", where, found + _called(frame, row), row=row, line=line)
@@ -168,7 +169,7 @@ def _reads_as_number(cell: str, profile: Profile) -> bool:
 
 
 def _no_value(key: str, source: Source, place: str, frame: FileColumns, table: Table, at: int) -> LogError:
-    """Return the refusal that names the first cell that is blank or a sentinel."""
+    """Return the error that names the first cell that is blank or a sentinel."""
     found, row = table[key][at], int(table["row"][at])
     what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
     found = f"{key} has no value: column {source.key!r} {what}{_called(frame, row)}"
@@ -178,15 +179,14 @@ def _no_value(key: str, source: Source, place: str, frame: FileColumns, table: T
 
 
 def _called(frame: FileColumns, row: int) -> str:
-    """Return the place of a row in words, where it is not a line."""
+    """Return the position of a row in words if it is not a line."""
     return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
 
 
 def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> dict[str, int]:
-    """Turn stamps into seconds, and keep them as ``raw_time``; return how often a counter started again.
-
-    Stamps that count from a date (`DATE_S`) count from the earliest row instead: as floats they would be wrong by up to
-    0.12 us. Whole numbers lose nothing by it.
+    """Convert stamps to seconds, and keep the originals as ``raw_time``; return the number of counter wraps. Stamps
+    relative to a date (`DATE_S`) are made relative to the earliest row: as floats they would be wrong by up to 0.12 us.
+    Integers are converted without loss.
     """
     if not source.in_file:
         table["time"] = np.arange(len(table["row"])) * period
@@ -225,19 +225,19 @@ def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tupl
         at = int(np.argmax(outside))
         expected = f"0 to {wrap:.17g}, where it starts again"
         raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(table["row"][at]))
-    # half a turn back is a turn forward: a shorter way back is a row out of order
+    # a step back by more than half the range is a wrap; a smaller one is a row out of order
     again = np.diff(raw, prepend=raw[:1]) < -wrap / 2
     modulus = int(wrap) if raw.dtype.kind == "i" and wrap == int(wrap) else wrap
     return raw + np.cumsum(again) * modulus, int(again.sum())
 
 
 def _sampled(table: Table, period: float, place: str) -> Floats:
-    """Return one row each sampling period if the stamps agree with it."""
+    """Return times of one row per sampling period if the stamps agree with it."""
     stamps: Floats = table["time"]
     time = np.arange(len(stamps)) * np.float64(period)
     steps = np.abs(np.diff(stamps))
-    # a sample is late by less than one period; a stamp that is printed so coarsely that several samples share it lies
-    # up to one unit of its last digit from the true one. If none is shared, every step, and every lost sample, shows
+    # a sample is late by less than one period; a stamp so coarse that several samples share it is wrong by up to one
+    # unit of its last digit. If no stamp is shared, every step and every lost sample is visible
     coarse = (steps == 0).any() and (steps > 0).any()
     allowed = (steps[steps > 0].min() if coarse else 0.0) + period
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
@@ -250,7 +250,7 @@ def _sampled(table: Table, period: float, place: str) -> Floats:
 
 
 def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, int]:
-    """Return the order of the rows by time, and how many stood behind a later one."""
+    """Return the order of the rows by time, and the number of rows that followed a later one."""
     time = table["time"]
     late = time < np.maximum.accumulate(time)
     if late.any() and source.order != "sort":
@@ -262,7 +262,7 @@ def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, in
 
 
 def distinct(source: TimeSource, table: Table, place: str) -> Booleans:
-    """Return which rows to keep of those with one and the same stamp."""
+    """Return a mask of the rows to keep among rows with equal stamps."""
     time = table["time"]
     same = np.diff(time) == 0
     if source.duplicates == "refuse" and same.any():

@@ -1,4 +1,5 @@
-"""Sheets: one row a log, whose cells are its conditions. They become `[[file]]` entries of the profile that names them.
+"""Sheets: one row per log, whose cells are its conditions. The rows become `[[file]]` entries of the profile that names
+the sheet.
 
 CSV is read here; XLSX and ODS by python-calamine. The column that names the logs is found by its content, the others
 are mapped by name (``stiffness``, ``K``, ...) or as ``K:stiffness:N/mm`` says.
@@ -35,10 +36,10 @@ from pipeline.records.findings import Grip
 Cell = str | float | None
 
 LARGEST_SHEET = 16 << 20
-"""Bytes of a sheet: 10^5 rows, one for each log that a lab ever recorded."""
+"""Largest size of a sheet [byte]: 10^5 rows, more logs than a lab ever records."""
 
 LISTED_FILES = 5
-"""Files that a sentence lists."""
+"""Largest number of files that a sentence lists."""
 
 _DELIMITERS = (";", "\t", "|", ",")
 _PACKED = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
@@ -54,7 +55,7 @@ NAMES = {
     "experiment": ("experiment", "versuch"),
     "grip": ("grip", "griff"),
 }
-"""Names by which a column is taken for a condition, in small letters and without a unit behind them."""
+"""Names that identify a column as a condition, in lower case and without a unit."""
 
 
 @dataclass(frozen=True)
@@ -73,25 +74,26 @@ class SheetTable:
 
 @dataclass(frozen=True)
 class SheetRead:
-    """A profile with the rows of its sheet as entries, and what does not fit together, as sentences."""
+    """A profile with the rows of its sheet as entries, and the mismatches between them as sentences."""
 
     profile: Profile
     notices: tuple[str, ...] = ()
 
 
 def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
-    """Return a profile with the rows of its sheet as `[[file]]` entries; one without a sheet as it is.
+    """Return a profile with the rows of its sheet as `[[file]]` entries; a profile without a sheet is returned
+    unchanged.
 
     Parameters
     ----------
     profile : Profile
     logs : collection of str
-        Names of the files that are to be read, by which the column that names them is found.
+        Names of the files to read, which identify the column of file names.
 
     Raises
     ------
     ProfileError
-        If the sheet cannot be read, no column names the logs, two rows name one, or a cell is not legal.
+        If the sheet cannot be read, no column names the logs, two rows name the same log, or a cell is not legal.
     """
     if profile.sheet is None:
         return SheetRead(profile)
@@ -120,7 +122,7 @@ def _joined(own: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]) -> li
 
 
 def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str]) -> list[str]:
-    """Return which rows have no file, and which files no row."""
+    """Return sentences on rows without a file and files without a row."""
     here = {name.lower() for name in present}
     lost = [f"{text} (row {number})" for name, (number, text) in rows.items() if name.lower() not in here]
     alone = [name for name in present if name.lower() not in {row.lower() for row in rows}]
@@ -133,7 +135,7 @@ def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str
 
 
 def read_sheet(path: Path) -> SheetTable:
-    """Return the first sheet of a file that has two columns and more: CSV, XLSX or ODS.
+    """Return the first sheet of a file with at least two columns: CSV, XLSX or ODS.
 
     Raises
     ------
@@ -169,7 +171,7 @@ def _is_name(cell: Cell) -> bool:
 
 
 def _text_rows(data: bytes) -> list[tuple[Cell, ...]]:
-    """Return the cells of a CSV; the delimiter that parts most lines into equally many cells is taken."""
+    """Return the cells of a CSV; the delimiter is the one that splits most lines into the same number of cells."""
     text = None
     for encoding in ("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "cp1252", "latin-1"):
         with suppress(UnicodeDecodeError):
@@ -203,7 +205,7 @@ def _packed_rows(name: str, data: bytes) -> list[tuple[Cell, ...]]:
 
 
 def packed_rows_here(name: str, data: bytes) -> list[tuple[Cell, ...]]:
-    """Return the cells of the first sheet with two columns and more, in a worker process."""
+    """Return the cells of the first sheet with at least two columns; runs in a worker process."""
     from io import BytesIO
 
     calamine: Any = library("python_calamine", "sheets")
@@ -224,25 +226,25 @@ def _cell(value: object) -> Cell:
 
 
 def _file_of(cell: Cell) -> str:
-    """Return the name of a file in a cell, without folders of any system; a number as it was typed."""
+    """Return the file name in a cell, without folders of any operating system; a number as it was typed."""
     if isinstance(cell, float) and cell.is_integer():
         cell = int(cell)
     return PureWindowsPath(str(cell).strip()).name if cell is not None else ""
 
 
 def _matches(text: str, names: dict[str, str]) -> str | None:
-    """Return the log that a cell names, with or without its ending; None where it names none."""
+    """Return the log that a cell names, with or without its extension; None if it names none."""
     return names.get(text.lower()) if text else None
 
 
 def _spellings(logs: Collection[str]) -> dict[str, str]:
-    """Return logs by the texts that name them, in small letters: the whole name, or that without its ending."""
+    """Return logs by the texts that name them, in lower case: the full name, or the name without its extension."""
     whole = {name.lower(): name for name in logs}
     return {Path(name).stem.lower(): name for name in logs} | whole
 
 
 def name_column(table: SheetTable, profile: Profile, logs: Collection[str]) -> str:
-    """Return the column that names the logs: the one that is stated, else that whose cells are names of logs.
+    """Return the column that names the logs: the stated one, otherwise the one whose cells are names of logs.
 
     Raises
     ------
@@ -279,7 +281,7 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
     Raises
     ------
     ProfileError
-        If a mapping names no column or condition, or two columns are one condition.
+        If a mapping names no column or condition, or two columns map to the same condition.
     """
     sheet = profile.sheet
     assert sheet is not None, "it is asked for a profile with a sheet"
@@ -319,7 +321,7 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
 
 
 def conditions_by_name(names: Sequence[str]) -> dict[str, str]:
-    """Return the columns that are taken for conditions by their names.
+    """Return the columns that are identified as conditions by their names.
 
     >>> conditions_by_name(["Datei", "K [N/mm]", "B", "note"])
     {'stiffness': 'K [N/mm]', 'damping': 'B'}
@@ -366,7 +368,7 @@ def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, st
 def _entries(
     table: SheetTable, profile: Profile, named: str, columns: dict[str, str]
 ) -> tuple[list[FileEntry], dict[str, tuple[int, str]]]:
-    """Return an entry for each row that names a log, and number and text of the row of each file."""
+    """Return an entry for each row that names a log, and the row number and text of each file."""
     sheet = profile.sheet
     assert sheet is not None, "it is asked for a profile with a sheet"
     decimal = _decimal_sign(table, columns)
@@ -398,20 +400,20 @@ def _escaped(name: str) -> str:
 
 
 def _ending(profile: Profile) -> str:
-    """Return the ending of the logs of a profile, by which a name without one is completed."""
+    """Return the file extension of the logs of a profile, which completes a name without one."""
     endings = (re.search(r"\.[^.*?\[\]]+(?:\.gz|\.zst)?$", pattern) for pattern in profile.files)
     return next((ending[0] for ending in endings if ending), ".*")
 
 
 def _decimal_sign(table: SheetTable, columns: dict[str, str]) -> str:
-    """Return the decimal sign of a sheet: a comma where a cell has one and none has a point."""
+    """Return the decimal sign of a sheet: a comma if any cell has a comma and none a point."""
     cells = [cell for key, name in columns.items() if key in NUMBERS_IN_NAMES for cell in table.column(name)]
     texts = [cell for cell in cells if isinstance(cell, str)]
     return "," if any("," in text for text in texts) and not any("." in text for text in texts) else "."
 
 
 def _value(where: str, key: str, cell: Cell, decimal: str) -> Any:
-    """Return a cell as the condition that it gives; None where it is blank."""
+    """Convert a cell to the value of its condition; None if it is blank."""
     if cell is None:
         return None
     if key not in NUMBERS_IN_NAMES:

@@ -1,4 +1,4 @@
-"""One table of file formats: a row is the module that reads it, the first bytes by which it is known, its extra.
+"""One table of file formats: each row has its module, the first bytes that identify it, and its extra.
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
 `FileColumns`, by the keys of a profile (``settings``). It runs in a separate process with limited time and memory
@@ -17,7 +17,7 @@ from pipeline.profiles.profile_model import Format
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
 PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
-"""First bytes of packed files."""
+"""First bytes of compressed files."""
 
 _OTHERS = {
     rb"PK\x03\x04.*xl/": "an Excel workbook",
@@ -30,10 +30,10 @@ _OTHERS = {
     rb"%PDF-|{\\rtf|\xd0\xcf\x11\xe0": "a document (PDF, RTF, old Excel or Word)",
     rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)": "a web page or other markup (HTML, XML)",
 }
-"""Kinds of files without samples, by their first bytes."""
+"""File types that contain no samples, by their first bytes."""
 
 _PROBE = 1 << 16
-"""Bytes that are looked at; the names of parts of a ZIP archive stand at its beginning and end."""
+"""Number of bytes inspected at the beginning and the end, where a ZIP archive lists its parts."""
 
 
 class FileFormat(NamedTuple):
@@ -44,11 +44,11 @@ class FileFormat(NamedTuple):
     module, function : str
         Module of this folder, and its function.
     title : str
-        What messages call it.
+        Its name in messages.
     magic : tuple of bytes
-        First bytes; none for text.
+        First bytes; empty for text.
     extra : str
-        Extra of this package that installs its library; empty where it is always there.
+        Extra of this package that installs its library; empty if the library is always installed.
     library : str
         Library that the function imports.
     """
@@ -81,11 +81,11 @@ FORMATS: dict[Format, FileFormat] = {
     "npz": FileFormat("archives", "a numpy archive", function="read_npz"),
     "sheet": FileFormat("archives", "a sheet (XLSX, ODS)", (), "sheets", "read_sheet", "python_calamine"),
 }
-"""A ZIP archive begins like any other: what it is, its parts say (`format_of`)."""
+"""Formats inside ZIP archives: all begin with the same bytes; the names of their parts decide (`format_of`)."""
 
 
 def packed_kind(data: bytes) -> Format | None:
-    """Return the format of a ZIP archive by the names of its first and last parts; None where it is none."""
+    """Return the format of a ZIP archive by the names of its first and last parts; None if it is not a ZIP archive."""
     probe = data[:_PROBE] + data[-_PROBE:]
     if re.search(rb"xl/work(book|sheets)|opendocument\.spreadsheet", probe):
         return "sheet"
@@ -93,18 +93,18 @@ def packed_kind(data: bytes) -> Format | None:
 
 
 def format_of(name: str, data: bytes) -> Format:
-    """Return the format of a file by its first bytes; delimited text where they are none of the known.
+    """Return the format of a file by its first bytes; delimited text if they are unknown.
 
     Parameters
     ----------
     name : str
-        File name: it decides where bags are packed as a whole.
+        File name, which decides for bags that are compressed as a whole.
     data : bytes
     """
     for kind, form in FORMATS.items():
         if form.magic and data.startswith(form.magic):
             return kind
-    # a MATLAB 7.3 file may lack its text, a packed database says nothing of what is inside
+    # a MATLAB 7.3 file may lack its text header, and the first bytes of a compressed database do not show its content
     if HDF5 in (data[512:520], data[1024:1032]):
         return "matlab" if name.lower().endswith(".mat") else "hdf5"
     if ".db3" in name.lower():
@@ -120,14 +120,14 @@ def format_of(name: str, data: bytes) -> Format:
 
 
 def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
-    """Refuse a file that is plainly something else than a log of its format.
+    """Refuse a file that is clearly not a log of its format.
 
     Parameters
     ----------
     name : str
         The file.
     kind : str
-        Format that it is to be read as (``format`` of the profile).
+        Expected format (``format`` of the profile).
     data : bytes
 
     Raises
@@ -145,7 +145,7 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     if FORMATS[kind].magic and data.startswith(tuple(PACKED)):
         raise refusal("unsupported", name, "is packed as a whole", cure=f"Unpack it: zstd -d {name}")
     actual = "native" if data[:1].isspace() else format_of(name, data[:2048])
-    # a MATLAB 7.3 file is an HDF5 file, too
+    # a MATLAB 7.3 file is also an HDF5 file
     if actual != kind and FORMATS[actual].magic and {actual, kind} != {"matlab", "hdf5"}:
         line, text = f'format = "{actual}"', f"is a file of format {actual!r}, whatever its name says"
         raise refusal("unsupported", name, text, repr(kind), line=line)

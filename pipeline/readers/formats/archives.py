@@ -1,6 +1,6 @@
 """Numpy archives (``.npz``) and sheets (XLSX, ODS): arrays by name, columns by the names in the first line.
 
-Of a numpy archive, arrays of Python objects are not read: they could run code. A number alone is an attribute.
+Of a numpy archive, arrays of Python objects are not read: they could run code. A single number is an attribute.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _is_float(cell: object) -> bool:
 
 
 def _column(cells: list[Any]) -> Array:
-    """Return cells as numbers, a blank one as NaN; as texts where one is a text."""
+    """Return cells as numbers, with NaN for blank cells; as texts if any cell is a text."""
     if any(isinstance(cell, str) and cell != "" for cell in cells):
         return np.array([str(cell) for cell in cells], np.str_)
     return np.array([np.nan if cell == "" else float(cell) for cell in cells])

@@ -30,11 +30,11 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
             text = f"column {name!r} stands {schema.names.count(name)} times in the file"
             cure = "Give the columns different names where the file is written."
             raise refusal("header-missing", contents.name, text, "it once, since it is ambiguous", cure)
-    # the library does not survive that its memory ends; constant columns pack without bound
+    # the library crashes when memory runs out; constant columns are compressed without limit
     contents.claim(footer.num_rows * len(asked) if footer else 0)
     read_table = parquet.read_table if footer else feather.read_table
     table = read_table(path, columns=asked, use_threads=False)
-    # a damaged file may point outside its own buffers, which only this looks at
+    # a damaged file may point outside its buffers; only this call checks it
     table.validate(full=True)
     for prefix, metadata in [("", schema.metadata), *((f"{field.name}@", field.metadata) for field in schema)]:
         for key, value in (metadata or {}).items():

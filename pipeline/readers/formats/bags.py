@@ -1,7 +1,7 @@
 """Bags of ROS 1 and ROS 2 (``.bag``, ``.db3``, ``.mcap``) as columns ``/topic.field.sub[3]``, stamps in ns.
 
 ``/topic.header.stamp`` and every other ROS time or duration is a whole number of nanoseconds; ``/topic.@received`` is
-when the message was recorded. ``@stamp`` and ``@received`` without a topic are the time of the rows.
+the time at which the message was recorded. ``@stamp`` and ``@received`` without a topic are the time of the rows.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ class _Topic(NamedTuple):
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the fields of messages.
 
-    Columns of one topic keep the order of recording. Columns of several topics that are wanted stand on the union of
-    their times, in order of time, with NaN (an empty text) where a topic has no message; nothing is interpolated.
+    Columns of one topic keep the order of recording. If columns of several topics are wanted, the rows are the union of
+    their times in increasing order, with NaN (an empty text) where a topic has no message; nothing is interpolated.
     """
     contents.row_name = "message"
     paths = [
@@ -83,7 +83,7 @@ def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
                 if connection.topic not in asked:
                     continue
                 try:
-                    # no message begins so: CDR begins with two bytes that say how it is written
+                    # no valid message begins like this: CDR begins with two bytes that give its encoding
                     data = zstd.decompress(data) if data.startswith(_ZSTD) else data
                     message = bag.deserialize(data, connection.msgtype)
                 except (AnyReaderError, KeyError) as error:
@@ -102,7 +102,7 @@ def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
 
 
 def _plain(value: Any, most: int | None) -> Any:
-    """Return a message as dicts and lists, of which the first elements are taken."""
+    """Return a message as dicts and lists, with only the first elements of each list."""
     if getattr(value, "__msgtype__", None) in _TIMES:
         return Nanoseconds(value.sec * 10**9 + value.nanosec)
     if hasattr(value, "__dataclass_fields__"):
@@ -113,7 +113,7 @@ def _plain(value: Any, most: int | None) -> Any:
 
 
 def _join(contents: FileColumns, topics: dict[str, _Topic]) -> None:
-    """Put columns of several topics on the union of their times, and give the rows a time."""
+    """Merge columns of several topics on the union of their times, and add the time of the rows."""
     axis = STAMP if STAMP in contents.wanted else RECEIVED
     names = {path: max((name for name in topics if path.startswith(f"{name}.")), key=len) for path in contents.columns}
     used = {name: topics[name] for name in dict.fromkeys(names.values())}
@@ -136,7 +136,7 @@ def _join(contents: FileColumns, topics: dict[str, _Topic]) -> None:
 
 
 def _times(where: str, axis: str, name: str, topic: _Topic) -> Integers:
-    """Return the times of messages on an axis."""
+    """Return the times of messages by stamp or by reception."""
     if axis == RECEIVED:
         return np.array(topic.received, np.int64)
     stamps = [message["header"]["stamp"] for message in topic.messages if "header" in message]

@@ -22,10 +22,10 @@ from pipeline.readers.file_columns import LONGEST_ATTRIBUTE, Array, FileColumns,
 from pipeline.readers.formats import PACKED
 
 LONGEST_CHARACTER = 4
-"""Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
+"""Bytes of the longest character in UTF-8 and UTF-16: a truncated file lacks fewer than that."""
 
 _BLOCK = 1 << 22
-"""Bytes that are unpacked at once."""
+"""Number of bytes that are unpacked at once."""
 
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
@@ -34,37 +34,38 @@ _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
 
 
 PROBE_LINES = 400
-"""Lines that are looked at: banners have some dozens, and a table shows its form in a hundred rows."""
+"""Number of lines inspected: banners have a few dozen, and a hundred rows show the form of a table."""
 
 FEWEST_ROWS = 2
-"""Rows that make a table."""
+"""Smallest number of rows of a table."""
 
 FEW_KEYS, LEAST_TABLE = 3, 10
-"""Lines of numbers above a table that are none of its rows, where the table has at least so many."""
+"""Largest number of numeric lines above a table that do not belong to it, and smallest number of rows of such a
+table."""
 
 NUMERIC_SHARE = 0.5
-"""Share of numbers among the cells of a row, from which it is a row of samples: some columns may be texts."""
+"""Smallest share of numbers among the cells of a row of samples: some columns may be texts."""
 
 _GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
-"""Blanks and apostrophes that part thousands, as in French and Swiss numbers."""
+"""Thousands separators: blanks and apostrophes, as in French and Swiss numbers."""
 
 _GROUPED_NUMBER = rf"[+-]?[0-9]{{1,3}}(?:[{_GROUP_SIGNS}][0-9]{{3}})+(?:[.,][0-9]*)?"
 _NUMBER = re.compile(
     rf"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|{_GROUPED_NUMBER}|[+-]?(?:nan|inf)", re.IGNORECASE
 )
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
-"""Numbers whose sign may part thousands as well: "1,234"."""
+"""Numbers whose point or comma may also be a thousands separator: "1,234"."""
 
 _LABELLED = re.compile(r"\s*([^\W\d][^:=]*?)\s*([:=])\s*(\S.*)")
 _DELIMITERS = (";", "\t", "|", ",", BLANKS)
-"""In the order in which they are taken where several fit."""
+"""Delimiters in order of preference, for lines that several of them fit."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the columns of the table.
 
-    A last row that is cut (fewer cells than the others, or without line end and with a cell that is no number) is left
-    out with a warning and kept verbatim as the attribute ``cut_last_row``.
+    An incomplete last row (fewer cells than the others, or no line end and a cell that is not a number) is omitted with
+    a warning and kept verbatim as the attribute ``cut_last_row``.
     """
     contents.row_name = "line"
     text, whole = plain_text(settings, contents.name, path.read_bytes())
@@ -95,11 +96,11 @@ _DATE = re.compile(
     r"(?:(?P<y>\d{4})-(?P<m>\d\d)-(?P<d>\d\d)|(?P<D>\d\d)\.(?P<M>\d\d)\.(?P<Y>\d{4}))[T ]+"
     r"(?P<time>\d\d:\d\d:\d\d)(?:[.,](?P<rest>\d{1,9}))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
-"""Dates with a time of day: ISO 8601 and the German order; 03/04/2026 is two dates and none of them."""
+"""Dates with a time of day: ISO 8601 and the German order; 03/04/2026 is ambiguous and not accepted."""
 
 
 def date_stamps(values: Array) -> Array | None:
-    """Return dates as whole nanoseconds since 1970; None where a cell is no date.
+    """Return dates as whole nanoseconds since 1970; None if a cell is not a date.
 
     >>> date_stamps(np.array(["2026-03-29T10:00:00.001Z", "29.03.2026 10:00:00,5"])).tolist()
     [1774778400001000000, 1774778400500000000]
@@ -119,14 +120,14 @@ def date_stamps(values: Array) -> Array | None:
         rests.append(int((match["rest"] or "0").ljust(9, "0")) - 60_000_000_000 * minutes)
     try:
         seconds = np.array(texts, "datetime64[s]").astype(np.int64)
-    except ValueError:  # a day that there is not
+    except ValueError:  # a day that does not exist
         return None
     stamps: Array = seconds * 1_000_000_000 + np.array(rests, np.int64)
     return stamps
 
 
 def unpacked(name: str, data: bytes) -> bytes:
-    """Return the bytes of a text file, unpacked where it is packed by gzip or zstd.
+    """Return the bytes of a text file, decompressed if it is gzip or zstd.
 
     Raises
     ------
@@ -149,14 +150,13 @@ def unpacked(name: str, data: bytes) -> bytes:
 
 
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
-    """Return the text of a file without blanks at its end, and whether the last line had a line end.
-
-    Lines are separated by one line feed each, and the last one ends with one. A byte order mark gives the encoding.
+    """Return the text of a file without trailing blank lines, and whether the last line had a line end. Every line,
+    including the last, ends with one line feed. A byte order mark determines the encoding.
 
     Raises
     ------
     LogError
-        If the file cannot be unpacked, or is not encoded as the profile says.
+        If the file cannot be unpacked, or its encoding differs from that of the profile.
     """
     data = unpacked(name, data)
     codec = next((codec for mark, codec in MARKS.items() if data.startswith(mark)), layout.encoding)
@@ -167,17 +167,18 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
             found = f"is no {codec.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
             row = data.count(b"\n", 0, error.start) + 1
             raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
-        # the recording was cut inside a character; its row is found to be cut, too
+        # the recording ends inside a character; its row is then found to be incomplete, too
         text = data[: error.start].decode(codec)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     end = len(text.rstrip(" \t\n"))
-    # blank cells at the end of the last row stay, blank lines below it go
+    # blank cells at the end of the last row are kept, blank lines below it are removed
     last, line_end, _ = text[end:].partition("\n")
     return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
 
 def _top(layout: Profile, contents: FileColumns, lines: list[str]) -> int:
-    """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
+    """Return the index of the line of names, or of the first row if there is none; lines above it are skipped or read
+    as labels."""
     at = layout.header_at
     for number, line in enumerate(lines):
         skipped = number < layout.skip_rows
@@ -196,9 +197,8 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
 
 
 def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> bool:
-    """Keep a line "label: value" as an attribute; return whether it is one.
-
-    Of a label that stands several times the last value is kept, but a condition must not change.
+    """Store a line "label: value" as an attribute; return whether it is such a line. The last value of a repeated label
+    is kept, but a condition must not change.
     """
     line = line.lstrip()[len(layout.comment or "") :] if _is_comment(layout, line) else line
     label, sign, value = (part.strip() for part in line.partition(layout.labels or "\n"))
@@ -232,7 +232,7 @@ def _split(layout: TextLayout, contents: FileColumns, line: str, row: int) -> li
 def _rows(
     layout: Profile, contents: FileColumns, lines: list[str], first: int, names: list[str], places: list[int]
 ) -> tuple[list[int], list[list[str]]]:
-    """Return the number of each row, and cells by column; a last row that is cut is left out, and kept verbatim."""
+    """Return the number of each row, and cells by column; an incomplete last row is omitted, and its text kept."""
     row, cells, width = list[int](), list[list[str]](), len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":
@@ -259,7 +259,7 @@ def _rows(
 
 
 def _places(profile: Profile, contents: FileColumns, names: list[str], row: int) -> dict[str, int]:
-    """Return the position of each wanted column, counted from 0; where none is wanted, of all."""
+    """Return the position of each wanted column, counted from 0; of all columns if none is named."""
     if not contents.wanted:
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
@@ -277,14 +277,14 @@ def _places(profile: Profile, contents: FileColumns, names: list[str], row: int)
 
 
 def _is_spoilt(values: Array, shorter: Array) -> bool:
-    """Return whether a column is of numbers, none of them missing, but for its last cell."""
+    """Return whether all cells of a column except the last are numbers, with none missing."""
     if values.dtype.kind == "f":
         return bool(np.isnan(values[-1]) and not np.isnan(values[:-1]).any())
     return values.dtype.kind == "U" != shorter.dtype.kind
 
 
 def _values(layout: TextLayout, cells: list[str]) -> Array:
-    """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
+    """Return cells as integers if all are whole numbers, as float64 if all are numbers or blank, else as text."""
     text = pc.utf8_trim_whitespace(pa.array(cells, pa.string()))
     blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
     number, kinds = pc.if_else(blank, None, text), [pa.float64()]
@@ -292,12 +292,12 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
         whole = pc.replace_substring_regex(number, f"[{_GROUP_SIGNS}]", "")
         number = pc.if_else(pc.match_substring_regex(number, f"^{_GROUPED_NUMBER}$"), whole, number)
     if layout.decimal == ",":
-        # a point may part thousands
+        # a point may be a thousands separator
         number = pc.if_else(pc.match_substring(number, "."), "point", pc.replace_substring(number, ",", "."))
     if pc.all(pc.fill_null(pc.match_substring_regex(number, _INTEGER), False)).as_py():
         number, kinds = pc.utf8_ltrim(number, "+"), [pa.int64(), pa.uint64(), pa.float64()]
     for kind in kinds:
-        with suppress(pa.ArrowInvalid):  # does not fit
+        with suppress(pa.ArrowInvalid):  # not of this type
             return np.asarray(pc.cast(number, kind).to_numpy(zero_copy_only=False))
     shown = pc.utf8_slice_codeunits(pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
     return np.array(shown.to_pylist(), dtype=np.str_)
@@ -305,8 +305,8 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
 
 @dataclass
 class Layout:
-    """Keys of a profile that lay out a file, questions about them by key, and what shows them; and the names that
-    remarks give to columns, with units in brackets, by the name in `FileColumns`."""
+    """Layout keys of a profile, open questions and evidence by key; and column names found in comment lines, with units
+    in brackets, by the name in `FileColumns`."""
 
     keys: dict[str, Any] = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)
@@ -315,7 +315,7 @@ class Layout:
 
 
 def text_layout(name: str, data: bytes) -> Layout:
-    """Return how a text file is laid out.
+    """Find the layout of a text file.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def text_layout(name: str, data: bytes) -> Layout:
     layout = Layout()
     lines = _guessed(name, data, layout).split("\n")[:-1]
     probe = lines[:PROBE_LINES]
-    # the last line of a recording may be cut
+    # the last line of a recording may be incomplete
     delimiter, rows = _table(probe[:-1] if len(probe) > FEWEST_ROWS else probe, name)
     keys = layout.keys
     keys["delimiter"] = delimiter
@@ -335,7 +335,7 @@ def text_layout(name: str, data: bytes) -> Layout:
     cells = [_parted(lines[row], delimiter) for row in rows]
     above = lines[: rows[0]]
     named = _parted(above[-1], delimiter) if above else []
-    # a last column that is blank and has a name is a column, such as remarks
+    # a blank last column with a name is a column, such as remarks
     if delimiter != BLANKS and all(not row[-1] for row in cells) and not (len(named) == len(cells[0]) and named[-1]):
         keys["trailing_delimiter"] = True
         cells = [row[:-1] for row in cells]
@@ -352,11 +352,11 @@ def text_layout(name: str, data: bytes) -> Layout:
     beside = (*above[:skipped], *between)
     if found := [(line, match[2]) for line in beside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
         keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
-        # labels in remarks are read where the profile says what begins a remark
+        # labels in comment lines are read if the profile states the comment sign
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
         keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
     if heads and (mark := keys.get("comment")) and any(line.lstrip().startswith(mark) for line in heads):
-        # names in remarks are none of the table: its columns are read by position
+        # names in comment lines are not part of the table: its columns are read by position
         keys.pop("unit_line", None)
         *units, names = ([cell.strip(mark + " ") for cell in _parted(line, delimiter)] for line in heads)
         behind = [f" [{unit.strip('[]() ')}]" if unit else "" for unit in units[0]] if units else [""] * len(names)
@@ -366,8 +366,8 @@ def text_layout(name: str, data: bytes) -> Layout:
 
 
 def _guessed(name: str, data: bytes, layout: Layout) -> str:
-    """Return the text, and put its encoding into the layout."""
-    # without a mark, every second byte of most texts is zero
+    """Decode the text, and store its encoding in the layout."""
+    # UTF-16 without a byte order mark: every second byte of most texts is zero
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[1:64:2].count(0) > len(data[1:64:2]) // 2:
         layout.keys["encoding"] = "utf-16"
     try:
@@ -375,7 +375,7 @@ def _guessed(name: str, data: bytes, layout: Layout) -> str:
     except LogError as error:
         if "UTF-8" not in error.reason:
             raise
-    # both have the same letters; cp1252 alone has signs such as the dash where latin-1 has control characters
+    # both have the same letters; only cp1252 has characters such as the dash where latin-1 has control characters
     with suppress(LogError):
         text = plain_text(TextLayout(encoding="cp1252"), name, data)[0]
         layout.keys["encoding"] = "cp1252"
@@ -399,7 +399,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
-    """Return the delimiter, and which lines are rows of numbers, all with the same number of cells."""
+    """Return the delimiter and the indices of the rows of numbers, all with the same number of cells."""
     best: tuple[str, list[int]] = ("", [])
     for delimiter in _DELIMITERS:
         widths: dict[int, list[int]] = {}
@@ -408,7 +408,7 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
             if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
                 widths.setdefault(len(cells), []).append(number)
         rows = _block(max(widths.values(), key=len, default=[]))
-        # text that is parted by several signs: the one that makes more rows, the earlier one where equal
+        # several delimiters fit: take the one that gives more rows, or the earlier one if they give equally many
         if len(rows) > len(best[1]):
             best = delimiter, rows
     if len(best[1]) < FEWEST_ROWS:
@@ -423,7 +423,7 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
 
 
 def _block(rows: list[int]) -> list[int]:
-    """Return rows without the few lines of numbers that stand above a table, such as keys of a recorder."""
+    """Return rows without the few numeric lines above a table, such as settings of a recorder."""
     runs: list[list[int]] = []
     for row in rows:
         if runs and row == runs[-1][-1] + 1:
@@ -437,7 +437,7 @@ def _block(rows: list[int]) -> list[int]:
 
 
 def _decimal(cells: list[str], layout: Layout) -> None:
-    """Put the decimal sign into the layout, or ask where none is seen or it could part thousands as well."""
+    """Store the decimal sign in the layout; ask if none occurs or if it may be a thousands separator."""
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
     seen = points[:1] + commas[:1]
@@ -451,10 +451,10 @@ def _decimal(cells: list[str], layout: Layout) -> None:
 
 
 def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
-    """Return whether a line consists of the names or units of that many columns."""
+    """Return whether a line consists of names or units for that number of columns."""
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()
-    # a remark in words may have as many blanks as the table has columns; a label has its sign behind the first word
+    # a comment in words may have as many blanks as the table has columns; a label has its sign after the first word
     remark = keys["delimiter"] == BLANKS and _LABELLED.fullmatch(line)
     return len(cells) == width and any(cells) and not remark and not any(map(_is_number, cells))

@@ -2,9 +2,8 @@
 
 HDF5: datasets by path (``/arm/q``), fields of compound datasets (``/log.t``), elements (``/arm/q[3]``); values in
 other files are not opened. TDMS: channels as ``/group/channel``; ``@time`` is the time [s] that the waveform properties
-of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``, where they are the same for all of
-them; stamps are whole nanoseconds since 1970. MDF: channels as ``0/name`` by the number of their group, time
-``0/@time`` [s].
+of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``, if they are the same for all of them;
+stamps are whole nanoseconds since 1970. MDF: channels as ``0/name`` by the number of their group, time ``0/@time`` [s].
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ from pipeline.readers.file_columns import Array, FileColumns, library
 TIME = "@time"
 _HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")
 _WAVEFORM: dict[str, Any] = {"wf_increment": None, "wf_start_offset": 0.0, "wf_start_time": None}
-"""Properties by which the samples of a TDMS channel are timed, and their defaults."""
+"""TDMS properties that determine the sample times of a channel, and their defaults."""
 
 _EPOCH_S = 2_082_844_800
-"""Seconds from the start of 1904, where TDMS counts from, to that of 1970."""
+"""Seconds from the start of 1904, the origin of TDMS time stamps, to the start of 1970."""
 
 
 def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
@@ -95,7 +94,7 @@ def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
 
 
 def _add_group_times(contents: FileColumns) -> None:
-    """Add the time of each group whose channels have one and the same waveform."""
+    """Add the time of each group whose channels share the same waveform properties."""
     groups: dict[str, list[str]] = {}
     for name in list(contents.columns):
         groups.setdefault(name.rpartition("/")[0], []).append(name)
@@ -143,6 +142,6 @@ def _note(contents: FileColumns, prefix: str, attributes: Any) -> None:
         try:
             value = attributes[key]
         except OSError:
-            # an attribute of a type that h5py does not know is no condition of a log; the samples do not need it
+            # skip an attribute of a type unknown to h5py: it is no condition of a log
             continue
         contents.note(prefix + key, str(value.as_datetime64()) if hasattr(value, "as_datetime64") else value)

@@ -1,7 +1,7 @@
 """JSON: a list of records, alone or under a key next to a header; one record a line; or one list for each column.
 
-What is inside records is a column by its path: ``state.q[3]``; ``1``, ``2`` of plain lists. A value that is null or not
-there is NaN, or an empty text; true and false are 1 and 0.
+Each value inside the records is a column named by its path: ``state.q[3]``; ``1``, ``2`` for plain lists. A null or
+missing value is NaN, or an empty text; true and false are 1 and 0.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
 
 
 def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = ()) -> Array:
-    """Return a value for each of so many rows, where ``row`` says where each stands in the file.
+    """Return one value per row; ``row`` gives the position of each row in the file.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
 
 
 def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
-    """Yield path and value of all that is inside objects, and inside lists where ``lists``."""
+    """Yield path and value of everything inside objects, and also inside lists if ``lists``."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _flat(part, f"{path}.{key}" if path else key, lists)
@@ -119,7 +119,7 @@ def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _parsed(contents: FileColumns, text: str) -> Any:
-    """Return the value of a file, a list where it has one record a line."""
+    """Return the parsed file; a list if it has one record a line."""
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
@@ -142,7 +142,7 @@ def _parsed(contents: FileColumns, text: str) -> Any:
 
 
 def _records(contents: FileColumns, value: Any, path: str) -> list[Any] | None:
-    """Return the list of records; None where each column is a separate list. Single values become attributes."""
+    """Return the list of records; None if each column is a separate list. Single values become attributes."""
     if isinstance(value, list):
         value = {"": value}
     if not isinstance(value, dict):

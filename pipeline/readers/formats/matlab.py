@@ -21,7 +21,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_columns import Array, FileColumns, library
 
-if find_spec("matio"):  # here, where the time to import it does not count
+if find_spec("matio"):  # imported here, where the import time is not charged
     import_module("matio")
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
@@ -32,11 +32,11 @@ _EXPORTS = {
     "table": "s = table2struct(T, 'ToScalar', true)",
     "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
 }
-"""MATLAB commands that convert objects in MATLAB's private format to plain arrays, by class."""
+"""MATLAB commands that convert objects of a private format to plain arrays, by class."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the variables; what cannot be read is named with what makes it plain in MATLAB."""
+    """Add the variables; list unreadable ones with the MATLAB command that converts them to plain arrays."""
     head = path.read_bytes()[:128]
     newer, objects = head[124:126] in (b"\x00\x02", b"\x02\x00"), head[116:124].strip(b" \0") != b""
     if not head.startswith(b"MATLAB") and head[126:128] not in (b"IM", b"MI"):
@@ -46,7 +46,7 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
         warnings.simplefilter("ignore")
         variables = _by_matio(contents, path, newer) if newer or objects else dict(loadmat(path))
     for name, value in variables.items():
-        # insides of objects have a name with # or __
+        # internal data of objects have a name with # or __
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
     for name in contents.columns:
@@ -60,7 +60,7 @@ def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, Any]:
     matio = library("matio", "mat")
     try:
         return dict(matio.load_from_mat(path))
-    except Exception:  # one variable that it cannot read must not hide the others
+    except Exception:  # one unreadable variable must not make the others unavailable
         found: dict[str, Any] = {}
         for name, kind in _classes(path, newer).items():
             try:
@@ -83,7 +83,7 @@ def _classes(path: Path, newer: bool) -> dict[str, str]:
 
 
 def _advice(kind: str) -> str:
-    """Return why an object of a class is not read, and how it is exported."""
+    """Return why an object of a class is not read, and how to export it."""
     export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
     each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
     text = f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: {export}; "
@@ -98,7 +98,7 @@ def _add(contents: FileColumns, path: str, value: Any) -> None:
         frame = value.reset_index() if value.index.name else value
         for name in frame.columns:
             contents.add(f"{path}.{name}", frame[name].to_numpy())
-    elif type(value).__name__ == "MatlabOpaque":  # as scipy has it
+    elif type(value).__name__ == "MatlabOpaque":  # as scipy returns it
         own, _, kind, _ = (part.decode("utf-8", "replace") if isinstance(part, bytes) else "" for part in value.flat[0])
         contents.refused[own if path == "None" else path] = _advice(kind)
     elif hasattr(value, "classname"):
@@ -122,14 +122,14 @@ def _add(contents: FileColumns, path: str, value: Any) -> None:
 
 
 def _texts(value: Array) -> Array:
-    """Return a cell array of texts as one column, empty where it is none."""
+    """Return a cell array of texts as one column, or an empty array if it is not one."""
     cells = [cell for cell in value.flat if getattr(cell, "dtype", value.dtype).kind == "U" and cell.size <= 1]
     texts = [cell.item() if cell.size else "" for cell in cells]
     return np.array(texts if 1 < len(texts) == value.size else [])
 
 
 def _add_object(contents: FileColumns, path: str, value: Any) -> None:
-    """Add times and values of all timeseries in an object; the object is refused where there are none."""
+    """Add times and values of all timeseries in an object; refuse the object if there are none."""
     before = len(contents.columns)
     _add_series(contents, path, value)
     if len(contents.columns) == before:
@@ -156,11 +156,11 @@ def _add_series(contents: FileColumns, path: str, value: Any) -> None:
 
 
 _TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
-"""Parts of a Simulink dataset that its user does not see."""
+"""Internal levels of a Simulink dataset that the user does not see."""
 
 
 def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
-    """Add the samples that properties or fields are, or the timeseries in them."""
+    """Add samples stored directly in properties or fields, or the timeseries inside them."""
     info = getattr(parts.get("TimeInfo"), "properties", {})
     times = [parts.get("Time_"), parts.get("Time"), info.get("Time_")]
     time = next(
@@ -181,7 +181,7 @@ def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
 
 
 _REGULAR = ("Start_", "Increment_", "Length")
-"""Time of samples that are equally far apart."""
+"""Properties that define equally spaced sample times."""
 
 
 def _regular(start: float, step: float, rows: float) -> Array:
@@ -189,19 +189,19 @@ def _regular(start: float, step: float, rows: float) -> Array:
 
 
 def _unit(parts: dict[str, Any]) -> str:
-    """Return the unit of the samples of a timeseries, where it has one."""
+    """Return the unit of the samples of a timeseries, if it has one."""
     said = getattr(parts.get("DataInfo"), "properties", {}).get("Units", parts.get("DataUnits"))
     return _text(getattr(said, "properties", {}).get("Name", said))
 
 
 def _text(value: Any) -> str:
-    """Return a text of MATLAB as such; empty where it is none."""
+    """Return a MATLAB text as str; empty if the value is no text."""
     found = np.ravel(value)[0] if np.size(value) else ""
     return str(found) if isinstance(found, str) else ""
 
 
 def _name_of(element: Any) -> str:
-    """Return the name of an element of a dataset; empty where it has none that can stand in a path."""
+    """Return the name of an element of a dataset; empty if it has no name that is valid in a path."""
     named = (
         isinstance(element, np.ndarray) and element.dtype.names and "Name" in element.dtype.names and element.size == 1
     )

@@ -1,7 +1,7 @@
-"""Reads native logs, many at a time: the bodies are parsed as one text, which saves the cost per file.
+"""Reads native logs, many at a time: the bodies are parsed as one text, which saves the overhead per file.
 
-A body that breaks the common parse, or whose number of rows does not agree with its lines, is read alone, line by line,
-which finds the row at fault.
+If the common parse fails for a body, or its number of rows differs from its number of lines, the body is read
+separately, line by line, to find the faulty row.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class _Body:
             refuse_other_kind(raw.names[0], "native", data)
         self.header, start, self.first_row = _split(data)
         if data.endswith(b"\n") and data[-2:-1] not in _BLANK:
-            # as it is nearly always: no copy
+            # the usual case: no copy
             self.view = memoryview(data)[start:]
-            # takes a third of the time of `bytes.count`
+            # three times as fast as `bytes.count`
             self.lines = int(np.count_nonzero(np.frombuffer(self.view, np.uint8) == _LINE_FEED))
         else:
             text = data[start:].rstrip(_BLANK) + b"\n"
@@ -107,7 +107,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
 
 
 def _parse(text: bytes, lines: int) -> Columns | None:
-    """Return the columns, or None where the text is not exactly three numbers on each line."""
+    """Return the columns, or None if the text is not exactly three numbers on each line."""
     if not lines:
         return np.empty(0), np.empty(0), np.empty(0)
     try:
@@ -129,7 +129,7 @@ def _parse(text: bytes, lines: int) -> Columns | None:
 
 
 def _parse_alone(body: _Body) -> Columns:
-    """Return the columns of a log whose lines the common parse does not take, if they are numbers all the same."""
+    """Return the columns of a log that the common parse rejected, if its lines are valid numbers after all."""
     rows = []
     for row, line in enumerate(bytes(body.view).decode("utf-8", "replace").split("\n")[:-1], start=body.first_row):
         cells = line.split(",")
