@@ -1,7 +1,7 @@
-"""A column with its unit, or a constant with its unit, as one text: how a command line describes logs.
+"""A column with its unit, or a constant with its unit, as one text: the way a command line describes logs.
 
 ``t:ms`` is the column ``t`` in ms, ``-x:mm`` the column ``x`` in mm with the opposite sign, ``4 N`` a constant. A name
-with a quotation mark, or with a colon before something that is a unit, stands in double quotes: ``"F:N":mN``.
+that contains a quotation mark, or a colon before a unit, is put in double quotes: ``"F:N":mN``.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pipeline.base.errors import UsageError
 from pipeline.base.units import find_unit, split_quantity
 
 LISTED_COLUMNS = 40
-"""Columns of a file that a message lists; a bag has hundreds."""
+"""Largest number of columns that a message lists; a bag has hundreds."""
 
 _QUOTED = re.compile(r'"((?:[^"]|"")*)"(?::(.*))?')
 
 
 @dataclass(frozen=True)
 class ColumnText:
-    """A column or a constant, as somebody wrote it.
+    """A column or a constant as the user wrote it.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ class ColumnText:
     value : float or None
         The constant.
     unit : str
-        Empty where none was written.
+        Empty if none was written.
     sign : {1, -1} or None
-        What stands before the name of the column; None where nothing does.
+        Sign before the name of the column; None if there is none.
     """
 
     column: str | None
@@ -44,7 +44,7 @@ class ColumnText:
 
     @classmethod
     def constant(cls, text: str) -> Self | None:
-        """Return a constant; None where the text is no number, with or without a unit.
+        """Read a constant; return None if the text is not a number, with or without a unit.
 
         >>> ColumnText.constant("4 N")
         ColumnText(column=None, value=4.0, unit='N', sign=None)
@@ -54,16 +54,16 @@ class ColumnText:
 
     @classmethod
     def among(cls, option: str, text: str, names: Collection[str]) -> Self:
-        """Return one of some columns.
+        """Read one of the available columns.
 
         Parameters
         ----------
         option : str
             Such as ``--time``, for messages.
         text : str
-            Name of the column; behind a colon its unit, before it ``-`` or ``+`` as its sign.
+            Name of the column; optionally with a sign ``-`` or ``+`` before it, and a colon and its unit after it.
         names : collection of str
-            Columns that there are.
+            Available columns.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class ColumnText:
 
 
 def _named(text: str, names: Collection[str]) -> tuple[str, str] | None:
-    """Return the column that a text names, and the unit in it; None where it names none."""
+    """Return the column that a text names, and its unit; None if it names no column."""
     if (quoted := _QUOTED.fullmatch(text)) and (name := quoted[1].replace('""', '"')) in names:
         return name, (quoted[2] or "").strip()
     name, colon, unit = text.rpartition(":")
@@ -103,7 +103,7 @@ def _named(text: str, names: Collection[str]) -> tuple[str, str] | None:
 
 
 def _lacking(text: str, names: Collection[str]) -> str:
-    """Return that no column has a name, and which there are."""
+    """Return a message that no column has this name, with the available ones."""
     name = text.lstrip("+-")
     stem = name.rpartition(":")[0] or name
     near = get_close_matches(stem, names, 3) or [n for n in names if n.casefold() == stem.casefold()]

@@ -1,6 +1,6 @@
 """Log profiles: how the files of one lab map to SI columns, described in TOML and checked when read.
 
-Shipped profiles lie in ``schemas/profiles``; a user's own is given by file name. A profile names the files
+Shipped profiles are in ``schemas/profiles``; a user's profile is given by file name. A profile names the files
 it claims, the partner file where one log is two files, the columns with their units and signs, and the
 conditions that the files themselves do not state. `pipeline.profiles.profile_model` describes the keys. A mistake is
 reported with the line of the TOML text, the key, and the most similar known key.
@@ -27,7 +27,7 @@ from pipeline.profiles.profile_model import PROBLEMS, Profile
 Place = tuple[str | int, ...]
 
 QUESTION = "# QUESTION:"
-"""Beginning of the lines of a draft in which something is asked that must not be guessed."""
+"""Beginning of the lines of a draft that ask for a value that must not be guessed."""
 
 _WORDS = {
     "tuple_type": "Input should be a list in brackets",
@@ -35,7 +35,7 @@ _WORDS = {
     "dict_type": "Input should be a table of keys",
     "string_pattern_mismatch": "must be part of a file name in the same folder",
 }
-"""Kinds of values in the words of TOML, not of Python."""
+"""Value types under their TOML names, not their Python names."""
 
 _STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
 """Head of a table, or a key."""
@@ -47,8 +47,8 @@ def read_profile(path: Path) -> Profile:
     Raises
     ------
     ProfileError
-        If the file cannot be read, is no TOML, has wrong, missing or unknown keys, or questions of a draft that are
-        still open: all of them, each with file, line and key.
+        If the file cannot be read, is no TOML, has wrong, missing or unknown keys, or has open questions of a draft.
+        Lists all problems, each with file, line and key.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -59,7 +59,7 @@ def read_profile(path: Path) -> Profile:
         raise ProfileError(f"{path}: profile is no valid TOML (UTF-8): {error}.") from error
     questions = find_questions(text)
     asked = {question.place for question in questions}
-    # a key that is asked for is not missing, too
+    # a key with an open question is not also reported as missing
     wrong = [mistake for mistake in find_mistakes(values, text) if mistake.place not in asked]
     found = sorted((*questions, *wrong), key=lambda mistake: mistake.line)
     if found:
@@ -76,7 +76,7 @@ def shipped_profiles() -> tuple[Profile, ...]:
 
 
 def load_profile(profile: str | Path | Profile) -> Profile:
-    """Return a profile by the name of a shipped one or by its TOML file; one that is loaded, as it is.
+    """Return a shipped profile by name, or one from a TOML file; a loaded profile is returned unchanged.
 
     Raises
     ------
@@ -102,12 +102,12 @@ def load_profile(profile: str | Path | Profile) -> Profile:
 
 
 def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
-    """Return the profile that claims a log by its file name; a specific one goes before the native one.
+    """Return the profile that claims a log by its file name; a specific profile has priority over the native one.
 
     Raises
     ------
     ProfileError
-        If two profiles that are not native claim it.
+        If two non-native profiles claim it.
     """
     specific = [p for p in profiles if p.format != "native" and p.claims(name)]
     if len(specific) > 1:
@@ -122,7 +122,7 @@ def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
 
 @dataclass(frozen=True)
 class Mistake:
-    """What is wrong in a profile: line counted from 1, key, and words."""
+    """An error in a profile: line counted from 1, key, and message."""
 
     line: int
     place: Place
@@ -130,16 +130,15 @@ class Mistake:
 
 
 def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
-    """Return the mistakes of a profile, in order of line; empty where there is none.
-
-    What does not fit together is looked for once each key by itself is right.
+    """Return the errors of a profile, in order of line; empty if there are none. Contradictions between keys are
+    checked only if each key by itself is valid.
 
     Parameters
     ----------
     values : dict
         The parsed TOML.
     text : str
-        Its text, for the line numbers.
+        The text of the profile, for line numbers.
     """
     try:
         Profile.model_validate(values)
@@ -166,7 +165,7 @@ def find_questions(text: str) -> list[Mistake]:
 
 
 def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
-    """Yield place and words of mistakes."""
+    """Yield the location and the message of each error."""
     if error["type"] == PROBLEMS:
         yield from ((tuple(place), f"{_key(place)}: {what}.") for place, what in error["ctx"]["problems"])
         return
@@ -190,7 +189,7 @@ def _key(place: Place) -> str:
 
 
 def _keys_at(place: Place) -> set[str]:
-    """Return the keys that are known at a place in a profile."""
+    """Return the valid keys at a place in a profile."""
     model: type[BaseModel] | None = Profile
     for part in place:
         if isinstance(part, int) or model is None:
@@ -209,7 +208,7 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 def key_lines(text: str) -> dict[Place, int]:
     """Return the line, counted from 1, on which each key and each table of a TOML text begins.
 
-    Keys of a table in braces stand on the line of that table.
+    Keys of an inline table have the line of that table.
     """
     lines: dict[Place, int] = {(): 1}
     table: Place = ()
@@ -231,7 +230,7 @@ def key_lines(text: str) -> dict[Place, int]:
             entries[(*placed(above), last.strip(" \"'"))] += 1
         table = placed(name) if brackets else table
         place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
-        # a table that is named in parts only begins with its first part
+        # a table that occurs only in dotted names begins with its first part
         for length in range(1, len(place) + 1):
             lines.setdefault(place[:length], number)
     return lines

@@ -1,4 +1,4 @@
-"""The record of a log profile: which files, which format, which columns, which conditions, which part of the rows.
+"""The record of a log profile: its files, format, columns, conditions and windows of rows.
 
 All contradictions are found at once: `Profile` raises one error that lists every problem with its place.
 """
@@ -28,7 +28,7 @@ from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 
 Kind = Literal["translation", "rotation"]
-"""What a device does, whatever its commands are."""
+"""Type of motion of a device, independent of its command quantity."""
 
 QUANTITIES: dict[str, dict[Kind, str]] = {
     "time": {"translation": "time", "rotation": "time"},
@@ -37,11 +37,12 @@ QUANTITIES: dict[str, dict[Kind, str]] = {
     "force": {"translation": "force", "rotation": "torque"},
     "velocity": {"translation": "velocity", "rotation": "angular velocity"},
 }
-"""Physical quantity of each column by what the device does, where its command is a force or torque."""
+"""Physical quantity of each column by type of motion, if the command is a force or torque."""
 
 Excitation = Literal["step", "release", "hit", "free", "staircase"]
-"""What moves the device in a trial: a step of the command against a wall; the release from a position behind a wall, or
-a hit, with no step; any command without a wall; a command without a wall that is constant between a few steps."""
+"""What moves the device in a trial: a step of the command against a wall; the release from a position inside a wall, or
+a hit, both without a step; any command without a wall; a command without a wall that is constant between a few
+steps."""
 
 IMPLIED: dict[Excitation, tuple[str, ...]] = {
     "step": (),
@@ -71,7 +72,7 @@ def quantity(key: str, motion: Motion) -> str:
     >>> quantity("stiffness", "rotation"), quantity("command", "rotation in V"), quantity("force", "rotation in V")
     ('rotational stiffness', 'voltage', 'torque')
     """
-    if key == "force":  # what a sensor measures is a force, whatever is commanded
+    if key == "force":  # a sensor measures a force, independent of the command quantity
         return QUANTITIES[key]["rotation" if is_rotation(motion) else "translation"]
     unit = find_unit(unit_of(_DIMENSIONS[key], motion))
     assert unit is not None, "the units of all dimensions are known"
@@ -79,20 +80,20 @@ def quantity(key: str, motion: Motion) -> str:
 
 
 BLANKS = "blanks"
-"""Delimiter of tables whose columns are parted by runs of blanks and tabs."""
+"""Delimiter of tables whose columns are separated by runs of blanks and tabs."""
 
 Number = Annotated[float, Field(strict=True)]
-"""A number as such: "300" in quotation marks and true are mistakes, not 300 and 1."""
+"""A strict number: "300" in quotation marks and true are errors, not 300 and 1."""
 
 Count = Annotated[int, Field(ge=0, strict=True)]
-"""A whole number from 0."""
+"""A nonnegative integer."""
 
 Problem = tuple[tuple[str | int, ...], str]
-"""Place of a key in a profile, and what is wrong there."""
+"""Place of a key in a profile, and the error there."""
 
 
 NoTruth = BeforeValidator(lambda value: "true" if value is True else value)
-"""Keeps true from being taken for 1."""
+"""Validator that prevents true from being read as 1."""
 
 _NEGATED = {
     "command": "a positive number pushes towards smaller positions",
@@ -100,11 +101,11 @@ _NEGATED = {
     "force": "it counts against the command",
     "velocity": "it counts against the position",
 }
-"""Where the sign of each column is -1."""
+"""Meaning of the sign -1 for each column."""
 
 
 NUMBERS_IN_NAMES = frozenset({"stiffness", "damping", "step", "sampling_period_s", "added_delay_samples"})
-"""Conditions that are numbers."""
+"""Numeric conditions."""
 
 _DECIMAL_COMMA = re.compile(r"(?<=[0-9]),(?=[0-9])")
 _CUT_BEHIND = re.compile(r",[0-9](?:[0-9.,]*[0-9])?")
@@ -115,32 +116,30 @@ _THOUSANDS = "{} may separate thousands. Write the number without them, with one
 
 @cache
 def _compiled(pattern: str) -> Any:
-    # Python's own engine tries every way to divide a text: ^(a+)+$ takes years for a file name of sixty letters
+    # Python's regular expressions backtrack exponentially: ^(a+)+$ takes years for a file name of sixty letters
     options = re2.Options()
-    options.log_errors = False  # they are raised, too
+    options.log_errors = False  # errors are raised anyway
     return re2.compile(pattern, options)
 
 
 def find_groups(pattern: str, text: str) -> dict[str, str] | None:
-    """Return what the named groups of a pattern take out of the first place where it fits, None where it fits nowhere.
-
-    Groups that take no part are left out. Lone surrogates are no text: give what `file_names.storable` returns.
+    """Return the named groups of the first match of a pattern, or None if there is no match. Groups that did not match
+    are omitted. Lone surrogates are not accepted: pass the output of `file_names.storable`.
     """
     match = _compiled(pattern).search(text)
     return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
 
 
 def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
-    """Return the conditions that a pattern takes from a file name, None where it does not fit.
-
-    A pattern that does not fit is tried with points for the commas between digits. A number is returned whole: if the
-    pattern ends it at a comma between digits, the rest of the number is added. A comma that the pattern itself asks for
+    """Return the conditions that a pattern extracts from a file name, or None if it does not match. If there is no
+    match, commas between digits are replaced by points for a second attempt. A number is returned complete: if the
+    pattern ends it at a comma between digits, the remaining digits are added. A comma that the pattern itself requires
     is a separator.
 
     Raises
     ------
     ParameterError
-        If the pattern begins a number behind a comma that it does not ask for.
+        If the pattern begins a number after a comma that it does not require.
 
     Examples
     --------
@@ -178,7 +177,7 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
 
 
 def _asks_for(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return whether a pattern asks for a comma of a text: with another sign in its place the group is another one."""
+    """Return whether a pattern requires a comma of a text: with another character in its place the group changes."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
         match = _compiled(pattern).search(tried)
@@ -187,13 +186,13 @@ def _asks_for(pattern: str, text: str, comma: int, group: int) -> bool:
 
 
 def number_in_name(text: str, decimal: str = ".") -> float:
-    """Return a number of a file name, in which a point or a comma is the decimal sign.
+    """Return a number from a file name, with a point or a comma as decimal sign.
 
     Parameters
     ----------
     text : str
     decimal : {".", ","}
-        Decimal sign of the profile, which decides where three digits follow.
+        Decimal sign of the profile, which decides if three digits follow.
 
     Raises
     ------
@@ -221,7 +220,7 @@ def group_names(pattern: str) -> frozenset[str]:
 
 
 def pattern_problem(pattern: str | None) -> str | None:
-    """Return why a text is no pattern and what to do, or None where it is one."""
+    """Return why a text is not a valid pattern and what to do, or None if it is valid."""
     try:
         _compiled(pattern or "")
     except re2.error as error:
@@ -234,36 +233,36 @@ def pattern_problem(pattern: str | None) -> str | None:
 
 
 class TextLayout(Record):
-    """Layout of a delimited text file, plain or compressed (gzip, zstd: known by their first bytes).
+    """Layout of a delimited text file, plain or compressed (gzip or zstd, detected from the first bytes).
 
     Parameters
     ----------
     delimiter : str
         One character, or ``"blanks"`` for runs of blanks and tabs.
     decimal : {".", ","}
-        Needed, because "1,234" is two numbers: there is no default.
+        Required: "1,234" is ambiguous (1.234 or 1234), so there is no default.
     encoding : {"utf-8", "utf-16", "latin-1", "cp1252"}
-        A byte order mark is legal in UTF-8 and UTF-16.
+        A byte order mark is allowed in UTF-8 and UTF-16.
     skip_rows : int
-        Lines above the table, or above the first line that is searched for its beginning.
+        Number of lines above the table, or above the search for its beginning.
     header : bool
         Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
     header_at : str, optional
-        Regular expression: the table begins at the first line in which it is found, as behind a banner.
+        Regular expression: the table begins at the first matching line, such as after a banner.
     unit_line : bool
         Whether the line below the names contains units. Checks show them; they are never used.
     comment : str, optional
-        Lines that begin with it are left out.
+        Lines that begin with it are skipped.
     labels : str, optional
-        Sign between label and value in lines such as ``Gain: 32``, above the table or between its rows.
+        Separator between label and value in lines such as ``Gain: 32``, above the table or between its rows.
     trailing_delimiter : bool
         Whether rows end with one more delimiter.
     row_end : str, optional
-        Another sign at the end of rows, such as ``;`` where cells are parted by commas.
+        Another character at the end of rows, such as ``;`` if cells are separated by commas.
     blank_lines : {"refuse", "skip"}
-        What becomes of blank lines between rows; those at the end of a file are never counted.
+        Treatment of blank lines between rows; those at the end of a file are always ignored.
     missing : tuple of str
-        Cells that mean "no value", as a blank cell does.
+        Cells that mean "no value", like a blank cell.
     """
 
     delimiter: Annotated[str, Field(min_length=1)] = ","
@@ -282,11 +281,11 @@ class TextLayout(Record):
 
     @property
     def decimal_sign(self) -> str:
-        """Decimal sign of numbers in texts; a point in formats that keep numbers as such, where none is stated."""
+        """Decimal sign of numbers in texts; by default a point in binary formats."""
         return self.decimal or "."
 
     def layout_problems(self) -> Iterator[Problem]:
-        """Yield what does not fit together in the layout."""
+        """Yield contradictions in the layout."""
         if len(self.delimiter) != 1 and self.delimiter != BLANKS:
             yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
         if self.decimal is None:
@@ -305,20 +304,20 @@ class Source(Record):
     name : str, optional
         Name of the column in the file.
     column : int, optional
-        Its position, counted from 1, in delimited text; one of both is needed.
+        Its position in delimited text, counted from 1; either name or position is required.
     file : {"source", "partner"}
-        Which file of a pair it stands in.
+        File of a pair that contains it.
     unit : str
         Unit of the numbers; there is no default, because a unit is never guessed.
     counts_per_unit : float, optional
-        Numbers are counts: so many make one unit (4096 and ``rev`` for an encoder).
+        Number of counts per unit, if the numbers are counts (4096 and ``rev`` for an encoder).
     sentinels : tuple of float
         Numbers that mean "no value".
     blanks : {"refuse", "hold", "skip"}
-        Treatment of a row in which the cell is blank or a sentinel: refuse the log, repeat the value before it
-        on, or the row is left out.
+        Treatment of a row in which the cell is blank or a sentinel: refuse the log, repeat the previous value, or omit
+        the row.
     provenance : str
-        How the values came about ("motor current", "numerical derivative"); kept with each trial.
+        Origin of the values ("motor current", "numerical derivative"); stored with each trial.
     """
 
     name: str | None = None
@@ -347,10 +346,11 @@ class ColumnSource(Source):
     Parameters
     ----------
     sign : {1, -1}
-        -1 where the axis of the column points the other way; there is no default, because a sign is never guessed.
+        -1 if the axis of the column points in the opposite direction; there is no default, because a sign is never
+        guessed.
     stands_for : str, optional
-        SI-like unit that one `unit` stands for, in logs of another kind: a heater's ``%`` that stands for ``N``. It is
-        kept with each trial.
+        SI-like unit that replaces `unit` in logs of another kind: a heater's ``%`` as ``N``. It is stored with each
+        trial.
     """
 
     sign: Annotated[Literal[1, -1], NoTruth] | None = None
@@ -358,14 +358,15 @@ class ColumnSource(Source):
 
 
 class CommandSource(ColumnSource):
-    """Source of the command, or its value where the file has no column of it.
+    """Source of the command, or its value if the file has no column for it.
 
     Parameters
     ----------
     value : float, optional
-        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, as the stamps) on; 0 before.
+        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, same origin as the stamps); 0
+        before.
     from_row, from_s : optional
-        Where it begins; one of both.
+        Where it begins; give one of the two.
     """
 
     value: Number | None = None
@@ -374,18 +375,18 @@ class CommandSource(ColumnSource):
 
 
 class PositionSource(ColumnSource):
-    """Source of the position, or of a velocity that it is the integral of.
+    """Source of the position, or of a velocity that is integrated to the position.
 
     Parameters
     ----------
     integrate : {"difference", "trapezoid"}, optional
         The column is a velocity [m/s, rad/s], and the position its integral over the stamps, from 0 in the first row.
-        ``"difference"``: each velocity is the way since the row before over the time since then, as drives compute it
-        from an encoder; the integral is exactly what the encoder read. ``"trapezoid"``: it is the velocity in the
-        moment of its row, as of a tachometer, and changes evenly from row to row.
+        ``"difference"``: each velocity is the displacement since the previous row divided by the time since then, as
+        drives compute it from an encoder; the integral is exactly the encoder reading. ``"trapezoid"``: it is the
+        instantaneous velocity of its row, such as that of a tachometer, and changes linearly between rows.
     unwrap : bool or float, optional
-        Whether an angle that starts again after a turn is joined: where that is clear for a rotation (default), always
-        where jumps show a modulus (true), never (false); or the modulus, in the unit of the column.
+        Whether an angle that wraps after a turn is unwrapped: for a rotation with clear wraps (default), always if
+        jumps show a modulus (true), never (false); or the modulus, in the unit of the column.
     """
 
     integrate: Literal["difference", "trapezoid"] | None = None
@@ -405,16 +406,16 @@ class TimeSource(Source):
     Parameters
     ----------
     kind : {"absolute", "steps", "counter", "sampled"}
-        Stamps as they are; time since the row before (the first row is 0); a counter (time is counted from the first
-        row); no stamps, one row each sampling period (a column that is named is kept as raw time and must agree).
+        Stamps as they are; time since the previous row (the first row is 0); a counter (time is counted from the first
+        row); no stamps, one row per sampling period (a named column is kept as raw time and must agree).
     wrap : float, optional
-        Counter: number at which it starts again from 0 (2^32 = 4294967296), in counts.
+        Number of counts at which a counter restarts from 0 (2^32 = 4294967296).
     fraction : Fraction, optional
         Column with the rest of the stamp.
     order : {"file", "sort"}
-        ``"sort"`` puts rows into the order of their stamps; without it, time that runs backwards is refused.
+        ``"sort"`` sorts the rows by time stamp; without it, decreasing time stamps are refused.
     duplicates : {"refuse", "keep first", "keep last"}
-        What becomes of rows with one and the same stamp.
+        Treatment of rows with equal stamps.
     """
 
     blanks: Literal["refuse", "skip"] = "refuse"  # a repeated time stamp makes no sense
@@ -426,7 +427,7 @@ class TimeSource(Source):
 
 
 class Columns(Record):
-    """The three columns that every log needs, and two that it may have: measured force, logged velocity."""
+    """The three required columns of a log, and two optional ones: measured force, logged velocity."""
 
     time: TimeSource | None = None
     command: CommandSource | None = None
@@ -435,7 +436,7 @@ class Columns(Record):
     velocity: ColumnSource | None = None
 
     def sources(self) -> dict[str, Source]:
-        """Return the columns that are described, by SI name."""
+        """Return the described columns by SI name."""
         found = {key: getattr(self, key) for key in Columns.model_fields}
         return {key: source for key, source in found.items() if source is not None}
 
@@ -450,25 +451,25 @@ def si_unit(quantity: str) -> str:
 
 
 def quantity_of(key: str, source: Source, motion: Motion) -> str:
-    """Return the physical quantity of a column of the file: of a position that is integrated, a velocity."""
+    """Return the physical quantity of a column of the file; a velocity for a position that is integrated."""
     integrated = isinstance(source, PositionSource) and source.integrate is not None
     return quantity("velocity" if integrated else key, motion)
 
 
 def drive_in(source: Source | None) -> str:
-    """Return the quantity of a command that is none of force or torque, such as voltage; empty where it is one."""
+    """Return the quantity of a command that is neither force nor torque, such as voltage; otherwise an empty text."""
     unit = find_unit(getattr(source, "stands_for", None) or source.unit or "") if source else None
     return unit.quantity if unit is not None and unit.quantity in DRIVES else ""
 
 
 @dataclass(frozen=True)
 class Gain:
-    """Force [N] or torque [Nm] that one unit of a drive makes.
+    """Force [N] or torque [Nm] per unit of a drive.
 
     Parameters
     ----------
     factor : float
-        Per unit of the drive that is kept (`base.units.DRIVES`): V, A, counts, %.
+        Force or torque per internal unit of the drive (`base.units.DRIVES`): V, A, counts, %.
     drive : str
         Quantity of the drive, such as voltage.
     """
@@ -483,7 +484,7 @@ class Gain:
         Raises
         ------
         ParameterError
-            If it is no number above 0 with a unit of force (of torque, for a rotation) per unit of a drive.
+            If it is not a positive number with a unit of force (torque for a rotation) per unit of a drive.
         """
         force, found = QUANTITIES["command"][kind], split_quantity(text)
         units = {f"{force} per {drive}": drive for drive in DRIVES}
@@ -514,7 +515,7 @@ def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -
 
 
 def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> Iterator[Problem]:
-    """Yield what is missing or wrong in the columns; units must fit the motion of the device."""
+    """Yield missing or wrong keys of the columns; units must fit the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
             yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
@@ -530,7 +531,7 @@ def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> I
 
 
 def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None) -> Iterator[tuple[str, str]]:
-    """Yield key and words of what is missing or wrong in one column."""
+    """Yield key and message for each missing or wrong key of one column."""
     sampled = isinstance(source, TimeSource) and source.kind == "sampled"
     stated = isinstance(source, CommandSource) and source.value is not None
     if isinstance(source, ColumnSource) and source.sign is None:
@@ -574,7 +575,7 @@ Condition = Literal[
 CONDITIONS: tuple[str, ...] = get_args(Condition)
 REQUIRED_CONDITIONS = CONDITIONS[:6]
 PROBLEMS = "profile_problems"
-"""Type of the validation error with all problems of a profile."""
+"""Type of the validation error that lists all problems of a profile."""
 
 _EXAMPLES = {"device": '"bench"', "experiment": '"1"', "sampling_period_s": "0.001"}
 GROUPED: tuple[str, ...] = ("json", "matlab", "hdf5", "tdms", "mdf")
@@ -585,14 +586,14 @@ CONDITION_QUANTITIES = ("stiffness", "damping", "step", "sampling_period_s")
 
 
 class Partner(Record):
-    """Second file of a log, in the folder of the first: its name is the first one's with a text replaced."""
+    """Second file of a log, in the folder of the first: its name is that of the first with a text replaced."""
 
     replace: Name
     by: Annotated[Name, Field(pattern=r"^[^/\\\x00]+$")]
 
 
 class Conditions(Record):
-    """Conditions of a log, in SI or in the units that [units] names; None where something else gives them."""
+    """Conditions of a log, in SI or in the units of [units]; None if they are given elsewhere."""
 
     device: Name | None = None
     experiment: Name | None = None
@@ -609,16 +610,15 @@ class Conditions(Record):
 
 
 class Constants(Conditions):
-    """Conditions of all files of a profile, and the motion of the device, by the unit of the position."""
+    """Conditions that apply to all files of a profile, and the type of motion, by default from the unit of the
+    position."""
 
     motion: Kind | None = None
 
 
 class ConditionUnits(Record):
-    """Units of conditions, wherever the profile takes them from; SI where none is given.
-
-    ``gain`` is the force that one unit of a drive makes, such as ``"2.3 N/V"``: it turns a command in V, A, counts or %
-    into force, and conditions in these units, too.
+    """Units of conditions, for all their sources; SI by default. ``gain`` is the force per unit of a drive, such as
+    ``"2.3 N/V"``: it converts a command in V, A, counts or %, and conditions in these units, to force.
     """
 
     stiffness: Name | None = None
@@ -646,7 +646,7 @@ class StepTime(Record):
 
     @property
     def declared(self) -> list[str]:
-        """Given keys that describe the step; one is expected."""
+        """The given keys that describe the step; exactly one is expected."""
         return [key for key in StepTime.model_fields if getattr(self, key) is not None]
 
 
@@ -657,23 +657,23 @@ STEP_MISSING = (
 
 
 class FileEntry(Conditions, StepTime):
-    """Conditions, step and window of the files whose name fits a pattern."""
+    """Conditions, step and window of the files whose names match a pattern."""
 
     match: Name
     window: Window | None = None
 
 
 class Sheet(Record):
-    """A table with one row a log, from which conditions are taken: CSV, XLSX or ODS.
+    """A table of conditions with one row per log: CSV, XLSX or ODS.
 
     Parameters
     ----------
     file : str
-        Its path, from the folder of the profile.
+        Its path, relative to the folder of the profile.
     name : str, optional
-        Column that names the logs; found by its content where it is not given.
+        Column that names the logs; by default found by its content.
     columns : tuple of str
-        Columns that give conditions, as ``"K:stiffness:N/mm"``; others are taken by their names.
+        Columns that give conditions, as ``"K:stiffness:N/mm"``; others are identified by their names.
     """
 
     file: Name
@@ -682,27 +682,27 @@ class Sheet(Record):
 
 
 class StepEntry(Conditions, StepTime, Window):
-    """One of several steps in a file: its rows, and what differs from the conditions of the file."""
+    """One of several steps in a file: its rows, and the conditions that differ from those of the file."""
 
     label: Name
 
 
 class Profile(TextLayout, StepTime):
-    """How the files of one lab are read, including the keys of text files (`TextLayout`).
+    """Description of the files of one lab, including the keys of text files (`TextLayout`).
 
     Parameters
     ----------
     name, title : str
     format : str
-        Reader; a native log brings columns and conditions itself.
+        Reader; a native log already contains columns and conditions.
     files : tuple of str
-        Patterns of the file names that are claimed (``*``, ``?``, ``[...]``; case does not matter).
+        Patterns of the claimed file names (``*``, ``?``, ``[...]``; case does not matter).
     kind : {"step", "release", "hit", "free", "staircase"}
-        What moves the device. "release" (from a position behind a wall) and "hit" have no step: what the command shows
-        of it is judged. "free" has no wall, "staircase" none and a command that is constant between a few steps, each
-        of which is a trial.
+        What moves the device. "release" (from a position inside a wall) and "hit" have no step: they are detected from
+        the command. "free" has no wall; "staircase" has no wall and a command that is constant between a few steps,
+        each of which is a trial.
     records : str, optional
-        Key of the list of records inside a JSON file, with dots where it is nested.
+        Key of the list of records inside a JSON file, with dots if it is nested.
     partner : Partner, optional
     columns : Columns
     constants : Constants
@@ -713,7 +713,7 @@ class Profile(TextLayout, StepTime):
     attributes, condition_columns : dict
         Condition -> attribute of the file (a label of text lines, an HDF5 attribute) or column that gives it.
     file : tuple of FileEntry
-        Settings for single files; at most one entry may fit a file.
+        Settings for single files; at most one entry may match a file.
     sheet : Sheet, optional
         Its rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
     trial_column : str, optional
@@ -722,16 +722,16 @@ class Profile(TextLayout, StepTime):
         Each group of the file (of HDF5, TDMS or MDF), element of a struct array or record that has all columns is a
         trial; their names and attributes are those inside the group.
     steps : tuple of StepEntry
-        Several steps in one file, each its own trial.
+        Several steps in one file, each a separate trial.
     window : Window, optional
         Rows outside are not stored.
     step_row, step_time_s, step_at
-        See `StepTime`. One of them is needed, here or in every entry of file or steps, but where the step is the
+        See `StepTime`. One of them is required, here or in every entry of file or steps, unless the step is the
         constant 0.
 
     Notes
     -----
-    A condition is taken from the most special place that gives it: steps, file, condition_columns, attributes,
+    A condition is taken from the most specific place that gives it: steps, file, condition_columns, attributes,
     name_pattern, constants.
     """
 
@@ -794,7 +794,7 @@ class Profile(TextLayout, StepTime):
         yield from self._condition_problems()
 
     def _step_problems(self) -> Iterator[Problem]:
-        """Yield mistakes in [[steps]], and files for which the time of the step is missing."""
+        """Yield errors in [[steps]], and files without the time of the step."""
         entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
         places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
@@ -815,7 +815,7 @@ class Profile(TextLayout, StepTime):
         if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
             yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no step that is stated. Remove it"
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
-        # an entry without a step, next to one with a step, is refused with the files that it reads
+        # an entry without a step, next to one with a step, is refused when its files are read
         if (
             self.sheet is None
             and not any(entry.declared for entry in (self, *entries.values()))
@@ -824,12 +824,12 @@ class Profile(TextLayout, StepTime):
             yield ("step_at",), STEP_MISSING
 
     def conditions(self) -> set[str]:
-        """Return the conditions that anything gives."""
+        """Return the conditions that are given anywhere in the profile."""
         tables = {key for table in (self.constants, *self.file, *self.steps) for key in table.given()}
         return tables | {*self.name_groups(), *self.attributes, *self.condition_columns, *IMPLIED[self.kind]}
 
     def _implied_problems(self) -> Iterator[Problem]:
-        """Yield conditions that are given where the kind of the trials has none."""
+        """Yield conditions that are given although trials of this kind have no such condition."""
         varying = {*self.name_groups(), *self.attributes, *self.condition_columns}
         for key in IMPLIED[self.kind]:
             stated = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
@@ -852,7 +852,7 @@ class Profile(TextLayout, StepTime):
         if problem:
             yield ("name_pattern",), problem
         given = self.conditions()
-        # what a sheet gives is known when it is read
+        # the conditions of a sheet are known only when it is read
         for key in REQUIRED_CONDITIONS if self.sheet is None else ():
             # a log of motion without wall and step needs none of their conditions
             if key not in given and not (key in FREE and given.isdisjoint(FREE)):
@@ -862,11 +862,11 @@ class Profile(TextLayout, StepTime):
 
     @property
     def reads_names(self) -> bool:
-        """Whether the name of a file decides what is read of it: a renamed file may be another log."""
+        """Whether the content read from a file depends on its name: a renamed file may be another log."""
         return self.name_pattern is not None or bool(self.file)
 
     def entries_for(self, name: str) -> list[FileEntry]:
-        """Return what the profile says of a single file."""
+        """Return the entries of the profile for a single file."""
         exact, patterns = self._entries
         lower = name.lower()
         fitting = (entry for entry in patterns if fnmatchcase(lower, entry.match.lower()))
@@ -889,11 +889,12 @@ class Profile(TextLayout, StepTime):
         return frozenset() if pattern_problem(self.name_pattern) else group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
-        """Return the columns by SI name: time, command, position, and what else there is."""
+        """Return the columns by SI name: time, command, position, and optional ones."""
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
-        """Return what a profile asks for of a file: key of the profile -> name of the column in `FileColumns`."""
+        """Return the columns that a profile needs from a file: key of the profile -> name of the column in
+        `FileColumns`."""
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()
@@ -916,7 +917,7 @@ class Profile(TextLayout, StepTime):
 
     @property
     def motion_kind(self) -> Kind:
-        """What the device does: as it is stated, else as the unit of its position shows."""
+        """Type of motion of the device: as stated, otherwise from the unit of its position."""
         if self.constants.motion is not None:
             return self.constants.motion
         source = self.columns.position if self.columns else None
@@ -926,17 +927,17 @@ class Profile(TextLayout, StepTime):
 
     @property
     def drive(self) -> str:
-        """Quantity of the command where it is no force or torque, such as voltage; else empty."""
+        """Quantity of the command if it is neither force nor torque, such as voltage; otherwise empty."""
         return drive_in(self.columns.command if self.columns else None)
 
     @property
     def gain(self) -> Gain | None:
-        """What turns the command of a drive into force; None where the command is one, or stays that of the drive.
+        """Gain from the command of a drive to force; None if the command is a force, or is kept in units of the drive.
 
         Raises
         ------
         ParameterError
-            If it is no gain.
+            If it is not a valid gain.
         """
         return None if self.units.gain is None else Gain.read(self.units.gain, self.motion_kind)
 
@@ -948,7 +949,7 @@ class Profile(TextLayout, StepTime):
 
     @property
     def motion(self) -> Motion:
-        """Kind of motion with the unit of the command: that of a drive where no gain turns it into force."""
+        """Type of motion with the unit of the command: that of the drive if no gain converts it to force."""
         if not self.drive or self.units.gain is not None:
             return self.motion_kind
         return cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
@@ -959,7 +960,7 @@ class Profile(TextLayout, StepTime):
         Raises
         ------
         ParameterError
-            If the unit is not known or measures something else.
+            If the unit is unknown or belongs to another quantity.
         """
         allowed = quantity(key, self.motion)
         if (gain := self.gain) is not None and key in FREE:
@@ -974,7 +975,7 @@ class Profile(TextLayout, StepTime):
         return 1.0 if unit is None else self.unit_factor(key, unit)
 
     def _gain_problems(self) -> Iterator[Problem]:
-        """Yield what is missing or wrong where the command is that of a drive: nothing of it may be taken for force."""
+        """Yield missing or wrong keys if the command is in units of a drive: it must not be mistaken for force."""
         assert self.columns is not None, "it has columns where this is asked"
         unit = self.columns.command.unit if self.columns.command else None
         for key in FREE if self.drive else ():
@@ -999,24 +1000,24 @@ class Profile(TextLayout, StepTime):
             yield ("units", "gain"), f"{self.units.gain!r} is per {gain.drive}, but the command is in {unit}"
 
     def _needs_gain(self, key: str) -> str:
-        """Return what to do about a condition in force where the command is that of a drive."""
+        """Return the remedy for a condition in units of force if the command is in units of a drive."""
         if not self.drive or self.units.gain is not None or key not in FREE:
             return ""
         unit = next(iter(DRIVES[self.drive]))
         return f'. The command is in {unit}: give the condition in {unit}, too, or [units] gain = "<number> N/{unit}"'
 
     def claims(self, name: str) -> bool:
-        """Return whether a file name is that of a log (not of a partner) of this profile."""
+        """Return whether a file name belongs to a log (not to a partner) of this profile."""
         return _name_pattern(self.files).match(name.lower()) is not None
 
     def partner_of(self, path: Path) -> Path | None:
-        """Return the partner file of a log, or None where a log is one file."""
+        """Return the partner file of a log, or None if a log is one file."""
         if self.partner is None:
             return None
         return path.with_name(path.name.replace(self.partner.replace, self.partner.by))
 
     def log_of_partner(self, path: Path) -> Path | None:
-        """Return the log that a file would be the partner of, or None where it is none."""
+        """Return the log whose partner a file would be, or None if it is no partner."""
         if self.partner is None or self.partner.by not in path.name:
             return None
         name = path.name.replace(self.partner.by, self.partner.replace)
@@ -1024,9 +1025,8 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def digest(self) -> str:
-        """The SHA-256 of all that decides how a file is read; layout and title of the TOML do not.
-
-        Keys at their default do not count, so that a new key leaves the hashes of profiles without it as they are.
+        """SHA-256 of everything that affects how a file is read, without layout and title of the TOML. Keys at their
+        default are left out, so that a new key does not change the hashes of profiles without it.
         """
         values = self.model_dump(mode="json", exclude={"title"}, exclude_defaults=True)
         return sha256(json.dumps(values, sort_keys=True).encode())

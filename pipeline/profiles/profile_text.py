@@ -1,4 +1,4 @@
-"""A profile as TOML text: what `read_profile` reads back as the same record."""
+"""A profile as TOML text, which `read_profile` reads back as the same record."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def profile_toml(profile: Profile, remarks: Sequence[str] = ()) -> str:
     ----------
     profile : Profile
     remarks : sequence of str
-        Lines above it, such as what the data showed.
+        Comment lines above it, such as evidence from the data.
     """
     dumped = profile.model_dump(mode="json", exclude_defaults=True)
     values = {key: dumped[key] for key in ("name", "title", "format", "files") if key in dumped} | dumped
@@ -45,7 +45,7 @@ def profile_toml(profile: Profile, remarks: Sequence[str] = ()) -> str:
 
 
 def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
-    """Yield the lines of a table: its own keys, then the tables in it."""
+    """Yield the lines of a table: its keys, then its subtables."""
     tables = {key: value for key, value in values.items() if _is_table(value, above)}
     yield from (f"{_key(key)} = {toml_value(value)}" for key, value in values.items() if key not in tables)
     for key, value in tables.items():
@@ -58,7 +58,7 @@ def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
 
 
 def _is_table(value: object, above: tuple[str, ...]) -> bool:
-    """Return whether a value is written as a table: the columns are; their entries are written on one line."""
+    """Return whether a value is written as a table: columns are, their entries are inline tables."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) and len(above) < 1 + (above[:1] == ("columns",))
