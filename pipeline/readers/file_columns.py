@@ -171,8 +171,7 @@ class FileColumns:
         self.warnings += (f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim",)
 
     def find(self, wanted: str) -> str | None:
-        """Return the name of a wanted column, or None; the first slash and the index of a single element may be
-        omitted."""
+        """Return the name of a wanted column, or None; first slash and index of a single element are optional."""
         names = (wanted, re.sub(r"(\[0\])+$", "", wanted))
         return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
@@ -201,8 +200,7 @@ class FileColumns:
         return any(self.find(key) is None and key not in refused for key in self.wanted)
 
     def frame(self) -> Self:
-        """Return only the wanted columns under the wanted names; if none are named, all columns that are not single
-        values.
+        """Return only the wanted columns, by these names; without any, all columns that are not single values.
 
         Raises
         ------
@@ -286,8 +284,9 @@ _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|fil
 
 
 def trial_groups(contents: FileColumns) -> list[str]:
-    """Return groups that look like trials of one kind: the same columns, each with several rows. Their names are
-    numbered, their recording times differ, or a constant column has a different value in each.
+    """Return groups that look like trials of one kind: the same columns, each with several rows.
+
+    Their names are numbered, their recording times differ, or a constant column has a different value in each.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(FileColumns("a", columns=dict.fromkeys(names, np.zeros(9))))

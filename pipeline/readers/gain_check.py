@@ -89,8 +89,7 @@ class FollowedGains:
 
 
 def followed_gains(log: Log) -> FollowedGains | None:
-    """Return the gains that the command of a log obeys if they differ from the stated ones; None if they agree or
-    cannot be identified."""
+    """Return the gains that the command obeys if they differ from the stated ones; None if equal or unidentifiable."""
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), _size(command)
@@ -142,8 +141,9 @@ def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | N
 
 
 class WallGains(NamedTuple):
-    """Stiffness, damping and step that explain a command, in units of command and position columns and seconds. A gain
-    without a visible contribution to the command is 0.
+    """Stiffness, damping and step that explain a command, in units of command and position columns and seconds.
+
+    A gain without a visible contribution to the command is 0.
     """
 
     stiffness: float
@@ -169,8 +169,7 @@ def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | N
 
 
 def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the wall law of a released or hit device and the standard errors of its gains; None if none explains the
-    command."""
+    """Return the wall law of a released or hit device and the standard errors of its gains; None if none fits."""
     if not _may_follow(time, command, position):
         return None
     peak = float(np.abs(command).max())
@@ -207,8 +206,9 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
 
 
 def _edges(command: Floats) -> list[int]:
-    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier ones. The
-    command of an unstable wall later jumps by more than its step.
+    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier ones.
+
+    The command of an unstable wall later jumps by more than its step.
     """
     jump = np.abs(command[1:] - command[:-1])
     largest = int(jump.argmax()) + 1
@@ -262,8 +262,7 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
 
 
 def gain_mismatch(profile: Profile, log: Log) -> str | None:
-    """Return the differing gains that the command of a log obeys, and the line that corrects them; None if it obeys the
-    stated gains."""
+    """Return the gains that the command obeys if they differ from the stated ones, and the line that corrects them."""
     found = followed_gains(log)
     if found is None:
         return None
@@ -282,8 +281,7 @@ def _native_remedy(found: FollowedGains, log: Log) -> str:
 
 
 def _column(found: FollowedGains) -> tuple[str, float]:
-    """Return the column whose wrong unit alone explains the gains, and the factor to the stated unit; empty if there is
-    none."""
+    """Return the column whose wrong unit alone explains the gains, and the factor of the unit; empty if none."""
     factors = found.factors
     first = next(iter(factors.values()))
     if not first or not all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()):
@@ -318,8 +316,7 @@ def common_remedy(cure: str) -> str:
 
 
 def _alone(profile: Profile, found: FollowedGains) -> str:
-    """Return where a log states the contradicted value, and the correct number; empty if all logs share the
-    statement."""
+    """Return where a log states the contradicted value, and the correct one; empty if all logs share it."""
     by_file = {key for entry in profile.file for key in entry.given()}
     places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
         profile.name_groups(), "its name"

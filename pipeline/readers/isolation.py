@@ -179,9 +179,10 @@ def reading(name: str, kind: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _bounded(seconds: float, size: int) -> Iterator[None]:
-    """Limit time and memory of a library for a file of this size [byte], even while it blocks the interpreter. The
-    system ends this process after the given processor time, or with its parent (which closes the pipe of calls), and
-    limits its memory to the need of the largest allowed content; only on Linux.
+    """Limit time and memory of a library for a file of this size [byte], even while it blocks the interpreter.
+
+    The system ends this process after the given processor time, or with its parent (which closes the pipe of calls),
+    and limits its memory to the need of the largest allowed content; only on Linux.
     """
     try:
         resource, fcntl = import_module("resource"), import_module("fcntl")

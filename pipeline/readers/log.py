@@ -74,7 +74,8 @@ class Log:
     counts : mapping of str to int
         Number of repairs of the rows by kind: counter wraps, rows out of order, ...
     warnings : tuple of str
-        Irregularities that were accepted. label : str, optional
+        Irregularities that were accepted.
+    label : str, optional
         Name of the trial in its file, where the file has several.
     noted : tuple of Finding
         Findings from reading: repairs of the samples, and other files with the same samples.
@@ -101,8 +102,7 @@ class Log:
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header of the same conditions and an additional warning; its findings are
-        kept."""
+        """Return the log with another header of the same conditions and one more warning; keep its findings."""
         log = replace(self, header=header, warnings=(*self.warnings, warning))
         log.__dict__["findings"] = self.findings
         return log

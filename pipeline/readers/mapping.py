@@ -148,8 +148,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
 
 
 def _check_units(profile: Profile, name: str, role: str, frame: FileColumns) -> None:
-    """Refuse a unit of the profile that contradicts the type of its column; warn if it contradicts a unit in the
-    file."""
+    """Refuse a unit that contradicts the type of its column; warn if it contradicts a unit in the file."""
     for key, source in profile.column_sources().items():
         if source.unit is None or source.file != role:
             continue
@@ -390,8 +389,9 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
 
 
 def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, Any]]:
-    """Return the key of the profile that gives each condition of a trial, and its value; None if the file contains the
-    value. The most specific key has priority: that of the step, of the file, then columns, attributes, the file name,
+    """Return the profile key that gives each condition of a trial, and its value; None if the file contains it.
+
+    The most specific key has priority: that of the step, of the file, then columns, attributes, the file name,
     constants.
 
     Raises
@@ -506,8 +506,9 @@ def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column:
 
 
 def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool = False) -> Scalar:
-    """Return a condition in SI; a unit after the value in the file has priority. ``inside`` means that the value is in
-    the file: with a decimal comma, a point may separate thousands.
+    """Return a condition in SI; a unit after the value in the file has priority.
+
+    ``inside`` means that the value is in the file: with a decimal comma, a point may separate thousands.
     """
     if key not in CONDITION_QUANTITIES:
         # 1.0 in a column of floats means the experiment "1"

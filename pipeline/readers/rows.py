@@ -184,9 +184,10 @@ def _called(frame: FileColumns, row: int) -> str:
 
 
 def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> dict[str, int]:
-    """Convert stamps to seconds, and keep the originals as ``raw_time``; return the number of counter wraps. Stamps
-    relative to a date (`DATE_S`) are made relative to the earliest row: as floats they would be wrong by up to 0.12 us.
-    Integers are converted without loss.
+    """Convert stamps to seconds, and keep the originals as ``raw_time``; return the number of counter wraps.
+
+    Stamps relative to a date (`DATE_S`) are made relative to the earliest row: as floats they would be wrong by up to
+    0.12 us. Integers are converted without loss.
     """
     if not source.in_file:
         table["time"] = np.arange(len(table["row"])) * period

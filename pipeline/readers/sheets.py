@@ -81,8 +81,7 @@ class SheetRead:
 
 
 def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
-    """Return a profile with the rows of its sheet as `[[file]]` entries; a profile without a sheet is returned
-    unchanged.
+    """Return a profile with the rows of its sheet, if any, as `[[file]]` entries.
 
     Parameters
     ----------

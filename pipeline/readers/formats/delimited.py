@@ -150,8 +150,9 @@ def unpacked(name: str, data: bytes) -> bytes:
 
 
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
-    """Return the text of a file without trailing blank lines, and whether the last line had a line end. Every line,
-    including the last, ends with one line feed. A byte order mark determines the encoding.
+    """Return the text of a file without trailing blank lines, and whether the last line had a line end.
+
+    Every line, including the last, ends with one line feed. A byte order mark determines the encoding.
 
     Raises
     ------
@@ -177,8 +178,7 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
 
 
 def _top(layout: Profile, contents: FileColumns, lines: list[str]) -> int:
-    """Return the index of the line of names, or of the first row if there is none; lines above it are skipped or read
-    as labels."""
+    """Return the index of the line of names, or of the first row without one; skip lines above or read labels."""
     at = layout.header_at
     for number, line in enumerate(lines):
         skipped = number < layout.skip_rows
@@ -197,8 +197,9 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
 
 
 def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> bool:
-    """Store a line "label: value" as an attribute; return whether it is such a line. The last value of a repeated label
-    is kept, but a condition must not change.
+    """Store a line "label: value" as an attribute; return whether it is such a line.
+
+    The last value of a repeated label is kept, but a condition must not change.
     """
     line = line.lstrip()[len(layout.comment or "") :] if _is_comment(layout, line) else line
     label, sign, value = (part.strip() for part in line.partition(layout.labels or "\n"))
