@@ -130,8 +130,9 @@ class Mistake:
 
 
 def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
-    """Return the errors of a profile, in order of line; empty if there are none. Contradictions between keys are
-    checked only if each key by itself is valid.
+    """Return the errors of a profile, in order of line; empty if there are none.
+
+    Contradictions between keys are checked only if each key by itself is valid.
 
     Parameters
     ----------

@@ -123,18 +123,20 @@ def _compiled(pattern: str) -> Any:
 
 
 def find_groups(pattern: str, text: str) -> dict[str, str] | None:
-    """Return the named groups of the first match of a pattern, or None if there is no match. Groups that did not match
-    are omitted. Lone surrogates are not accepted: pass the output of `file_names.storable`.
+    """Return the named groups of the first match of a pattern, or None if there is no match.
+
+    Groups that did not match are omitted. Lone surrogates are not accepted: pass the output of `file_names.storable`.
     """
     match = _compiled(pattern).search(text)
     return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
 
 
 def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
-    """Return the conditions that a pattern extracts from a file name, or None if it does not match. If there is no
-    match, commas between digits are replaced by points for a second attempt. A number is returned complete: if the
-    pattern ends it at a comma between digits, the remaining digits are added. A comma that the pattern itself requires
-    is a separator.
+    """Return the conditions that a pattern extracts from a file name, or None if it does not match.
+
+    If there is no match, commas between digits are replaced by points for a second attempt. A number is returned
+    complete: if the pattern ends it at a comma between digits, the remaining digits are added. A comma that the pattern
+    itself requires is a separator.
 
     Raises
     ------
@@ -610,15 +612,16 @@ class Conditions(Record):
 
 
 class Constants(Conditions):
-    """Conditions that apply to all files of a profile, and the type of motion, by default from the unit of the
-    position."""
+    """Conditions of all files of a profile, and the type of motion (default: from the unit of the position)."""
 
     motion: Kind | None = None
 
 
 class ConditionUnits(Record):
-    """Units of conditions, for all their sources; SI by default. ``gain`` is the force per unit of a drive, such as
-    ``"2.3 N/V"``: it converts a command in V, A, counts or %, and conditions in these units, to force.
+    """Units of conditions, for all their sources; SI by default.
+
+    ``gain`` is the force per unit of a drive, such as ``"2.3 N/V"``: it converts a command in V, A, counts or %, and
+    conditions in these units, to force.
     """
 
     stiffness: Name | None = None
@@ -893,8 +896,7 @@ class Profile(TextLayout, StepTime):
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
-        """Return the columns that a profile needs from a file: key of the profile -> name of the column in
-        `FileColumns`."""
+        """Return the columns that a profile needs from a file: key of the profile -> name in `FileColumns`."""
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()
@@ -1025,8 +1027,9 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that affects how a file is read, without layout and title of the TOML. Keys at their
-        default are left out, so that a new key does not change the hashes of profiles without it.
+        """SHA-256 of everything that affects how a file is read, without layout and title of the TOML.
+
+        Keys at their default are left out, so that a new key does not change the hashes of profiles without it.
         """
         values = self.model_dump(mode="json", exclude={"title"}, exclude_defaults=True)
         return sha256(json.dumps(values, sort_keys=True).encode())
