@@ -1,1 +1,1 @@
-"""The command line, and the commands that drive all else."""
+"""The command line and its commands."""

@@ -1,4 +1,4 @@
-"""`pipeline bundle`: a report with all that `verify` needs in one zip, and its verification anywhere.
+"""`pipeline bundle`: pack a report with all inputs of `verify` into one zip, and verify it anywhere.
 
 A bundle contains the page, its JSON document, ``processed/`` with the stored trials, and ``devices/`` with the device
 file, if any. Equal inputs give equal bytes.
@@ -25,7 +25,7 @@ from pipeline.store.objects import opened
 
 ENDING = ".zip"
 TIME = (1980, 1, 1, 0, 0, 0)
-"""Time of every entry, so that equal inputs give equal bytes: the earliest that a zip allows."""
+"""Time stamp of every entry, the earliest allowed in a zip: equal inputs give equal bytes."""
 
 READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline); the data that it was computed from are here.
 To recompute every number and compare it with the report, wherever this file is:
@@ -56,9 +56,9 @@ def bundle(report: Path) -> Bundle:
     UsageError
         If the file is no report, or its document is missing.
     DeviceError
-        If the device file behind the report is not known here.
+        If the device file of the report is not available here.
     StoreError
-        If trials are not stored as they were when the report was made.
+        If the stored trials have changed since the report was made.
     """
     target = report.with_suffix(ENDING)
     _, _, request = read_report(report)
@@ -75,7 +75,7 @@ def bundle(report: Path) -> Bundle:
         fresh = read_anew(device, processed, request.logs, lists, store, None, request.excluded)
         for problem in fresh.problems:
             raise StoreError(f"{problem.path}: {problem.problem}. Ingest its log again, or write the report again.")
-        # exclusions are in the page, corrections have the present time
+        # exclusions are in the page; corrections would add the present time
         kept = (*(store / "trials").rglob("*.parquet"), *store.glob("*.json"))
         files |= {path.relative_to(temporary).as_posix(): path for path in kept}
         size = sum(path.stat().st_size for path in files.values())
@@ -99,7 +99,7 @@ def verify_bundle(path: Path) -> Verification:
         folder = Path(temporary)
         try:
             with zipfile.ZipFile(path) as archive:
-                archive.extractall(folder)  # takes ".." and the like out of names
+                archive.extractall(folder)  # removes ".." and similar parts from names
         except (OSError, zipfile.BadZipFile) as error:
             why = getattr(error, "strerror", None) or error
             raise UsageError(f"{path}: is no zip that can be read ({why}). Give one by `pipeline bundle`.") from error
@@ -126,7 +126,7 @@ def _device_file(request: Request) -> Path:
 
 @contextmanager
 def _devices_of(folder: Path) -> Iterator[None]:
-    """Take device files from a folder for the time of a block; processes begun in it do, too."""
+    """Use the device files of a folder inside a block, also in processes started there."""
     before = os.environ.get(USER_FOLDER_VARIABLE)
     os.environ[USER_FOLDER_VARIABLE] = str(folder)
     try:

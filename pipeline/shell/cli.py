@@ -1,7 +1,7 @@
 """The command line: parse, call, print. Nothing is computed here.
 
-A process loads the module of the one command that it runs, and each command imports what it needs itself: start-up is
-most of what a short command takes.
+A process loads only the module of the command that it runs, and each command imports its dependencies itself: start-up
+dominates the run time of a short command.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
 def application(word: str | None = None) -> typer.Typer:
-    """Return the command that a first word names, or all where it names none."""
+    """Return the application with the command that a first word names, or with all commands if it names none."""
     app = typer.Typer(
         name="pipeline",
         no_args_is_help=True,
@@ -70,7 +70,7 @@ def application(word: str | None = None) -> typer.Typer:
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """Make ``app``, the whole command line, for who asks for it."""
+    """Create ``app``, the whole command line, on first access."""
     if name == "app":
         return application()
     raise AttributeError(name)
@@ -91,7 +91,7 @@ def _main(
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line, by default with the arguments of the process, and leave with its exit status."""
+    """Run the command line, by default with the arguments of the process, and exit with its status."""
     if arguments is None:
         begin_alone()
     given = sys.argv[1:] if arguments is None else arguments

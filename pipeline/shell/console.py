@@ -1,4 +1,4 @@
-"""What a user sees: results on stdout, progress and notes on stderr, an error as message and exit status."""
+"""Output to the user: results on stdout, progress and notes on stderr, errors as message and exit status."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from pipeline.base.process import Ended, ending_on_signals
 from pipeline.base.progress import heard_by
 
 Advance = Callable[[int, int | None], None]
-"""Reports (things done, things in all or None where that is not known)."""
+"""Callback that reports (number done, total number or None if unknown)."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-"""Control characters but for tab and line feed."""
+"""Control characters except tab and line feed."""
 
 _JSON = ContextVar("json", default=False)
-"""Whether the command that runs prints JSON, and nothing else."""
+"""Whether the running command prints only JSON."""
 
 
 def option(name: str, help_text: str, *more: str, **how: Any) -> Any:
-    """Return an option with its words."""
+    """Return an option with its help text."""
     return typer.Option(name, *more, help=help_text, **how)
 
 
 def argument(help_text: str, **how: Any) -> Any:
-    """Return an argument with its words."""
+    """Return an argument with its help text."""
     return typer.Argument(help=help_text, **how)
 
 
@@ -74,7 +74,7 @@ def tell(document: object, lines: Iterable[str]) -> None:
 
 
 def tell_line(document: object, lines: Iterable[str]) -> None:
-    """Print one result of many as it comes, like `tell`; a JSON document on one line."""
+    """Print one of many results immediately; a JSON document is one line."""
     if _JSON.get():
         _write(json.dumps(document, allow_nan=False) + "\n")
     else:
@@ -83,10 +83,10 @@ def tell_line(document: object, lines: Iterable[str]) -> None:
 
 
 def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
-    """Run the command line and leave with its exit status; a named error becomes a message on stderr.
+    """Run the command line and exit with its status; a named error becomes a message on stderr.
 
-    So does an error of the operating system, as of a full disk. Other exceptions are defects: they pass with their
-    traceback. A signal that asks for an end ends it as it would any process, when what was not complete is taken away.
+    The same applies to an operating-system error, such as a full disk. Other exceptions are defects and are raised with
+    their traceback. A termination signal ends the process as usual, after incomplete files are removed.
     """
     try:
         with ending_on_signals():
@@ -110,7 +110,7 @@ def _flush() -> None:
         if sys.stdout is not None:
             with naming(Path("standard output")):
                 sys.stdout.flush()
-    except BrokenPipeError:  # who read it has seen enough
+    except BrokenPipeError:  # the reader of the pipe has stopped
         _drop_output()
         sys.exit(EXIT_ERROR)
     except OSError as error:
@@ -128,19 +128,19 @@ def _leave(error: OSError) -> NoReturn:
 
 
 def _drop_output() -> None:
-    """Let what could not be written go nowhere: the end of the process would try again, and fail again."""
+    """Discard output that could not be written, or the end of the process would fail to write it again."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _write(text: str) -> None:
-    if sys.stdout is not None:  # None where it is closed, as by `>&-`
+    if sys.stdout is not None:  # None if it is closed, as by `>&-`
         with naming(Path("standard output")):
             sys.stdout.write(text)
 
 
 def say(text: str) -> None:
-    """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
+    """Print a line of a result on stdout; a character that the terminal cannot show, or would execute, is escaped."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     _write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
 
@@ -151,7 +151,7 @@ def note(text: str) -> None:
 
 
 def step(text: str) -> None:
-    """Print what is done now on stderr, but for ``--json``."""
+    """Print the current step on stderr, except with ``--json``."""
     if not _JSON.get():
         note(text)
 
@@ -162,7 +162,7 @@ def _harmless(text: str) -> str:
 
 
 def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield messages on places: equal texts once, with their number and the first place."""
+    """Yield messages about places: equal texts once, with their count and the first place."""
     groups: dict[str, list[str]] = {}
     for place, text in messages:
         groups.setdefault(text, []).append(place)
@@ -171,7 +171,7 @@ def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
 
 
 def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
-    """Yield warnings of logs, (log, text, code or None): those of one code, or one text, as one line with the first."""
+    """Yield warnings of logs, (log, text, code or None): one line per code or text, with the first log."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for log, text, code in warnings:
         groups.setdefault(code or text, []).append((log, text))
@@ -181,7 +181,7 @@ def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
 
 
 def draft_hint(log: str) -> str:
-    """Return what to do about a log of other columns than any profile reads."""
+    """Return the remedy for a log whose columns no profile reads."""
     return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
@@ -199,7 +199,7 @@ def _text(value: object) -> str:
 
 
 def is_answered() -> bool:
-    """Return whether somebody can be asked: questions and answers go through a terminal, and no JSON is wanted."""
+    """Return whether the user can answer questions: input and output are a terminal, and no JSON is requested."""
     return not _JSON.get() and _is_watched() and sys.stdin is not None and sys.stdin.isatty()
 
 
@@ -210,9 +210,9 @@ def _is_watched() -> bool:
 
 @contextmanager
 def progress(label: str, unit: str = "") -> Iterator[Advance]:
-    """Show the stage, the share and the time left on stderr where that is a terminal, and not with ``--json``.
+    """Show the stage, the share and the remaining time on stderr if it is a terminal, except with ``--json``.
 
-    Shares are those of `base.progress`, or of counted things (``unit``) as they are reported by what is yielded.
+    Shares are those of `base.progress`, or of counted items (``unit``) reported through the yielded callback.
     """
     if _JSON.get() or not _is_watched():
         yield lambda done, total: None
@@ -231,7 +231,7 @@ def progress(label: str, unit: str = "") -> Iterator[Advance]:
             bar.update(task, completed=done, total=total, said=f"{said}{_time_left(share, time.monotonic() - begun)}")
 
         def hear(name: str, share: float) -> None:
-            # a search may turn out to be longer than usual: what is shown goes forwards only
+            # a search may take longer than usual: the shown share never decreases
             share = max(share, bar.tasks[0].fields["share"])
             said = f"{share:.0%}{_time_left(share, time.monotonic() - begun)}"
             title = f"{label}: {name}" if name else label
@@ -242,11 +242,11 @@ def progress(label: str, unit: str = "") -> Iterator[Advance]:
 
 
 LEAST_SHARE = 0.03
-"""Share of a work from which on the time that is left follows from that which it took."""
+"""Smallest completed share for which the remaining time is extrapolated from the elapsed time."""
 
 
 def _time_left(share: float | None, seconds: float) -> str:
-    """Return how long work goes on by the share that is done, in words.
+    """Return the remaining time in words, extrapolated from the completed share.
 
     >>> _time_left(0.25, 30.0), _time_left(0.9, 3600.0), _time_left(0.01, 5.0)
     (', 90 s left', ', 7 min left', '')

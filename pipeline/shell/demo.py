@@ -1,4 +1,4 @@
-"""The whole way from simulated logs to reports, in a minute: what `pipeline demo` runs."""
+"""`pipeline demo`: all steps from simulated logs to reports, in a minute."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SEED = 1
 
 
 class Part(NamedTuple):
-    """A device of the demo: its experiments (empty for all), and which share of the trials is simulated."""
+    """A device of the demo: its experiments (empty for all), and the factor by which its grid is coarsened."""
 
     device: str
     experiments: tuple[str, ...] = ()
@@ -28,8 +28,8 @@ class Part(NamedTuple):
 
 
 PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
-"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones. First
-comes a device that deviates as the real one may (docs/falcon.md)."""
+"""Half the dampings and half the stiffness steps: a quarter of the trials, with maps that look like the full ones. The
+first device deviates from theory as the real one may (docs/falcon.md)."""
 
 
 def run_demo(
@@ -39,7 +39,7 @@ def run_demo(
 ) -> tuple[list[Path], list[str]]:
     """Simulate logs, ingest them, compare them with theory, and write one report for each device.
 
-    Returns the reports, and the key results with their places as lines.
+    Returns the reports, and lines with the key results and their files.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def run_demo(
         Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page. Logs of an earlier demo, and reports
         of its devices as `compare` writes them, are replaced; other files are never touched.
     report_progress : callable
-        Gets a line before each step.
+        Called with a line before each step.
     parts : sequence of Part, optional
         Devices and experiments; by default `PARTS`.
 

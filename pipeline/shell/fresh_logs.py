@@ -1,6 +1,6 @@
 """Logs of a report, read again into a temporary folder, and their differences from the time of the report.
 
-Nothing that was computed from the logs is taken over: the folder gets trials and samples, no stages and no theory.
+No computed results are reused: the folder gets trials and samples, but no stages and no theory.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_
 
 
 class LogProblem(Record):
-    """A log, or what is stored of it, that is not the one behind the report; ``path`` may be an experiment."""
+    """A log, or its stored data, that differs from the one used for the report; ``path`` may be an experiment."""
 
     path: str
     problem: str
@@ -42,7 +42,7 @@ class LogProblem(Record):
 
 
 class ReportedLogs(Record):
-    """What a page says of the logs of an experiment: number of files, their joint SHA-256, hash of their samples."""
+    """Logs of an experiment according to a page: number of files, joint SHA-256, hash of their samples."""
 
     files: int
     sha256: str
@@ -58,9 +58,9 @@ class FreshStore:
     folder : Path
     problems : list of LogProblem
     notes : list of str
-        What could not be looked at, and why.
+        Parts that could not be checked, and the reasons.
     read, kept : int
-        Trials that were read from their logs, and those of which only the stored samples are left.
+        Number of trials read from their logs, and number of those with only stored samples left.
     """
 
     folder: Path
@@ -70,7 +70,7 @@ class FreshStore:
     kept: int = 0
 
     def differs(self, path: str, problem: str, expected: str | None = None, found: str | None = None) -> None:
-        """Note a log that is not that of the report."""
+        """Record a log that differs from that of the report."""
         self.problems.append(LogProblem(path=path, problem=problem, expected=expected, found=found))
 
 
@@ -83,23 +83,23 @@ def read_anew(
     profiles: Sequence[Path] | None,
     excluded: Sequence[Exclusion],
 ) -> FreshStore:
-    """Read the logs behind a report from where they lay; of those that are gone, take the stored samples over.
+    """Read the logs of a report from their original places; for logs that are gone, copy the stored samples.
 
     Parameters
     ----------
     device : str
     processed : Path
-        Store that says where the logs lie.
+        Store that records the paths of the logs.
     reported : mapping of str to ReportedLogs
-        What the page says, by experiment.
+        Statements of the page, by experiment.
     lists : mapping of str to LogList
-        What its document says, by experiment, where it is there.
+        Lists of its document, by experiment, if available.
     folder : Path
         Gets the trials.
     profiles : sequence of Path or None
-        Profile files of the lab; the shipped profiles are known. None reads no log: stored samples are taken over.
+        Profile files of the lab; the shipped profiles are known. None reads no log: stored samples are copied.
     excluded : sequence of Exclusion
-        Trials that the page says were excluded by hand.
+        Trials excluded by hand according to the page.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_anew(
         files |= {load_profile(path).name: path for path in profiles}
     if excluded:
         write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
-    # a bundle contains no corrections: only the page has them
+    # a bundle contains no corrections; only the page lists them
     now = excluded if profiles is None else tuple(read_exclusions(processed).values())
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
@@ -161,7 +161,7 @@ def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedA
 def _of_the_report(
     store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
 ) -> tuple[pa.Table, pa.Table]:
-    """Return the stored trials of the report's logs, and those that were excluded by hand; later ones are neither."""
+    """Return the stored trials of the report's logs, and those excluded by hand, both without later trials."""
     used, _ = split_trials(trials, {one.trial_id: one for one in excluded})
     left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
     if listed is None:
@@ -171,7 +171,7 @@ def _of_the_report(
     for path in sorted(path for path, sha in expected.items() if sha not in stored.values()):
         text = "is not stored as it was when the report was made"
         store.differs(path, text, expected=expected[path], found=stored.get(path))
-    # the log that stands where one of the report stood shows what its change does to the numbers
+    # a log at the path of a report's log shows the effect of its change on the numbers
     ours = pc.or_(_among(used, "source_sha256", set(expected.values())), _among(used, "source_path", set(expected)))
     if later := used.num_rows - (pc.sum(ours).as_py() or 0):
         store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
@@ -193,7 +193,7 @@ def _read(store: FreshStore, experiment: str, sources: Mapping[str, str], profil
 
 
 def _keep(store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table) -> None:
-    """Take stored samples over."""
+    """Copy stored samples."""
     if not trials.num_rows:
         return
     files, rows = (np.array(trials.column(name).to_pylist()) for name in LOCATION)
@@ -206,7 +206,7 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
 
 
 def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:
-    """Compare all samples with the hash in the page, where logs of the same hashes were found."""
+    """Compare all samples with the hash in the page, if logs with the same hashes were found."""
     trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
     if joint_sha256(trials.column("source_sha256").to_pylist()) != said.sha256:
         if not store.problems:

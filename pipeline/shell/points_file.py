@@ -1,4 +1,4 @@
-"""CSV files of points whose costs are asked for."""
+"""CSV files of points whose costs are to be computed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pipeline.theory.cases import CASE_COLUMNS, Cases
 
 
 def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
-    """Read points from a CSV file with a header; columns in any order, further ones are ignored.
+    """Read points from a CSV file with a header; columns may be in any order, additional ones are ignored.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
     Raises
     ------
     ParameterError
-        If the file cannot be read, a column is missing or a cell is no finite number; rows are counted from
+        If the file cannot be read, a column is missing or a cell is not a finite number; rows are counted from
         1, header included.
     """
     try:

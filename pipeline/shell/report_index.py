@@ -1,7 +1,7 @@
-"""The index page over all reports of a folder, made from their JSON documents.
+"""The index page of all reports in a folder, made from their JSON documents.
 
-Reports may come from other versions, be damaged, or be written at this moment: what cannot be read is listed with the
-reason. The page depends on the reports alone, so that the same reports give the same bytes.
+Reports may come from other versions, be damaged, or be incomplete at this moment: unreadable reports are listed with
+the reason. The page depends only on the reports: the same reports give the same bytes.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from pipeline.rendering.report.page_template import fill_template, policy, scrip
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
-"""Identifies our index page; an index page of another program is never replaced."""
+"""Mark of an index page of this package; that of another program is never replaced."""
 
 MOST_NAMES = 4
-"""Experiments that are named one by one: a list of all delays of a sweep says less than its ends."""
+"""Largest number of experiments listed by name; a longer sweep is given by its ends."""
 
 _HEAD = 8192
-"""Characters at the start of a page in which its title and marks stand."""
+"""Number of characters at the start of a page that contain its title and marks."""
 
 _REPORT_MARK = 'name="pipeline-cells"'
 """Part of the head of a report of `pipeline compare` (`report_parts.CELLS_META`)."""
 
 
 def _row(document: dict[str, Any]) -> dict[str, Any]:
-    """Return what the index shows of a document; those of other versions may lack what is not needed here."""
+    """Return the index row of a document; documents of other versions may lack fields that are not needed here."""
     experiments = document["experiments"]
     names = [e["experiment"] for e in experiments]
     origin = document.get("provenance", {})
@@ -54,7 +54,7 @@ def _row(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, str]:
-    """Return the largest stable stiffness of the first experiment that has one: measured, by theory, deviation."""
+    """Return the largest stable stiffness of the first experiment that has one: measured, theoretical, deviation."""
     for e in experiments:
         score = e["scores"][0]["stiffness"] if e.get("scores") else None
         if score:
@@ -94,7 +94,7 @@ class IndexEntry:
 def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry, ...]]:
     """Return the reports of a folder, sorted by title, damaged ones last, and its other pages.
 
-    A page (``*.html``) with the JSON document of a comparison in its folder is a report. Nothing is written.
+    A page (``*.html``) whose folder contains its JSON document of a comparison is a report. Nothing is written.
     """
     pages = (p for p in folder.glob("*.html") if p.name != INDEX_FILE and not p.name.startswith(".") and p.is_file())
     found = [_entry(page) for page in sorted(pages)]
@@ -127,12 +127,12 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     folder : Path
         Folder of the reports; made if needed.
     only_renew : bool
-        Whether nothing is done where there is no index: the folder may be anybody's.
+        Whether to do nothing if there is no index yet: the folder may belong to other users.
 
     Returns
     -------
     Path or None
-        The page; None where it is as it was, or a page of somebody else has its name.
+        The page; None if it is unchanged, or if a foreign page has its name.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     if (present is None and only_renew) or (present is not None and INDEX_MARK not in present):
         return None
     before = present
-    # another process may write a report, and an index without ours: looked at once more after each writing
+    # another process may write a report and an index without ours: check again after each write
     while (page := render_index(*read_reports(folder))) != present:
         write_text(path, page)
         present = page
@@ -152,7 +152,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a page; empty where it cannot be read, as that of somebody else."""
+    """Return the text of a page; empty if it cannot be read, such as another user's page."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -160,7 +160,7 @@ def _text(path: Path) -> str:
 
 
 def _entry(page: Path) -> IndexEntry:
-    """Return what a page is."""
+    """Classify a page."""
     text = _text(page)
     found = re.search(r"<title>(.*?)</title>", text[:_HEAD], flags=re.DOTALL)
     title = " ".join(unescape(found[1]).split()) if found else ""
@@ -168,7 +168,7 @@ def _entry(page: Path) -> IndexEntry:
     name = storable(document.name)
     if not text:
         return IndexEntry(page.name, title, "the page cannot be read, or is empty")
-    if _REPORT_MARK not in text[:_HEAD]:  # a page with another document, such as that on accuracy
+    if _REPORT_MARK not in text[:_HEAD]:  # a page with another kind of document, such as the accuracy page
         return IndexEntry(page.name, title or storable(page.name))
     if not text.rstrip().endswith("</html>"):
         return IndexEntry(page.name, title, "the page is not complete; make the report again")

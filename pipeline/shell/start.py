@@ -1,6 +1,6 @@
-"""From a folder of a lab's logs to a report: what is there, what the data prove of it, what is left to ask.
+"""From a folder of a lab's logs to a report: its contents, the keys that the data prove, and the open questions.
 
-The decisions are functions of the folder; `pipeline.shell.commands.cli_start` asks, calls and prints.
+The decisions depend only on the folder; `pipeline.shell.commands.cli_start` asks, calls and prints.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from pipeline.shell.profile.roles import Answer, Answers
 from pipeline.shell.profile.samples import Sample, open_sample
 
 SHEETS = (".csv", ".tsv", ".txt", ".xlsx", ".ods", ".xls")
-"""Endings of files that may be a sheet with one row a log."""
+"""Extensions of files that may be a sheet with one row per log."""
 
 LEAST_NAMED = 0.5
-"""Share of the logs that a sheet names."""
+"""Smallest share of the logs that a sheet must name."""
 
 CONDITIONS = ("stiffness", "damping", "step")
 
 MOST_CHECKED = 400
-"""Most logs whose walls are checked against their commands before anything is stored: some seconds."""
+"""Largest number of logs whose walls are checked against their commands before storing: takes a few seconds."""
 
 _OFF = (
     "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
@@ -54,16 +54,16 @@ class Folder:
     ----------
     path : Path
     logs : tuple of Path
-        Files of the most frequent ending that can be opened.
+        Readable files of the most frequent extension.
     others : tuple of Path
-        Files that are neither.
+        Other files.
     ignored : tuple of Path
         Papers, scripts, settings, pictures.
     sheet : Path or None
     native : bool
-        Whether the logs bring all of it themselves.
+        Whether the logs are native and need no profile.
     samples : tuple of Sample
-        Some of the logs, opened.
+        A selection of the logs, opened.
     """
 
     path: Path
@@ -95,7 +95,7 @@ def _endings(files: Sequence[Path]) -> str:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What is proposed for a folder: the keys of a profile with evidence and questions, by their places."""
+    """Proposal for a folder: profile keys with evidence and questions, by place."""
 
     folder: Folder
     answers: Answers
@@ -133,7 +133,7 @@ def look_at(path: Path) -> Folder:
         for file in spread(group, MOST_SAMPLES):
             try:
                 opened.append(open_sample(file))
-            except ProfileError:  # a native log needs none
+            except ProfileError:  # a native log needs no profile
                 native = True
                 break
             except (LogError, UsageError) as error:
@@ -152,7 +152,7 @@ def _form(sample: Sample) -> tuple[str, tuple[str, ...], str]:
 
 
 def _sheet(files: Sequence[Path]) -> Path | None:
-    """Return the file whose rows name the others; None where there is none."""
+    """Return the file whose rows name the other files; None if there is none."""
     names = {file.name.lower() for file in files}
     stems = {Path(name).stem for name in names}
     for file in files:
@@ -170,10 +170,10 @@ def _sheet(files: Sequence[Path]) -> Path | None:
 
 
 def propose(folder: Folder) -> Proposal:
-    """Return what the logs of a folder prove, and what is left to ask.
+    """Return the keys that the logs of a folder prove, and the open questions.
 
-    Conditions are taken from the sheet, else from the names of the files: a column, or the numbers behind a word, that
-    is proportional to what the commands obey, by the factor of a unit.
+    Conditions are taken from the sheet, otherwise from the file names: a column, or the numbers after a word, that
+    agrees with the gains of the commands up to the factor of a unit.
     """
     samples = folder.samples
     found = answers(samples, folder.logs)
@@ -196,7 +196,7 @@ def propose(folder: Folder) -> Proposal:
     table = None if folder.sheet is None else read_sheet(folder.sheet)
     given = _from_sheet(table, laws, samples) if table is not None else {}
     if any(key.startswith("units.") for key in given) and not laws:
-        found.pop("kind", None)  # the sheet knows of walls that no command shows
+        found.pop("kind", None)  # the sheet states walls that no command shows
     named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given} | inside)
     found |= given | named
     for key in CONDITIONS:
@@ -221,7 +221,7 @@ def propose(folder: Folder) -> Proposal:
 
 
 def with_units(proposal: Proposal, given: Mapping[str, Any]) -> Folder:
-    """Return the folder of a proposal whose columns have the units that were answered, as if the files stated them."""
+    """Return the folder of a proposal with the answered units of columns, as if the files stated them."""
     units = {}
     for place, value in given.items():
         name = proposal.answers.get(f"{place.rpartition('.')[0]}.name")
@@ -255,7 +255,7 @@ def _kind(laws: Mapping[str, WallLaw]) -> Kind:
 
 
 def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
-    """Return the pattern of names and the units of what stands behind words in them, as the commands prove."""
+    """Return the pattern of file names and the units of the numbers after words in them, as the commands prove."""
     names, words = [sample.name for sample in samples if sample.name in laws], numbers_in_names(samples)
     if not names or not words:
         return {}
@@ -291,7 +291,7 @@ def _number_behind(word: str, name: str) -> float | None:
 
 
 def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequence[Sample]) -> Answers:
-    """Return which columns of a sheet are conditions, and their units: as headings state or the commands prove."""
+    """Return the columns of a sheet that are conditions, and their units, from headings or proved by the commands."""
     named = _naming(table, samples)
     if named is None:
         return {}
@@ -350,7 +350,7 @@ def made_profile(proposal: Proposal) -> Profile:
     Raises
     ------
     ProfileError
-        If a question is open, or its values do not fit together.
+        If a question is open, or its values contradict each other.
     """
     if proposal.open:
         raise ProfileError("\n".join(f"{place}: {answer.question}" for place, answer in proposal.open.items()))
@@ -373,15 +373,15 @@ def made_profile(proposal: Proposal) -> Profile:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A log whose command obeys another wall than stated, or with a number that devices do not have.
+    """A log whose command obeys another wall than stated, or which has an implausible number.
 
     Parameters
     ----------
     path : Path
     reason : str
     obeyed : dict of str to float
-        The condition that its command obeys [SI], where it is one alone: several that differ together are the unit or
-        sign of a column.
+        The condition that its command obeys [SI], if only one differs: several that differ together indicate a wrong
+        unit or sign of a column.
     """
 
     path: Path
@@ -390,7 +390,7 @@ class Contradiction:
 
 
 def contradictions(profile: Profile, logs: Sequence[Path]) -> tuple[list[Contradiction], int]:
-    """Return the logs that contradict a profile, and how many were looked at."""
+    """Return the logs that contradict a profile, and the number of checked logs."""
     looked, found = spread(logs, MOST_CHECKED), []
     for sample in check_samples(profile, looked):
         path = Path(sample["path"])
@@ -404,7 +404,7 @@ def contradictions(profile: Profile, logs: Sequence[Path]) -> tuple[list[Contrad
 
 
 def corrected(profile: Profile, found: Sequence[Contradiction]) -> Profile:
-    """Return a profile that states for single logs what their commands obey."""
+    """Return a profile with entries that correct single logs to the values that their commands obey."""
     entries = list(profile.file)
     for each in found:
         given = {key: near_round(value / profile.condition_factor(key)) for key, value in each.obeyed.items()}

@@ -1,4 +1,4 @@
-"""`pipeline verify`: every number of a report recomputed from the logs, and the names of those that differ."""
+"""`pipeline verify`: recompute every number of a report from the logs, and list those that differ."""
 
 from __future__ import annotations
 
@@ -33,18 +33,19 @@ from pipeline.store.objects import is_url, opened
 from pipeline.store.storage import Exclusion
 
 ROUNDING = 1e-9
-"""Relative difference of two values that counts as none: other processors and builds of numpy round the last digits of
-a sum in another way."""
+"""Relative difference below which two values are equal: other processors and builds of numpy round the last digits of a
+sum differently."""
 
 ELSEWHERE = 1e-5
-"""Relative difference (of percentages: difference) that another processor explains in a report that is as it was
-written: the place of a flat optimum is known to the root of the precision, and what is left of a difference to less."""
+"""Relative difference (absolute for percentages) that another processor explains in an unmodified report: the location
+of a flat optimum is accurate only to the square root of the machine precision, and a difference of close numbers even
+less."""
 
 NOTHING = 1e-9
-"""Numbers below this count as zero in such a report: a growth of 2e-13 1/s, for example, is rounding."""
+"""Threshold below which numbers count as zero in such a report: a growth of 2e-13 1/s, for example, is rounding."""
 
 MOST_CHARACTERS = 200
-"""Characters of a part that are quoted."""
+"""Number of quoted characters of a part."""
 
 MISSING = "(missing)"
 
@@ -61,19 +62,19 @@ class Difference(Record):
 
 
 class Verification(Record):
-    """What `verify` found.
+    """Result of `verify`.
 
     Parameters
     ----------
     report : str
     equal : bool
-        Whether all numbers are those of the logs, and all logs those of the report.
+        Whether all numbers agree with the logs, and all logs with the report.
     checked : dict of str to int
-        Number of parts that were compared with the logs, or with the hashes in the page, by kind.
+        Number of parts compared with the logs, or with the hashes in the page, by kind.
     differences : tuple of Difference
     logs : tuple of LogProblem
     notes : tuple of str
-        What could not be checked, and why.
+        Parts that could not be checked, and the reasons.
     """
 
     report: str
@@ -100,7 +101,7 @@ class Request(BaseModel):
 
 
 LOGS_READ = 0.1
-"""Usual share of the time of a verification in which logs are read."""
+"""Usual share of the verification time spent on reading logs."""
 
 
 def verify(
@@ -110,7 +111,7 @@ def verify(
 ) -> Verification:
     """Recompute the numbers of a report and compare them, part by part.
 
-    The logs are read again from where they lay, or from the stored samples where they are gone; stages, costs and
+    The logs are read again from their original places, or from the stored samples if they are gone; stages, costs and
     theory are computed in a temporary folder. Nothing in ``processed`` is changed.
 
     Parameters
@@ -118,10 +119,10 @@ def verify(
     report : Path
         HTML page by `compare`.
     processed : Path or str, optional
-        Folder or URL of the stored tables; by default that which the report names, a folder looked for in the current
-        one and in that of the report.
+        Folder or URL of the stored tables; by default the one that the report names, searched for in the current folder
+        and in that of the report.
     profiles : sequence of Path or None
-        Profile files of the lab that read the logs; None takes the stored samples alone.
+        Profile files of the lab that read the logs; None uses only the stored samples.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def verify(
         expected = take_apart(again.read_text(encoding="utf-8"))
     untouched = found.digests is not None and found.digests.page == page_digest(page)
     problems = (*devices, *fresh.problems)
-    # numbers changed by hand, or from other logs, must agree to the last digit
+    # if the page was edited or the logs differ, numbers must agree to the last digit
     as_made = untouched and not problems
     differences = [*_cell_differences(expected, found, as_made)]
     said, anew = ({n: t for n, t in parts.texts.items() if not is_free_text(n)} for parts in (found, expected))
@@ -185,7 +186,7 @@ def verify(
 
 
 def _cell_differences(expected: Parts, found: Parts, rounding: bool) -> Iterator[Difference]:
-    """Yield the cells that differ from the recomputed ones, or from their hashes where no log determines them."""
+    """Yield the cells that differ from the recomputed ones, or from their hashes if no log determines them."""
     new, old = ({n: t for n, t in parts.cells.items() if not is_free_cell(n)} for parts in (expected, found))
     yield from _differences("cell", new, old, same_text if rounding else _equal)
     stored = found.digests.cells if found.digests else {}
@@ -252,7 +253,7 @@ def _same_number(a: str, b: str) -> bool:
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of everything in a document that is no list and no object."""
+    """Yield place and value of every leaf of a document, that is, neither list nor object."""
     if not isinstance(value, dict | list):
         yield place, value
         return
@@ -261,7 +262,7 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult | None:
-    """Write a page from logs that were read just now, as large as the one that is checked, and return its document."""
+    """Write a page of the same size from freshly read logs, and return its document."""
     try:
         return compare(
             request.scene.device,
@@ -281,7 +282,7 @@ def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> Co
 
 
 def lines_of(verification: Verification) -> list[str]:
-    """Return a verification as lines for a terminal: what differs first, the outcome last."""
+    """Return a verification as lines for a terminal: differences first, the outcome last."""
     lines = [
         f"{problem.path}: {problem.problem}"
         + (f"; expected {problem.expected}, found {problem.found or MISSING}" if problem.expected else "")
@@ -299,12 +300,12 @@ def lines_of(verification: Verification) -> list[str]:
 
 
 def read_report(report: Path) -> tuple[str, Parts, Request]:
-    """Return the text of a page, its parts, and what its head says of its comparison.
+    """Return the text of a page, its parts, and the request in its head.
 
     Raises
     ------
     UsageError
-        If it cannot be read, or says nothing, as other HTML does.
+        If it cannot be read, or has no such head, like other HTML.
     """
     try:
         page = report.read_text(encoding="utf-8")
@@ -321,12 +322,12 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
 
 
 def device_problems(request: Request) -> tuple[LogProblem, ...]:
-    """Return a problem if the device file here is another one than that behind a page.
+    """Return a problem if the local device file differs from that of a page.
 
     Raises
     ------
     DeviceError
-        If the page uses a device file and none is known here: all of theory would differ.
+        If the page uses a device file that is not available here: all theoretical numbers would differ.
     """
     name = request.scene.device
     if request.device_file is None:
@@ -345,7 +346,7 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
 
 
 def stored_place(report: Path, named: str, given: Path | str | None) -> Path | str:
-    """Return the folder or URL of the stored tables behind a report: the given one, or the one that the report names.
+    """Return the folder or URL of the stored tables of a report: the given one, or the one that the report names.
 
     Raises
     ------
@@ -367,7 +368,7 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
 
 
 def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
-    """Return the JSON document of a page; None with a note where there is none of this version."""
+    """Return the JSON document of a page; None with a note if there is none of this version."""
     path = report.with_suffix(".json")
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []

@@ -1,6 +1,6 @@
 """Renewal of reports and plans while logs arrive: both watch folders and read files that no longer change.
 
-Nothing is kept but what lies in `processed/`: after an end of any kind the next start does what is left.
+State is kept only in `processed/`: after any termination the next start does the remaining work.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from pipeline.plan.planner import Plan
 
 FileState = tuple[int, int, int]
-"""Size [byte], and times of the last change of the content and of anything else, as permissions [ns since 1970]."""
+"""Size [byte], and times of the last change of content and of metadata such as permissions [ns since 1970]."""
 
 Event = dict[str, Any]
-"""Something that happened: its kind under ``event``, the rest by kind."""
+"""An event: its kind under ``event``, further keys by kind."""
 
 LOOK_SHARE = 200
-"""A wait lasts at least this many times as long as the look before it: looking takes 0.5 % of a processor at most."""
+"""Smallest ratio of a wait to the duration of the scan before it: scanning takes at most 0.5 % of a processor."""
 
 SHORTEST_WAIT_S = 0.05
-"""Shortest wait [s], where a file is about to settle."""
+"""Shortest wait [s], used if a file is about to settle."""
 
 RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
-"""Time after which a pass that failed is tried again [s], as after a full disk; doubles up to the second number."""
+"""Time after which a failed pass is repeated [s], as after a full disk; it doubles up to the second number."""
 
 PLAN_SETTLE_S = 0.3
 """Time for which a log must be unchanged before the planner reads it [s]: the next wall appears within a second."""
@@ -45,24 +45,24 @@ PLAN_SETTLE_S = 0.3
 
 @dataclass(frozen=True)
 class Watched:
-    """What is watched, and where results go.
+    """Watched folders, and destinations of results.
 
     Parameters
     ----------
     folders : tuple of Path
-        Searched for logs, with all folders below.
+        Folders searched for logs, including all subfolders.
     processed, reports : Path
     profile : str or None
         Log profile by name, or a profile file.
     scenes : tuple of Path
-        Scene files, one report each; without any, one report for each device.
+        Scene files, one report each; by default one report per device.
     settle_s : float
-        A log is read when it was the same for this time [s].
+        A log is read after it was unchanged for this time [s].
 
     Raises
     ------
     UsageError
-        If reports would lie among the logs.
+        If the folder of reports is inside a folder of logs.
     """
 
     folders: tuple[Path, ...]
@@ -82,7 +82,7 @@ class Watched:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Single files a change of which changes reports."""
+        """Single files whose change affects reports."""
         devices = user_device_folder()
         profile = [Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []
         return *self.scenes, *profile, *(sorted(devices.glob("*.toml")) if devices else [])
@@ -90,15 +90,15 @@ class Watched:
 
 @dataclass
 class Arrivals:
-    """Which files are new or changed since they were last taken, and which of them are at rest.
+    """Files that are new or changed since they were last processed, and those of them at rest.
 
-    A file is at rest when its state was the same for a time that this process has seen itself: clocks of file servers,
-    and times that a copy brought along, do not matter.
+    A file is at rest if this process has seen it unchanged for some time: clocks of file servers and copied time stamps
+    do not matter.
 
     Parameters
     ----------
     settle_s : float
-        How long a state must last [s].
+        Time for which a state must last [s].
     """
 
     settle_s: float
@@ -107,10 +107,10 @@ class Arrivals:
     _taken: dict[str, FileState] = field(default_factory=dict)
 
     def look(self, folders: Sequence[Path], files: Sequence[Path] = (), exclude: Sequence[Path] = ()) -> float:
-        """Take in the states of all files now, and in ``troubles`` why folders could not be looked at.
+        """Record the states of all files now, and in ``troubles`` why folders could not be read.
 
-        Hidden files and folders are left out, and links to folders not followed, as by `ingest`. Returns the moment [s]
-        of a clock that never goes back.
+        Hidden files and folders are skipped, and links to folders are not followed, as in `ingest`. Returns the time
+        [s] of a monotonic clock.
         """
         self.troubles = {}
         left_out = {os.path.abspath(path) for path in exclude}
@@ -125,7 +125,7 @@ class Arrivals:
                 paths += [os.path.join(here, name) for name in names if not name.startswith(".")]
         states = {}
         for path in paths:
-            with suppress(OSError):  # gone again, or a link that leads nowhere (yet)
+            with suppress(OSError):  # the file is gone again, or a broken link
                 status = os.stat(path)
                 states[path] = status.st_size, status.st_mtime_ns, status.st_ctime_ns
         now = time.monotonic()
@@ -133,24 +133,24 @@ class Arrivals:
         return now
 
     def update(self, states: Mapping[str, FileState], now: float) -> None:
-        """Take in the states of files at a moment [s] of a clock that never goes back."""
+        """Record the states of files at a time [s] of a monotonic clock."""
         before = self._seen
         known = {path: before[path] for path, state in states.items() if path in before and before[path][0] == state}
         self._seen = {path: known.get(path, (state, now)) for path, state in states.items()}
-        # a file that is gone and comes back as it was is known; memory stays bounded by what is there
+        # forget missing files, so that memory is bounded by the existing ones
         self._taken = {path: state for path, state in self._taken.items() if path in self._seen}
 
     def restless(self, now: float) -> dict[str, float]:
-        """Return the files that are not at rest, and the moment [s] at which each will be."""
+        """Return the files that are not at rest, and the time [s] at which each will be."""
         times = ((path, since + self.settle_s) for path, (_, since) in self._seen.items())
         return {path: rests for path, rests in times if rests > now}
 
     def ready(self, now: float) -> bool:
-        """Return whether a file is at rest and new or changed since it was taken."""
+        """Return whether a file is at rest and new or changed since it was last processed."""
         return any(self._taken.get(path) != state for path, state in self._resting(now))
 
     def take(self, now: float) -> None:
-        """Note that all files at rest are seen to."""
+        """Mark all files at rest as processed."""
         self._taken |= dict(self._resting(now))
 
     def _resting(self, now: float) -> Iterator[tuple[str, FileState]]:
@@ -158,11 +158,11 @@ class Arrivals:
 
 
 def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
-    """Yield events while logs arrive, endlessly; without unchanged states and repeated messages."""
+    """Yield events endlessly while logs arrive, without unchanged states and repeated messages."""
     places = {"folders": [str(f) for f in watched.folders], "interval_s": interval_s, "settle_s": watched.settle_s}
     yield {"event": "started", **places, "processed": str(watched.processed), "reports": str(watched.reports)}
     arrivals, unreachable, told = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()
-    # reports may be out of date from before, whether logs come or not
+    # reports may already be out of date, even if no logs arrive
     due, retry_s = time.monotonic() + watched.settle_s, RETRY_S
     while True:
         began = time.monotonic()
@@ -191,17 +191,17 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
 
 
 def status_of(events: Sequence[Event]) -> int:
-    """Return the exit status of a pass: 1 where something failed, 3 where logs are in quarantine."""
+    """Return the exit status of a pass: 1 if something failed, 3 if logs are in quarantine."""
     if any(event["event"] == "failed" for event in events):
         return EXIT_ERROR
     return EXIT_QUARANTINED if any(event.get("quarantined") for event in events) else EXIT_OK
 
 
 def run_pass(watched: Watched, growing: Sequence[str] = ()) -> Iterator[Event]:
-    """Store what is new, renew the reports that this changes, and the index page; yield each event when it happens.
+    """Store new logs, renew the affected reports and the index page; yield each event when it happens.
 
-    Named errors are events, and so are defects, with their traceback on stderr: one device must not keep the reports of
-    others from being renewed. ``growing`` are absolute paths of files that are not at rest, whatever their times say.
+    Named errors are events, and so are defects, with their traceback on stderr: one device must not block the reports
+    of others. ``growing`` are absolute paths of files that are not at rest, regardless of their time stamps.
     """
     yield from _ingest(watched, growing)
     yield from _reports(watched)
@@ -245,7 +245,7 @@ def _reports(watched: Watched) -> Iterator[Event]:
             yield _report(watched, name)
         except (PipelineError, OSError) as error:
             yield _failed(name, error)
-        except Exception as error:  # a defect that the logs of one device show must not stop the reports of others
+        except Exception as error:  # a defect caused by one device must not stop the reports of others
             traceback.print_exc()
             yield _failed(name, f"defect in the program: {error!r}; please report it")
     try:
@@ -294,7 +294,7 @@ def plan_beside(
 ) -> Iterator[Plan]:
     """Yield the plan at first and after each new log, until it is done; arguments as of `planner.plan`.
 
-    The parts of a device are looked for in another process, so that no answer waits for it.
+    The parts of a device are identified in another process, so that no answer waits for them.
     """
     from pipeline.base.process import process_pool
     from pipeline.intake.ingest import ingest
@@ -321,7 +321,7 @@ def plan_beside(
             arrivals.take(now)
             try:
                 report = ingest(folders, processed, profile, growing=tuple(arrivals.restless(now)))
-            except StoreError as error:  # another command writes there: the next look tries again
+            except StoreError as error:  # another command is writing there: the next scan tries again
                 console.note(str(error))
                 arrivals = Arrivals(PLAN_SETTLE_S)
                 time.sleep(1.0)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pipeline.surface.physical_loop import Loop
 
 _SHOWN = 6
-"""Changes that are printed; the document has all."""
+"""Number of printed changes; the document has all."""
 
 COMBINATIONS = {
     "acceleration": "acceleration by the largest command, friction and constant force included",
@@ -53,7 +53,7 @@ LIMITS = {
     "force": "largest_force",
     "travel": "travel",
 }
-"""Bounds of what is tried, with their names in `PlanOptions`."""
+"""Options that bound the planned trials, with their names in `PlanOptions`."""
 
 
 LIMIT_QUANTITIES = {
@@ -154,7 +154,7 @@ def identify(
 
 
 def identified_lines(document: dict[str, Any]) -> Iterator[str]:
-    """Yield what was identified: parameters, what cannot be separated, replay, limits."""
+    """Yield the result of an identification: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
     from pipeline.surface.identify import DRIFT, FOLLOWS
 
@@ -285,7 +285,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
 
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
-    """Return up to which stiffness the sensor's quantum causes no limit cycle, and the quantum that K asks for.
+    """Return the largest stiffness without a limit cycle by sensor resolution, and the resolution needed for K.
 
     Friction is per unit of command.
     """
@@ -411,7 +411,7 @@ def plan(
 
 
 def _share(option: str, text: str) -> float:
-    """Return a share: a number, or one in percent.
+    """Return a fraction from a number or a percentage.
 
     >>> _share("--overshoot", "5 %"), _share("--overshoot", "0.05")
     (0.05, 0.05)
@@ -424,7 +424,7 @@ def _share(option: str, text: str) -> float:
 
 
 def _dampings(words: Sequence[str]) -> tuple[float, ...]:
-    """Return dampings; the unit of the last one is that of those before it without one."""
+    """Return dampings; the unit of the last one also applies to earlier ones without a unit."""
     from pipeline.base.units import split_quantity
 
     last = split_quantity(words[-1]) if words else None

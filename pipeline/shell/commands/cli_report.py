@@ -106,7 +106,7 @@ def compare(
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
-    """Return what a scene shows, measured as the options say."""
+    """Return the content of a scene with the measurement options applied."""
     from pipeline.records.models import Shown
 
     shown = shown or Shown()
@@ -121,7 +121,7 @@ def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, m
 def _write_report(
     device: str, processed: str, target: Path, how: dict[str, Any], earlier: Path | None, export: Path | None
 ) -> None:
-    """Compare a device as asked, and print what it comes to, or what differs from an earlier document."""
+    """Compare a device as requested, and print the result, or the differences from an earlier document."""
     from pipeline.comparison.against import against_document, read_document
     from pipeline.shell.report_index import write_index
     from pipeline.store.names import page_against_document
@@ -129,7 +129,7 @@ def _write_report(
 
     if not how["dry_run"]:
         check_output(target, "--report", document_beside=True)
-    # read before the comparison, which may replace it
+    # read it before the comparison, which may replace it
     document = None if earlier is None else read_document(earlier, device)
     figures = export and export / "figures"
     with console.progress("compare"), opened(processed, device) as folder:
@@ -137,7 +137,7 @@ def _write_report(
 
         outcome = compare_device(how.pop("device"), folder, report=target, figures=figures, **how)
     if outcome.result is not None:
-        # other folders may be anybody's: there an index is kept current, but not begun
+        # in other folders an existing index is updated, but none is created
         write_index(target.parent, only_renew=target.parent != reports_folder())
     if outcome.result is not None and document is not None and earlier is not None:
         _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
@@ -146,7 +146,7 @@ def _write_report(
 
 
 def _tell(outcome: Outcome, export: Path | None) -> None:
-    """Print the result of a comparison, whose tables are written into a folder; of a dry run what would be done."""
+    """Print the result of a comparison and export its tables to a folder; after a dry run, print the planned work."""
     from pipeline.rendering.table_export import export_tables
 
     if outcome.result is None:
@@ -168,7 +168,7 @@ def _compare_against(
     criteria: Sequence[str] | None,
     report: Path | None,
 ) -> None:
-    """Compare the experiment of a device with another one, and print what differs."""
+    """Compare the experiment of a device with another one, and print the differences."""
     from pipeline.comparison.against import against_experiments, names_of
     from pipeline.store.names import page_against
     from pipeline.store.storage import list_experiments
@@ -186,7 +186,7 @@ def _compare_against(
 
 
 def _tell_against(page: AgainstPage, report: Path) -> None:
-    """Write a page of differences, and print what it comes to."""
+    """Write a page of differences, and print its summary."""
     from pipeline.rendering.report.report_against import write
 
     result = write(page, report)
@@ -198,7 +198,7 @@ def _tell_against(page: AgainstPage, report: Path) -> None:
 
 
 def _save_scene(device: str, processed: str, path: Path) -> None:
-    """Write a scene file with all that is stored of a device, to be shortened."""
+    """Write a scene file with all stored experiments of a device, for the user to shorten."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
     from pipeline.store.objects import opened
@@ -218,9 +218,9 @@ def verify(
 ) -> int:
     """Recompute the numbers of a report, and name those that differ.
 
-    Reads the logs from where they lay (their stored samples where they are gone) or from a bundle, computes everything
-    in a temporary folder, and compares each cell and value. Values that no log determines, such as run times, are
-    compared with hashes in the page. Exit status 1 where something differs.
+    Reads the logs from their original folders (or the stored samples of logs that are gone) or from a bundle,
+    recomputes everything in a temporary folder, and compares each cell and value. Values that no log determines, such
+    as run times, are compared with hashes in the page. Exit status 1 if something differs.
 
     Example: pipeline verify reports/falcon.html
     """
@@ -256,7 +256,7 @@ def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`
 
 SETTLE_S = 2.0
 NICENESS = 10
-"""Lower priority: the same machine may be recording logs at 1 kHz."""
+"""Increment of the process niceness: the same machine may be recording logs at 1 kHz."""
 
 WORDS = {
     "started": "watching {folders} every {interval_s:g} s, settle {settle_s:g} s; {processed} -> {reports}",
@@ -285,9 +285,9 @@ def watch(
 ) -> int:
     """Keep reports and the index current while logs arrive.
 
-    Only reports whose logs changed are renewed. Logs that are refused go into quarantine, and the watch goes on.
-    Nothing is lost when it is killed: the next start does what is left. With --json each line is a document. Exit
-    status with --once: 1 where something failed, 3 where logs are in quarantine.
+    Only reports whose logs changed are renewed. Refused logs go into quarantine, and the watch continues. Nothing is
+    lost when it is killed: the next start does the remaining work. With --json each line is a document. Exit status
+    with --once: 1 if something failed, 3 if logs are in quarantine.
 
     Example: pipeline watch raw
 
@@ -315,12 +315,12 @@ def watch(
 
 
 def _tell_event(event: Event) -> None:
-    """Print an event with its time (UTC), at once: somebody may be reading the lines as they come."""
+    """Print an event with its time (UTC), without buffering."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     console.tell_line({"time": now, **event}, [f"{now} {line_of(event)}".replace("\n", " ")])
 
 
 def line_of(event: Event) -> str:
-    """Return an event in words; a list of files is their number."""
+    """Return an event in words, with the number of files in place of their list."""
     shown = {name: len(value) if name == "waiting" else value for name, value in event.items()}
     return WORDS[event["event"]].format(**shown)

@@ -17,7 +17,7 @@ from pipeline.shell.console import argument, option
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 NEEDED = ("fastapi", "uvicorn", "python_multipart")
-"""What a plain installation leaves out."""
+"""Packages that a plain installation does not include."""
 
 
 def serve(
@@ -92,7 +92,7 @@ def push(
 ) -> int:
     """Upload logs to a server; run again to resume.
 
-    A profile file is kept on the server. A token is taken from the variable PIPELINE_TOKEN. Exit status 3 where a log
+    A profile file is stored on the server. A token is taken from the variable PIPELINE_TOKEN. Exit status 3 if a log
     was refused. Warnings are those of `pipeline ingest`, on stderr.
 
     Example: pipeline push raw --to http://127.0.0.1:8000

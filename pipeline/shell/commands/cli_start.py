@@ -1,4 +1,4 @@
-"""`pipeline start`: from a folder to a report, with a question only where the data do not prove the answer."""
+"""`pipeline start`: from a folder to a report, with questions only if the data do not prove the answer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TABLES = (
 """Keys of a proposal in the order in which they are shown."""
 
 LONGEST_VALUE = 40
-"""Characters of a value that are shown; a pattern has more."""
+"""Number of characters of a value that are shown; a pattern has more."""
 
 Yes = Annotated[bool, option("--yes", "Ask nothing: take what the data prove.", "-y")]
 
@@ -49,8 +49,7 @@ def start(
 
     Shows the contents of the folder and a picture of a log, proposes what each column is, with the evidence, and asks
     open questions (Enter accepts); then stores the logs, compares walls with theory or identifies the device, opens the
-    report. With --yes, or without a terminal, nothing is asked: where something is open, it is listed, and nothing is
-    done.
+    report. With --yes, or without a terminal, nothing is asked: open questions are listed, and nothing is done.
 
     Example: pipeline start logs
 
@@ -72,7 +71,7 @@ def start(
 
 @dataclass(frozen=True)
 class Reading:
-    """How the logs of a folder are read: a profile and its file, none for native logs, and which files are left out."""
+    """How the logs of a folder are read: a profile and its file (None for native logs), and the omitted files."""
 
     profile: Profile | None = None
     file: Path | None = None
@@ -80,14 +79,14 @@ class Reading:
 
     @property
     def options(self) -> str:
-        """Options of the commands that repeat it."""
+        """Command-line options that repeat this reading."""
         profile = [] if self.file is None else ["--profile", str(self.file)]
         words = [*profile, *(word for name in self.ignored for word in ("--ignore", name))]
         return "".join(f" {shlex.quote(word)}" for word in words)
 
 
 def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
-    """Return how the logs of a folder are read, after questions; the profile is written."""
+    """Return how the logs of a folder are read, after questions to the user; write the profile."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
     from pipeline.shell.start import made_profile, propose, with_units
@@ -105,7 +104,7 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
             )
         _draw(folder.logs[0], None, opens)
         answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
-        # what stands in names and sheets is in a unit that those of the columns show; wrong ones are stopped below
+        # units of numbers in names and sheets follow from those of the columns; wrong ones are detected below
         again = propose(with_units(proposal, answers)).answered(answers)
         proposal = proposal.answered(answers) if again.open else again
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
@@ -118,7 +117,7 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
 
 
 def _draw(log: Path, profile: Profile | None, opens: bool) -> None:
-    """Draw a log, as it stands or in SI; one that is refused gets its reason where it is stored."""
+    """Draw a log, as recorded or in SI; a refused log is reported later, when it is stored."""
     from pipeline.base.disk import write_text
     from pipeline.shell.profile.check import look, page
 
@@ -139,12 +138,12 @@ def _open(page: Path) -> None:
 
 
 def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tuple[str, ...]]:
-    """Return a profile that the commands of the logs do not contradict, and patterns of those that are left out.
+    """Return a profile that agrees with the commands of the logs, and patterns of the logs that are left out.
 
     Raises
     ------
     UsageError
-        If so many contradict it that it is wrong itself.
+        If too many logs contradict it, so that the profile itself is wrong.
     """
     from pipeline.readers.gain_check import common_remedy
     from pipeline.shell.profile.conditions import MOST_AT_FAULT
@@ -172,13 +171,13 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
 
 
 def _free_name(name: str) -> Path:
-    """Return a name for a profile that no file has."""
+    """Return an unused file name for a profile."""
     numbers = ("", *(f"-{number}" for number in range(2, 1000)))
     return next(path for number in numbers if not (path := Path(f"{name}{number}.toml")).exists())
 
 
 def _proposal_lines(proposal: Proposal) -> Iterator[str]:
-    """Yield the keys that are known with their evidence, then the number of questions."""
+    """Yield the known keys with their evidence, then the number of questions."""
     rows = []
     for place, answer in sorted(proposal.answers.items(), key=lambda item: TABLES.index(item[0].partition(".")[0])):
         if not answer.question:
@@ -191,7 +190,7 @@ def _proposal_lines(proposal: Proposal) -> Iterator[str]:
 
 
 def _ask(place: str, question: str, proposed: Any) -> Any:
-    """Return the answer to a question: as TOML where it is, else as text."""
+    """Return the answer to a question: parsed if it is TOML, otherwise as text."""
     text = typer.prompt(f"{place}: {question}", default=str(proposed), err=True)
     if isinstance(proposed, str):
         return text.strip()
@@ -202,7 +201,7 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
 
 
 def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compares: bool) -> int:
-    """Store the logs of a folder, compare or identify, open the report, and say how to repeat it."""
+    """Store the logs of a folder, compare or identify, open the report, and print how to repeat it."""
     from pipeline.comparison.compare import compare
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of

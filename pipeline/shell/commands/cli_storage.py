@@ -1,4 +1,4 @@
-"""Commands of logs and of what is stored of them: parse, call, print."""
+"""Commands of logs and stored data: parse, call, print."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 LISTED = 10
-"""Lines of one kind that are printed; `--json` has all."""
+"""Number of printed lines of one kind; `--json` has all."""
 
 Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
 
@@ -39,8 +39,8 @@ def ingest(
 ) -> int:
     """Check and store new logs; refused ones go into quarantine.
 
-    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 where a log is in quarantine, 1
-    where a stored file is damaged: it is named, and all other logs are stored.
+    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 if a log is in quarantine, 1 if
+    a stored file is damaged: it is named, and all other logs are stored.
 
     Example: pipeline ingest raw --processed processed
 
@@ -72,7 +72,7 @@ def ingest(
 
 
 def counts_of(report: Mapping[str, Any]) -> list[str]:
-    """Return a table of how many logs were found, stored, skipped and refused."""
+    """Return a table with the numbers of logs found, stored, skipped and refused."""
     counts = {key: report[key] for key in ("found", "ingested", "skipped")}
     counts["quarantined"] = len(report["quarantined"])
     return console.table([counts], tuple(counts))
@@ -85,7 +85,7 @@ def refusals(refused: Iterable[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def warnings_of(report: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the warnings of an ingest, those of one kind as one line, and the logs whose stored trials changed."""
+    """Yield the warnings of an ingest, one line per kind, and the logs whose stored trials changed."""
     warnings = ((each["path"], each["warning"], each.get("code")) for each in report["warnings"])
     yield from (f"warning: {line}" for line in console.warned(warnings))
     yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
@@ -111,7 +111,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
 
 
 def _listed(title: str, paths: list[str]) -> Iterable[str]:
-    """Yield one line a path, at most `LISTED` of them, under their number."""
+    """Yield the number of paths, then one line per path, at most `LISTED`."""
     if len(paths) == 1:
         yield f"{title}: {paths[0]}"
     elif paths:
@@ -127,7 +127,7 @@ def check(
 ) -> int:
     """Verify checksums of what is stored; repair it on request.
 
-    Exit status 1 where something is damaged or gone; with --repair where it could not be saved.
+    Exit status 1 if something is damaged or missing; with --repair, if it could not be saved.
 
     Example: pipeline check --processed processed
 
@@ -257,7 +257,7 @@ def delete(
 ) -> None:
     """Move trials to the bin, list it, or empty it. Logs stay untouched.
 
-    What was deleted stays so when its logs are ingested again, until --undo.
+    Deleted trials stay deleted when their logs are ingested again, until --undo.
 
     Example: pipeline delete falcon/2
 
@@ -311,8 +311,8 @@ def look(
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
-    By a profile, or where a shipped one fits, columns are in SI over time; all others stand as they are in the file,
-    over the number of the row. Nothing is stored.
+    With a profile, given or shipped, columns are in SI over time; otherwise they are shown as in the file, over the row
+    number. Nothing is stored.
 
     Example: pipeline look run_01.csv
     """
@@ -335,11 +335,11 @@ def profile(
 ) -> int:
     """Draft a profile from sample logs, or show what a profile reads.
 
-    A draft marks open questions: lines "# QUESTION: key: ..." stand where units, signs and conditions must not be
+    A draft marks open questions: lines "# QUESTION: key: ..." ask for units, signs and conditions that must not be
     guessed. Set the key below and remove the line; `check` lists what is open.
 
-    A check stores nothing. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (each
-    mistake with its line) or a command obeys another K, B or step than the conditions say.
+    A check stores nothing. Exit status 3 if a sample would be refused, 1 if the profile itself is wrong (each error
+    with its line) or if a command obeys another K, B or step than the conditions state.
 
     Example: pipeline profile draft run_*.csv --out lab.toml
 
@@ -389,7 +389,7 @@ def quarantine(
 ) -> None:
     """List refused logs, or show why they were refused.
 
-    Codes are explained in docs/logs.md. `pipeline ingest` tries them again, with --profile by another profile.
+    Codes are explained in docs/logs.md. `pipeline ingest` tries them again, with --profile using another profile.
 
     Example: pipeline quarantine
 
@@ -397,7 +397,7 @@ def quarantine(
     """
     from pipeline.intake.quarantine import find_record, list_quarantine, record_id
 
-    _must_exist(processed)  # a mistyped one must not look like one without refusals
+    _must_exist(processed)  # a mistyped folder must not look like one without refused logs
     records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)
     found = [{"id": record_id(record), **record.model_dump(mode="json")} for record in records]
     if not logs:
@@ -407,7 +407,7 @@ def quarantine(
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield the logs in quarantine with id, path, row, code and reason, which ends with the line that might help."""
+    """Yield the logs in quarantine with id, path, row, code and reason, with a profile line that may help."""
     told = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
@@ -420,7 +420,7 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield why a log was refused, line by line; lines of a profile as they are to be copied."""
+    """Yield why a log was refused, line by line, with profile lines ready to copy."""
     for key in ("path", "profile", "size", "row", "code"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
     yield f"reason   {record['reason'].partition(HELPS)[0].rstrip()}"

@@ -87,7 +87,7 @@ def boundary(
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
-    With --robust, that of the walls that stay stable whatever spring is attached to the device.
+    With --robust, the boundary of the walls that stay stable with any spring attached to the device.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
 
@@ -109,10 +109,10 @@ def boundary(
 
 
 _SHOWN_POINTS = 9
-"""Points of a boundary that are printed."""
+"""Number of printed points of a boundary."""
 
 _ROUNDING = 1e-12
-"""Share of the largest number of a column that is printed as 0."""
+"""Threshold relative to the largest number of a column below which a number is printed as 0."""
 
 
 def _boundary_lines(answer: Boundary) -> Iterator[str]:
@@ -201,7 +201,7 @@ def optimum(
 
 
 def _reachable_line(answer: Optimum) -> str:
-    """Return what the delay alone allows, and what a sample less of it would save."""
+    """Return the optimum that the delay alone allows, and the gain from one sample less delay."""
     from pipeline.records.criteria import criterion_of
 
     best = answer.reachable
@@ -273,7 +273,7 @@ def explore(
 ) -> None:
     """Write one HTML page with sliders for the theory of a loop.
 
-    Where reports/DEVICE.json has a comparison, its identified loop, trials, limits and wall are in the page.
+    If reports/DEVICE.json has a comparison, the page includes its identified loop, trials, limits and wall.
 
     Example: pipeline explore --device falcon --experiment 1 --out falcon-explore.html
 
@@ -296,7 +296,7 @@ def explore(
 
 
 def _entries(device: str | None, experiment: str | None, processed: str) -> list[dict[str, Any]]:
-    """Return what the page of `explore` begins with: what was measured first, then the device file, then others."""
+    """Return the entries of the `explore` page: measured experiments, then the device file, then others."""
     from pipeline.device.parameters import drive_of
     from pipeline.device_data.devices import find_experiment, known_devices
     from pipeline.explorer.entries import device_entries
@@ -322,7 +322,7 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
 
 
 def _measured_entries(device: str, experiment: str | None, processed: str) -> list[dict[str, Any]]:
-    """Return the experiments of a stored comparison with their trials; none where there is no report."""
+    """Return the experiments of a stored comparison with their trials; none if there is no report."""
     from pipeline.base.errors import PipelineError
     from pipeline.explorer.entries import measured_entries, with_trials
     from pipeline.surface.comparisons import load
@@ -337,7 +337,7 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
     for i, entry in enumerate(entries):
         try:
             rows = costs(processed, result.device, entry["experiment"])
-        except PipelineError:  # without the stored trials those at the limits are shown
+        except PipelineError:  # without stored trials, those at the limits are shown
             continue
         rows = rows[rows["verdict"].isin(["stable", "unstable"])].drop_duplicates("trial_id")
         entries[i] = with_trials(
@@ -351,7 +351,8 @@ def tables(
 ) -> None:
     """Recompute Tables B, C, D and 5.1 of the thesis.
 
-    Of Tables D these are the rows of theory; the printed measurements are listed with their deviation from it.
+    Of Tables D the theoretical rows are recomputed; the printed measurements are listed with their deviation from
+    theory.
 
     Example: pipeline theory tables C.1 D.6
     """
@@ -383,7 +384,7 @@ def tables(
 
 
 def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
-    """Yield the rows of a table and show how far it is."""
+    """Yield the rows of a table and show the progress."""
     with console.progress(f"Table {table}", "rows") as advance:
         for number, row in enumerate(rows, start=1):
             yield row
@@ -396,7 +397,7 @@ def accuracy(
     """Measure error against run time of each numerical method.
 
     Writes accuracy.html and accuracy.json into the folder of reports. Reports of comparisons show the part on theory
-    while code and machine are unchanged (stored in processed, or where PIPELINE_PROCESSED says).
+    while code and machine are unchanged (stored in processed, or in the folder PIPELINE_PROCESSED).
 
     Example: pipeline accuracy --quick
     """
@@ -417,7 +418,7 @@ def accuracy(
 
 
 def _case(delay: float | None, gamma: float, delta: float, device: str | None, experiment: str | None) -> Case:
-    """Return the loop of numbers, or of a device by name or file."""
+    """Return the loop given by numbers, or that of a device given by name or file."""
     from pipeline.theory.cases import Case, case_of
 
     if device is not None:

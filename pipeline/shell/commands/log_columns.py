@@ -1,6 +1,6 @@
 """Options of commands that read logs without a profile: each names a column with its unit, or a constant.
 
-They become an ordinary profile (`pipeline.shell.profile.columns`), which the command gets in place of ``--profile``.
+They are converted to an ordinary profile (`pipeline.shell.profile.columns`), which replaces ``--profile``.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
     Parameters
     ----------
     paths : str
-        Parameter of the command that has the logs.
+        Parameter of the command that contains the logs.
     walls : bool
         As of `stated_profile`.
     """
@@ -79,7 +79,7 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
 
 
 def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path | None, walls: bool) -> Profile:
-    """Return the profile that the options make, and say what the logs showed for it."""
+    """Return the profile defined by the options, and print the evidence from the logs."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
     from pipeline.profiles.profile_model import Sheet

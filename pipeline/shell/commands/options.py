@@ -1,4 +1,4 @@
-"""Options that several commands share, each declared once. A list is an option given several times, or commas."""
+"""Options that several commands share, each declared once. A list is given by repeating an option or with commas."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _folder(text: str) -> Path:
 
 
 def _split(given: list[str] | None) -> list[str] | None:
-    """Return the words of a list; one with a comma stands in double quotes."""
+    """Return the words of a list; a word with a comma is put in double quotes."""
     return [word for row in csv.reader(given, skipinitialspace=True) for word in row or ("",)] if given else None
 
 
@@ -36,7 +36,7 @@ def listed(name: str, help_text: str, *more: str, **how: Any) -> Any:
 
 
 PROCESSED, REPORTS = "PIPELINE_PROCESSED", "PIPELINE_REPORTS"
-"""Variables that stand for the folders of stored tables and of reports, where an option does not."""
+"""Environment variables for the folders of stored tables and of reports, used without the option."""
 
 Processed = Annotated[Path, option("--processed", "Folder of the stored tables.", envvar=PROCESSED, parser=_folder)]
 Store = Annotated[str, option("--processed", "Stored tables: folder or s3://BUCKET/KEY.", envvar=PROCESSED)]
@@ -45,7 +45,7 @@ ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or 
 ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
 Ignore = Annotated[list[str] | None, option("--ignore", "Names of files that are no logs, 'cal_*'. Repeat.")]
 LogProfile = Any
-"""A profile as a command gets it: what `ProfileFile` names, or one that the options of columns made."""
+"""A profile as a command receives it: the one of `ProfileFile`, or one made from column options."""
 DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]
 One = Annotated[str | None, option("--experiment", "Experiment (default: the first).", "-e")]
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]
@@ -55,7 +55,7 @@ Out = Annotated[Path | None, option("--out", "File to write.", show_default=Fals
 
 
 def quantity(option: str, text: str, *names: str) -> float:
-    """Return a quantity of an option in SI: a number alone is in SI, a unit has to be of one of some quantities."""
+    """Return the value of an option in SI: a plain number is in SI, a unit must be one of the quantities."""
     from pipeline.base.units import quantity_in_si
 
     try:
@@ -65,9 +65,9 @@ def quantity(option: str, text: str, *names: str) -> float:
 
 
 def stiffness_of(text: str, motion: Motion | None) -> float:
-    """Return what ``--stiffness`` says in SI: a number alone is in SI, a unit has to be that of the device's motion.
+    """Return the value of ``--stiffness`` in SI: a plain number is in SI, a unit must fit the motion of the device.
 
-    Without a motion it is the normalised alpha, a number.
+    Without a motion it is the normalised stiffness alpha, a number.
     """
     from pipeline.base.units import UNITS, find_unit, split_quantity
     from pipeline.device.parameters import is_rotation, unit_of

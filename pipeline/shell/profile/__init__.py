@@ -1,1 +1,1 @@
-"""Log profiles: drafted, tried on samples, warned of."""
+"""Log profiles: drafts, checks on samples, warnings."""

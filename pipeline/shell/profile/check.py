@@ -38,11 +38,11 @@ from pipeline.shell.console import draft_hint, grouped
 from pipeline.shell.profile.samples import open_sample
 
 NOTHING = 1e-15
-"""Size [SI] up to which a number is what rounding leaves of 0."""
+"""Largest magnitude [SI] of a rounding error of 0."""
 
 STEP_ROWS, STEP_TOLERANCE = 3, 0.1
-"""Rows from the step on whose median is its size: a single one may flicker, and later ones include the velocity filter;
-and relative difference that is allowed: a header often states a round number."""
+"""Number of rows from the step whose median is its size (a single row may be noisy, later ones include the velocity
+filter), and allowed relative difference: a header often states a round number."""
 
 PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
@@ -52,26 +52,26 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 1e5)},
     "duration_s": dict.fromkeys(("translation", "rotation"), (5e-3, 1e3)),
 }
-"""Range of each number in SI that devices have: fingers and arms, drives of a watt to a kilowatt; 0 is none."""
+"""Plausible range of each quantity in SI: fingers and arms, drives of 1 W to 1 kW; 0 means absent."""
 
 
 IS_UNUSUAL = "is its unit right?"
-"""End of the sentence about a number that devices do not have."""
+"""End of the sentence about an implausible number."""
 
 Checked = dict[str, Any]
-"""What was found in a sample: ``path``; its ``trials``, or the ``reason`` why it would be refused, with the ``row``.
+"""Result of checking a sample: ``path``; its ``trials``, or the ``reason`` why it would be refused, with the ``row``.
 
 ``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` of the profile (or the header) that gives
-it, and what is ``usual`` of devices; displacement and duration are of the samples. ``columns`` have the SI name
+it, and the ``usual`` range of devices; displacement and duration are of the samples. ``columns`` have the SI name
 ``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` has the
-flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the row of the step,
-counted from 0, ``step`` how it is known, or why it is not. ``gain_mismatch`` says which stiffness, damping or step the
-command obeys where the conditions state others, and the line that cures it; ``followed_gains`` has their numbers in SI.
+flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the row of the step, counted from 0,
+``step`` its source, or why it is unknown. ``gain_mismatch`` states the stiffness, damping or step that the command
+obeys if the conditions state others, and the line that corrects them; ``followed_gains`` has their numbers in SI.
 """
 
 
 def check_samples(profile: Profile, samples: Sequence[Path]) -> list[Checked]:
-    """Read samples (files, and folders that are searched) as `pipeline ingest --profile` would; return one a log.
+    """Read samples (files or folders) as `pipeline ingest --profile` would; return one result per log.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
         usual, fault = "", ""
-        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # of a drive nothing is known
+        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # nothing is known about a drive
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:
@@ -155,7 +155,7 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, A
 
 
 def step_of(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step of a log, None where it is not known, and how it is known or why not."""
+    """Return the row of the step of a log (None if unknown), and its source or the reason why it is unknown."""
     header = log.header
     if "step_row" in header.extra:
         row = int(header.extra["step_row"])
@@ -177,7 +177,7 @@ def _trial_of(log: Log) -> Trial:
 
 
 def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
-    """Yield where a log of a release or a hit shows another one, or none."""
+    """Yield a problem if a log declared as a release or a hit shows the other kind, or neither."""
     if profile.kind not in ("release", "hit"):
         return
     found = find_release(_trial_of(log))
@@ -188,19 +188,19 @@ def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
 
 
 def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
-    """Yield where the command jumps by another step; rows are counted from 0."""
+    """Yield a problem if the command jumps by another step than stated; rows are counted from 0."""
     step = log.header.step
     if step_row is None or step == 0:
         return
     before = log.command[:step_row] if step_row else np.zeros(1)
     jump = float(np.median(log.command[step_row : step_row + STEP_ROWS]) - np.median(before))
-    # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
+    # noise before the step, passed through the velocity filter, determines the accuracy of the jump
     if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
         yield f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?"
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
-    """Return samples as lines for a reader: the first that is read in full, of the others a line each."""
+    """Return samples as lines of text: the first readable one in full, one line for each other."""
     lines, told, others, refused = list[str](), [], [], []
     for sample in samples:
         path, trials = sample["path"], sample["trials"]
@@ -228,7 +228,7 @@ def _full(trial: Checked) -> str:
         usual = f"usual {c['usual']}" if c["usual"] else ""
         lines.append(f"  {c['name']:<20} {text:<20} from {c['place']:<19} {usual}".rstrip())
     for c in trial["columns"]:
-        # neither what rounding leaves of 0, nor its sign
+        # print a rounding error of 0, or -0, as 0
         first, last, low, high = (c[end] if abs(c[end]) > NOTHING else 0.0 for end in ("first", "last", "low", "high"))
         span = f"{first:.9g} to {last:.9g} {c['unit_si']}"
         if (low, high) != (min(first, last), max(first, last)):
@@ -242,10 +242,10 @@ def _full(trial: Checked) -> str:
 
 
 MOST_COLUMNS = 24
-"""Columns of a file without a profile that are drawn; a bag has hundreds."""
+"""Largest number of drawn columns of a file without a profile; a bag has hundreds."""
 
 MOST_TRIALS = 12
-"""Trials of one file that are drawn."""
+"""Largest number of drawn trials of one file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +266,8 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
     log : Path
         A file, or the folder of a bag.
     profile : Profile, optional
-        That reads it; the shipped profiles are known, and a file that none of them reads is shown as it stands.
+        Profile that reads it; by default the shipped ones are tried. A file that none of them reads is shown as
+        recorded.
 
     Raises
     ------
@@ -315,10 +316,10 @@ def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
 
 
 def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
-    """Return the columns of numbers of a file of which nothing is known."""
+    """Return the numeric columns of an unknown file."""
     sample = open_sample(log)
     columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
-    # a column that rises in every row is a clock or a counter: its gaps are those of the log
+    # a column that increases in every row is a clock or a counter: its gaps are those of the log
     clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
     return sample.name, tuple(
         _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)
@@ -342,7 +343,7 @@ def page(picture: Picture) -> str:
 
 
 def document(picture: Picture) -> dict[str, Any]:
-    """Return what was found in a log as a JSON document."""
+    """Return the findings on a log as a JSON document."""
     trials = []
     for title, columns in picture.trials:
         found = [{"name": c.name, "unit": c.unit, "jumps": c.jumps, "rests": c.rests} for c in columns]

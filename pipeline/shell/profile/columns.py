@@ -1,8 +1,8 @@
-"""From columns that a command line names to an ordinary profile: what it does not state, the logs have to prove.
+"""Conversion of columns named on the command line to an ordinary profile; everything else must be proved by the logs.
 
 The layout of the files, the sampling period, the direction in which positions count and the row of the step are read
-from the logs themselves; units are never guessed. The profile is checked against some of the logs before it is used: a
-wall that their commands do not follow is refused.
+from the logs themselves; units are never guessed. The profile is checked against some of the logs before it is used: it
+is refused if their commands do not follow the stated wall.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from pipeline.shell.profile.check import check_samples
 from pipeline.shell.profile.samples import Sample, open_sample
 
 MOST_SAMPLES = 12
-"""Logs that are looked at, spread over all: enough to see that they are of one form, and quickly read."""
+"""Largest number of inspected logs, spread over all: enough to check that they have the same form, and fast to read."""
 
 SAME_PERIOD = 0.02
-"""Part by which the sampling periods of logs may differ: clocks drift by less."""
+"""Relative tolerance of the sampling periods of logs: clocks drift by less."""
 
 ROUND_PERIOD = 2e-4
-"""Part by which a sampling period may differ from a round number that is taken for it."""
+"""Largest relative deviation of a sampling period from the round number that replaces it."""
 
 PLAUSIBLE_PERIODS = (2e-5, 0.1)
-"""Sampling periods that devices have [s]: 50 kHz to 10 Hz."""
+"""Plausible sampling periods of devices [s]: 50 kHz to 10 Hz."""
 
 COLUMNS = ("time", "command", "position")
 WALL = ("stiffness", "damping", "step")
@@ -48,10 +48,10 @@ WALL = ("stiffness", "damping", "step")
 
 @dataclass(frozen=True)
 class StatedColumns:
-    """What a command line states of logs: each a text as `ColumnText` reads it, or None.
+    """Column options of a command line: each a text for `ColumnText`, or None.
 
-    ``period`` is the sampling period of the controller; that of the stamps where it is not stated. ``kind`` is that of
-    the trials, as in a profile.
+    ``period`` is the sampling period of the controller, by default that of the stamps. ``kind`` is that of the trials,
+    as in a profile.
     """
 
     time: str | None = None
@@ -73,7 +73,7 @@ class StatedColumns:
 
 @dataclass(frozen=True)
 class StatedProfile:
-    """A profile that was made of columns, and what the logs showed for it, as sentences."""
+    """A profile made from column options, and the evidence from the logs as sentences."""
 
     profile: Profile
     evidence: tuple[str, ...]
@@ -82,7 +82,7 @@ class StatedProfile:
 Item = TypeVar("Item")
 
 OPTIONS = {"sampling_period_s": "period"}
-"""Option of each condition that has another name."""
+"""Options whose name differs from that of their condition."""
 
 
 def option_of(place: Sequence[str | int]) -> str:
@@ -97,7 +97,7 @@ def option_of(place: Sequence[str | int]) -> str:
 
 
 def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> StatedProfile:
-    """Return the profile of logs whose columns are named.
+    """Return the profile of logs from the named columns.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
     paths : sequence of Path
         The logs, and folders that are searched.
     walls : bool
-        Whether conditions and a name of the device are needed, as they are where logs are stored.
+        Whether conditions and a device name are required, as for storing logs.
 
     Raises
     ------
     UsageError
-        If a column that is needed is not named or is not in the files, or a unit is not known or stated nowhere.
+        If a required column is not named or missing in the files, or a unit is unknown or not stated.
     ProfileError
-        If what was stated does not fit together, or the command of a log obeys another wall.
+        If the statements contradict each other, or the command of a log obeys another wall.
     """
     for name in ("command", "position"):
         if getattr(stated, name) is None:
@@ -134,7 +134,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
 
 
 def _plain(option: str, text: str) -> str:
-    """Return a mistake in the words of options."""
+    """Return an error message in terms of options."""
     text = re.sub(r"^key '[^']*': ", "", text)
     text = re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
     text = re.sub(r"Add (\w+) = (.*)", rf"Write {option} with one of these units: \2", text)
@@ -150,25 +150,25 @@ def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def spread(files: Sequence[Item], most: int) -> list[Item]:
-    """Return some files, or other things, the first and the last among them, evenly spread over all."""
+    """Return a limited number of files or other items, evenly spread and including the first and the last."""
     if len(files) <= most:
         return list(files)
     return [files[round(i * (len(files) - 1) / (most - 1))] for i in range(most)]
 
 
 def suffix_of(path: Path) -> str:
-    """Return the ending of a file in small letters, with that of its packing."""
+    """Return the extension of a file in lower case, including that of its compression."""
     parts = [part.lower() for part in path.suffixes]
     return "".join(parts[-2:] if parts[-1:] in ([".gz"], [".zst"]) else parts[-1:])
 
 
 def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], list[Sample]]:
-    """Return the files that have the columns, and some of them opened: those of one ending, the most frequent first.
+    """Return the files that have the columns, of the most frequent extension, and some of them opened.
 
     Raises
     ------
     UsageError, LogError
-        If no file has the columns: why the first does not.
+        If no file has the columns; gives the reason for the first file.
     """
     by_ending: dict[str, list[Path]] = {}
     for file in files:
@@ -194,7 +194,7 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
 
 
 def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
-    """Return the constant that a text states of a column: only a time can be one, where no column has that name."""
+    """Return the constant that a text states for a column: only a time can be constant, if no column has that name."""
     if name != "time" or text in sample.contents.columns:
         return None
     found = ColumnText.constant(text)
@@ -202,7 +202,7 @@ def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
 
 
 class _Maker:
-    """Makes the values of a profile; ``evidence`` gets what the logs showed."""
+    """Builder of the values of a profile; ``evidence`` collects what the logs showed."""
 
     def __init__(self, stated: StatedColumns, samples: Sequence[Sample], walls: bool) -> None:
         self.stated, self.samples, self.walls = stated, samples, walls
@@ -264,7 +264,7 @@ class _Maker:
         return table
 
     def _clock(self) -> str:
-        """Return the column of time where no option names it: the only one that rises in every row by equal steps."""
+        """Return the time column if no option names it: the only one that increases by equal steps."""
         numbers = self.sample.numbers
         taken = {ColumnText.among("", getattr(self.stated, name), list(numbers)).column for name in COLUMNS[1:]}
         rising = [
@@ -282,7 +282,7 @@ class _Maker:
         return rising[0]
 
     def _unit(self, name: str, column: str) -> str:
-        """Return the unit of a column that the option does not state: that of the file, or what its steps prove."""
+        """Return the unit of a column if the option states none: that in the file, or the one that its steps prove."""
         stated = self.sample.unit(column, name)[1]
         if stated and find_unit(stated) is not None:
             self.evidence.append(f"{name} is in {stated}, as {self.sample.name} states")
@@ -346,7 +346,7 @@ class _Maker:
         self.evidence.append(f"{name} is {place}")
 
     def _period(self, values: dict[str, Any]) -> None:
-        """Put in the sampling period: stated, or the time between the rows of all samples."""
+        """Set the sampling period: the stated one, or the time between the rows of all samples."""
         text = self.stated.period
         if text is None and self.stated.time is not None:
             constant = _as_constant("time", self.stated.time, self.sample)
@@ -373,7 +373,7 @@ class _Maker:
         self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
     def _wall(self, values: dict[str, Any]) -> None:
-        """Put in what the wall law of the commands shows: the direction of positions, and when the step happens."""
+        """Set the keys that the wall law of the commands shows: sign of the position and time of the step."""
         kind = self.stated.kind or "step"
         if kind not in IMPLIED:
             raise UsageError(f"--kind {kind}: expected one of {', '.join(IMPLIED)}.")
@@ -415,7 +415,7 @@ class _Maker:
             found = [sample.numbers[key] for key in map(_column_key, pair) if key in sample.numbers]
             if len(found) < 2:
                 continue
-            # without stamps, one row each sampling period
+            # without stamps, one row per sampling period
             stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
             if len({len(column) for column in (stamps, *found)}) != 1:
                 continue
@@ -425,7 +425,7 @@ class _Maker:
 
 
 def _column_key(table: Mapping[str, Any]) -> str:
-    """Return the name of a column of a profile in what was read of the file; empty where there is none."""
+    """Return the name in `FileColumns` of a column of a profile; empty if there is none."""
     return str(table.get("name", table.get("column", "")))
 
 
@@ -439,7 +439,7 @@ def _logs(count: int) -> str:
 
 
 def round_period(seconds: float) -> float:
-    """Return the round number of seconds that a period stands for, where one is near.
+    """Return the nearest round number of seconds if it is close to the period, else the rounded period.
 
     >>> round_period(0.00100013), round_period(1 / 3000), round_period(0.00025)
     (0.001, 0.000333333, 0.00025)
@@ -452,29 +452,29 @@ def round_period(seconds: float) -> float:
 
 
 _IN_NAME = re.compile(r"(?:^|[^A-Za-z])([A-Za-z]{1,12})[_= ]?(-?\d+(?:[.,]\d+)?)")
-"""A word and a number behind it, in the name of a file."""
+"""A word followed by a number in a file name."""
 
 
 def numbers_in_names(samples: Sequence[Sample]) -> list[str]:
-    """Return the words that have a number behind them in the name of each sample, in the order of the first."""
+    """Return the words that are followed by a number in the name of every sample, in the order of the first sample."""
     found = [[match[1] for match in _IN_NAME.finditer(Path(sample.name).stem)] for sample in samples]
     counts = Counter(word for words in found for word in set(words) if words.count(word) == 1)
     return [word for word in found[0] if counts[word] == len(samples)]
 
 
 def with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -> str:
-    """Return a pattern of file names that takes the number behind a word, too."""
+    """Return a pattern of file names extended to also capture the number after a word."""
     group = f"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(?P<{key}>-?[0-9]+(?:[.,][0-9]+)?)"
     if pattern is None:
         return group
-    # groups stand in the order of the words in the names
+    # groups are in the order of the words in the names
     parts = {part: text for text in pattern.split(".*") for part in words if f"]){re.escape(part)}[" in text}
     parts[word] = group
     return ".*".join(parts[part] for part in words if part in parts)
 
 
 def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> None:
-    """Refuse a profile by which the command of a log obeys another wall than it states.
+    """Refuse a profile if the command of a log obeys another wall than the profile states.
 
     Raises
     ------
@@ -496,13 +496,13 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
 
 
 def _parts(text: str) -> tuple[str, str]:
-    """Return name and unit of a column as it was written, without its sign."""
+    """Return name and unit of a column as written, without its sign."""
     name, colon, unit = text.lstrip("+-").rpartition(":")
     return (name, unit) if colon and find_unit(unit) else (text.lstrip("+-"), "")
 
 
 def _in_options(cure: str, stated: StatedColumns) -> str:
-    """Return a cure with options in place of the lines of a profile."""
+    """Return a remedy in terms of options instead of profile lines."""
 
     def name(option: str) -> str:
         return _parts(getattr(stated, option, None) or "")[0]

@@ -1,4 +1,4 @@
-"""Units of the walls that logs state, by comparison with the walls that their commands follow."""
+"""Units of stated walls, found by comparison with the walls that the commands follow."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from pipeline.profiles.profile_model import Kind, quantity, si_unit
 from pipeline.readers.file_columns import FileColumns, Scalar
 
 SAME = 0.1
-"""Part by which a number may differ from what the command obeys: names are rounded."""
+"""Relative tolerance between a stated number and the value that the command obeys: names are rounded."""
 
 MOST_AT_FAULT = 0.2
-"""Part of the logs that may contradict what is proposed for all: with more of them the proposal is wrong."""
+"""Largest share of logs that may contradict a common proposal: if more do, the proposal is wrong."""
 
 FEWEST_DIFFERENT = 2
-"""Different numbers that are proportional to what commands obey, from which on that is no chance."""
+"""Smallest number of different values, proportional to those that commands obey, for which agreement by chance is ruled
+out."""
 
 Numbers = Sequence[float | None]
 
 
 def factor_of(numbers: Numbers, obeyed: Sequence[float]) -> float | None:
-    """Return by what most numbers have to be multiplied to be what commands obey; None where no one factor does it.
+    """Return the factor between most numbers and the values that commands obey; None if there is no common factor.
 
-    Up to `MOST_AT_FAULT` of them may be wrong: those are named when the logs are read.
+    Up to `MOST_AT_FAULT` of them may be wrong; these are reported when the logs are read.
 
     >>> factor_of([1.0, 2.0, 0.0], [1000.0, 2000.0, 0.0]), factor_of([1.0, 2.0], [5.0, 5.0])
     (1000.0, None)
@@ -37,14 +38,14 @@ def factor_of(numbers: Numbers, obeyed: Sequence[float]) -> float | None:
         return None
     middle = ratios[len(ratios) // 2]
     agree = sum(abs(ratio / middle - 1) <= SAME for ratio in ratios)
-    # what makes no part of a command that is seen says nothing
+    # gains without a visible contribution to the command are not informative
     off = len(ratios) - agree + sum(bool(value and not number) for number, value in pairs)
     known = 2 * (agree + sum(not (number or value) for number, value in pairs)) > len(pairs)
     return middle if middle > 0 and known and off <= MOST_AT_FAULT * len(pairs) else None
 
 
 def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
-    """Return the unit in which numbers are what commands obey [SI]; None where they are not."""
+    """Return the unit in which numbers equal the values that commands obey [SI]; None if there is none."""
     middle = factor_of(numbers, obeyed)
     if middle is None:
         return None
@@ -54,10 +55,10 @@ def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind)
 
 
 def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Numbers]:
-    """Return the numbers that files, or trials of a file, state: values outside the table and constant columns.
+    """Return the numbers stated in files, or in trials of a file: values outside the table and constant columns.
 
-    They are by the table of a profile (``attributes``, ``condition_columns``) and their name. Those that have a unit
-    behind them are in SI.
+    Keys are the profile table (``attributes``, ``condition_columns``) and the name. Numbers followed by a unit are
+    converted to SI.
     """
     first = contents[0]
     found: dict[tuple[str, str], Numbers] = {}
@@ -73,7 +74,7 @@ def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Num
 
 
 def _number(value: Scalar | None) -> float | None:
-    """Return the number of a value outside the table, in SI where it has a unit; None where it is no number."""
+    """Return the number of a value outside the table, in SI if it has a unit; None if it is not a number."""
     if isinstance(value, int | float):
         return float(value)
     try:
@@ -86,10 +87,10 @@ def _number(value: Scalar | None) -> float | None:
 def place_of(
     inside: Mapping[tuple[str, str], Numbers], obeyed: Sequence[float], names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return where numbers stand that are proportional to what commands obey, by table and name; None where nowhere.
+    """Return the table and name of numbers proportional to the values that commands obey; None if there are none.
 
-    One whose name is one of some for the condition comes first; any other needs so many different numbers that it is no
-    chance.
+    A usual name of the condition is preferred; any other name needs enough different values that agreement by chance is
+    ruled out.
     """
     for named in (True, False):
         for place, numbers in inside.items():

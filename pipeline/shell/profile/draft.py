@@ -1,9 +1,9 @@
-"""A first profile for sample logs: TOML in which all that the data prove is set, with its evidence, and the rest asked.
+"""A first profile for sample logs: TOML with the keys that the data prove, their evidence, and questions.
 
-A question stands as ``# QUESTION: key: words`` above the key, which is commented out with a possible answer: to take
-the remark sign off the key, and to correct its value, answers it. Only what would change a number silently is asked,
-and at most `MOST_QUESTIONS`: columns that neither their names nor the motion identifies, units that neither the file
-nor the wall law of the command shows.
+A question is a line ``# QUESTION: key: words`` above the key, which is commented out with a possible answer: uncomment
+the key and correct its value to answer it. Only keys that would change numbers silently are asked, at most
+`MOST_QUESTIONS`: columns that neither their names nor the motion identifies, units that neither the file nor the wall
+law of the command shows.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pipeline.shell.profile.roles import Answer
 from pipeline.shell.profile.samples import Sample, open_sample
 
 MOST_QUESTIONS = 5
-"""Questions of a draft: more are not read, and each answer opens the next ones."""
+"""Largest number of questions of a draft: users do not read more, and each answer leads to the next ones."""
 
 LISTED = 24
-"""Most columns, and values outside the table, that the draft lists as comments; a bag has hundreds."""
+"""Largest number of columns, and of values outside the table, listed as comments in a draft; a bag has hundreds."""
 
 
 def draft_profile(path: Path, *others: Path) -> str:
-    """Return a first profile for a sample as TOML text, with a line for each other sample that is not of its form.
+    """Return a first profile for a sample as TOML text, with a line for each other sample of a different form.
 
     Raises
     ------
     UsageError
         If the file cannot be read.
     ProfileError
-        If it is a native log, which needs none, or no columns are found in it.
+        If it is a native log, which needs no profile, or contains no columns.
     """
     try:
         sample = open_sample(path)
@@ -59,7 +59,7 @@ def draft_profile(path: Path, *others: Path) -> str:
 
 
 def _difference(sample: Sample, other: Sample) -> str:
-    """Return a comment on how another file differs from the sample; empty where one profile reads both."""
+    """Return a comment on how another file differs from the sample; empty if one profile reads both."""
     own, found = (
         {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [*s.contents.columns]}
         for s in (sample, other)
@@ -117,7 +117,7 @@ def _remarks(sample: Sample) -> Iterator[str]:
 
 
 def file_pattern(name: str) -> str:
-    """Return the pattern of the names of a file and of its neighbours, which differ in their numbers."""
+    """Return the common pattern of the name of a file and its neighbours, whose names differ only in numbers."""
     suffix = "".join(Path(name).suffixes[-2 if name.lower().endswith((".gz", ".zst")) else -1 :])
     pattern = re.sub(r"-?\d+(?:[.,]\d+)*", "*", re.sub(r"[\[*?]", "?", name.removesuffix(suffix)))
     return (pattern if "*" in pattern else "*") + suffix

@@ -1,4 +1,4 @@
-"""Keys of a profile that sample logs prove, with the evidence, and questions about the others.
+"""Profile keys that sample logs prove, with the evidence, and questions about the others.
 
 The wall law of a command identifies its columns, signs, step, and the units of stiffness and damping in file names. A
 free motion identifies the column that it follows. Time stamps show their unit and the sampling period. Headings and
@@ -52,20 +52,20 @@ from pipeline.shell.profile.roles import (
 from pipeline.shell.profile.samples import SPEEDS, Sample
 
 ROUND = 5e-3
-"""Part by which a number that the command obeys may differ from a round one that is taken for it."""
+"""Largest relative deviation of an identified gain from the round number that replaces it."""
 
 MOST_LAWS = 12
-"""Samples whose wall law is looked for."""
+"""Largest number of samples in which a wall law is sought."""
 
 
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORECASE)
-"""Stiffness or damping in the name of a file."""
+"""Stiffness or damping in a file name."""
 
 
 class WallLaw(NamedTuple):
-    """The wall law that the command of a log obeys, its columns by role, and the units in which they are plausible.
+    """The wall law that the command of a log obeys, its columns by role, and their plausible units.
 
-    ``first_row`` says whether the command is at its step from the first row on; ``kind`` what moves the device.
+    ``first_row`` is True if the step has already happened in the first row; ``kind`` is the excitation of the device.
     """
 
     law: WallGains
@@ -76,20 +76,20 @@ class WallLaw(NamedTuple):
     kind: Excitation
 
     def obeyed(self, key: str) -> float:
-        """Return what the command obeys [SI]; a stiffness and a damping without the direction of the position."""
+        """Return a gain that the command obeys [SI]; stiffness and damping without the sign of the position axis."""
         value = self.in_si[key]
         return value if key == "step" else abs(value)
 
     @property
     def in_si(self) -> dict[str, float]:
-        """Stiffness, damping and step, if the units that are proposed are right."""
+        """Stiffness, damping and step [SI], assuming that the proposed units are right."""
         length, force = (UNITS[self.units[role][0]].factor for role in ("position", "command"))
         factors = {"stiffness": force / length, "damping": force / length, "step": force}
         return {key: near_round(getattr(self.law, key) * factor) for key, factor in factors.items()}
 
 
 def near_round(value: float) -> float:
-    """Return the round number that a value stands for, where one is near; else four digits of it.
+    """Return the nearest round number if it is close to the value, else the value with four digits.
 
     >>> near_round(1200.3), near_round(7.96), near_round(0.12345678), near_round(0)
     (1200.0, 7.96, 0.1235, 0.0)
@@ -102,7 +102,7 @@ def near_round(value: float) -> float:
 
 
 def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
-    """Return the keys of a profile that samples of one form show, and those that have to be asked, in their order.
+    """Return the profile keys that samples of one form show, and questions about the others, in their order.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
 
 
 _WALLS_GIVEN = ("units", "name_pattern", "attributes.st", "attributes.damping", "condition_columns")
-"""Begins of the places by which a profile gives walls."""
+"""Prefixes of the keys by which a profile gives walls."""
 
 
 def _keys(answers: Answers) -> set[str]:
@@ -139,7 +139,7 @@ def _keys(answers: Answers) -> set[str]:
 
 
 def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return where the files state stiffness, damping and step, and in which unit, as their commands show."""
+    """Return the places in the files that state stiffness, damping and step, and their units, as the commands show."""
     known = {tuple(law.columns.values()) for law in laws}
     pairs = [(each, law) for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
     pairs = [(each, law) for each, law in pairs if tuple(law.columns.values()) in known]
@@ -157,7 +157,7 @@ def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) 
         place = place_of({at: each for at, each in inside.items() if at[1] not in _values(found)}, obeyed, NAMES[key])
         if place is None:
             continue
-        # in SI they are only where the units of the columns are known
+        # they are in SI only if the units of the columns are known
         columns = ("command",) if key == "step" else ("command", "position")
         sure = all(len(first.units[role]) == 1 for role in columns)
         unit = proved_unit(inside[place], obeyed, key, kind) if sure else None
@@ -176,11 +176,11 @@ _SHOWN = {
     "release": "the device leaves a position that is not 0, and the command is that of a wall at 0 from there on",
     "hit": "the device is hit, and the command is that of the wall alone before and behind it",
 }
-"""What shows that there is no step."""
+"""Evidence that there is no step."""
 
 
 def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
-    """Return what moves the devices of samples where it is no step, and what shows it."""
+    """Return the excitation of the samples if it is not a step, and the evidence."""
     kinds = Counter(law.kind for law in laws).most_common(1)
     if kinds:
         return Answer(kinds[0][0], _SHOWN[kinds[0][0]]) if kinds[0][0] in _SHOWN else None
@@ -195,7 +195,7 @@ def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: An
 
 
 def trials_of(samples: Sequence[Sample]) -> list[Sample]:
-    """Return one sample for each trial, of some of the trials of a file."""
+    """Return one sample per trial, for a selection of the trials of a file."""
     found: list[Sample] = []
     for each in samples:
         some = spread(each.trials, MOST_LAWS)
@@ -204,8 +204,8 @@ def trials_of(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
-    """Return the wall laws of samples in the columns that most of them have: of a wall without damping, command and
-    position obey each other's law."""
+    """Return the wall laws of samples in the columns of the majority: without damping, command and position are
+    interchangeable in the law."""
     laws = [law for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
     counts = Counter(tuple(law.columns.values()) for law in laws)
     if not counts:
@@ -213,7 +213,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     columns, count = counts.most_common(1)[0]
     alike = [law for law in laws if tuple(law.columns.values()) == columns] if 2 * count > len(laws) else []
     against = 2 * sum(law.law.stiffness < 0 for law in alike) > len(alike)
-    # those of the usual direction first
+    # laws with the usual direction first
     return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
@@ -222,7 +222,7 @@ _ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "condition
 
 
 def wall_law(sample: Sample) -> WallLaw | None:
-    """Return what the numbers of a log show; None where no columns obey a wall law with a stiffness."""
+    """Return the wall law of a log; None if no columns obey one with a stiffness."""
     likely, numbers = likely_roles(sample), sample.numbers
     time, own = likely["time"], (likely["command"], likely["position"])
     tried = [name for name in list(numbers)[:MOST_TRIED] if name != time]
@@ -238,7 +238,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
             continue
         factor = UNITS[units["time"][0]].factor
         law = wall_gains(stamps * factor, force, place)
-        # a column that is a multiple of another one obeys a law without damping and step
+        # a multiple of another column obeys a law without damping and step
         sure = law is not None and (law.step or (law.stiffness * law.damping > 0 and (len(tried) == 2 or pair == own)))
         kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
         if law is not None and kind is not None:
@@ -248,10 +248,10 @@ def wall_law(sample: Sample) -> WallLaw | None:
 
 
 def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) -> Excitation | None:
-    """Return what moves a device whose command obeys a law; None where nothing does that is seen.
+    """Return the excitation of a device whose command obeys a wall law; None if none is visible.
 
-    A release from a position looks like a step of the wall's force at that position. It is a release if that wall is at
-    the position 0, which does not happen by chance with a step.
+    A release from a position looks like a step by the wall force at that position. It is a release if the wall is then
+    at position 0, which a step does not give by chance.
     """
     way = float(np.sign(law.stiffness))
     wall = (abs(law.stiffness), way * law.damping, 0.0, float(np.median(np.diff(time))))
@@ -297,7 +297,7 @@ def _logs(count: int) -> str:
 
 
 def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
-    """Return the unit of a column: as the file states it, or as its numbers prove; else the question."""
+    """Return the unit of a column from the file or from its numbers; otherwise the question."""
     stated = stated_unit(sample, role, name)
     if stated:
         return Answer(stated, f"the file says {stated!r}")
@@ -322,7 +322,7 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
 
 
 def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
-    """Return the unit of stamps over which a velocity integrates to its position: velocities count per second."""
+    """Return the unit of stamps for which a velocity integrates to its position: velocities are per second."""
     for place in list(sample.numbers)[:MOST_TRIED]:
         found = rate_of(sample, time, place)
         if found is None:
@@ -333,7 +333,7 @@ def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
 
 
 def _unit_of_file(sample: Sample) -> Answer | None:
-    """Return the unit of positions that a value of the file states as ``units``; None where it states none."""
+    """Return the unit of positions that the file states as ``units``; None if it states none."""
     for name, value in sample.contents.attributes.items():
         unit = find_unit(str(value)) if re.split(r"[./@]", name)[-1].lower() in ("unit", "units") else None
         if unit is not None and unit.quantity in QUANTITIES["position"].values():
@@ -342,7 +342,7 @@ def _unit_of_file(sample: Sample) -> Answer | None:
 
 
 def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | None) -> Answer:
-    """Return the sign of a column: 1 but for a position that falls where the command pushes."""
+    """Return the sign of a column: 1, except for a position that decreases under a positive command."""
     if role == "command":
         return Answer(1, "the direction of the command counts as positive")
     if law is not None:
@@ -372,7 +372,7 @@ def _names(sample: Sample, paths: Sequence[Path], law: WallLaw | None) -> Answer
 
 
 def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers:
-    """Return names and sampling period."""
+    """Return device and experiment names and the sampling period."""
     found = {"constants.device": Answer("bench", "any name"), "constants.experiment": Answer("1", "any name")}
     place = "constants.sampling_period_s"
     unit = columns.get("columns.time.unit")
@@ -388,7 +388,7 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
 
 
 def _stated_period(sample: Sample) -> Answers:
-    """Return the sampling period of a file without time stamps: a value outside the table; else the question."""
+    """Return the sampling period of a file without time stamps: a value outside the table, otherwise the question."""
     place = "constants.sampling_period_s"
     stated: dict[str, set[float]] = {}
     for name, value in sample.contents.attributes.items():
@@ -416,11 +416,11 @@ _PERIODS = (
     "sampling_time",
     "wf_increment",
 )
-"""Names of values outside a table that are its sampling period."""
+"""Names of the sampling period among values outside a table."""
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return stiffness, damping and step, or their units where the names of files have them."""
+    """Return stiffness, damping and step, or only their units if file names contain the values."""
     pattern = str(names["name_pattern"].value) if "name_pattern" in names else ""
     in_names = [_numbers_in_name(pattern, each) if pattern else {} for each in samples[: len(laws) or 1]]
     named = in_names[0]
@@ -436,7 +436,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
         if key == "step" and law.kind != "step":
             continue
         if key in named:
-            # the command obeys the number in the file name in this unit
+            # in this unit, the command obeys the number in the file name
             pairs = ((value, abs(numbers[key])) for value, numbers in zip(mine, in_names, strict=False))
             ratio = next((value / number for value, number in pairs if value and number), None)
             if ratio is None or drive:
@@ -455,7 +455,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
 
 
 def _asked_walls(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
-    """Yield questions on walls whose stiffness is in the file names and whose wall law no command shows."""
+    """Yield questions about walls with the stiffness in file names but no visible wall law in a command."""
     for key in named:
         units = [symbol for symbol, unit in UNITS.items() if unit.quantity == key]
         words = (
@@ -468,7 +468,7 @@ def _asked_walls(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
 
 
 def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
-    """Return the numbers that a pattern takes from the name of a sample; 0 for one that cannot be read."""
+    """Return the numbers that a pattern extracts from the name of a sample; 0 for an unreadable one."""
     numbers = dict.fromkeys(find_groups(pattern, sample.name) or (), 0.0)
     decimal = str(sample.layout.keys.get("decimal", "."))
     with suppress(ValueError):
@@ -478,12 +478,12 @@ def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
 
 
 def _wall_in_name(stem: str) -> str:
-    """Return the pattern of a name that has a stiffness or a damping, each once; empty where it has not."""
+    """Return the pattern of a name that contains stiffness or damping once each; otherwise an empty text."""
     found = [match.groups() for match in _NAMED_WALL.finditer(stem)]
     letters = [letter.upper() for letter, *_ in found]
     if "K" not in letters or len(set(letters)) < len(letters):
         return ""
     groups = {"K": "stiffness", "B": "damping"}
-    # a dash behind both letters parts them from their numbers; behind one alone it is its sign
+    # a dash after both letters is a separator; after only one it is a minus sign
     dash = "-" if len(found) > 1 and all(minus for *_, minus in found) else ""
     return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.,]?[0-9]*)" for k, sign, _ in found)

@@ -1,6 +1,6 @@
-"""Which column of a log is its time, command and position: by names, stated units, and how one follows the other.
+"""Which column of a log is its time, command and position: identified by names, stated units, and the motion.
 
-A question is left where two columns may both be one of them; its candidates are listed.
+If several columns are possible, a question lists the candidates.
 """
 
 from __future__ import annotations
@@ -22,24 +22,25 @@ from pipeline.records.trials import Floats
 from pipeline.shell.profile.samples import SPEEDS, Sample
 
 MOST_TRIED = 8
-"""Columns of numbers that are tried as command and position."""
+"""Largest number of numeric columns tried as command and position."""
 
 CLEARLY = 3.0
-"""Factor by which one pair of columns must explain the motion better than all others to be taken."""
+"""Factor by which the selected pair of columns must explain the motion better than all others."""
 
 AGREE = 0.02
-"""Part by which the sampling periods of two clocks may differ that are one."""
+"""Relative tolerance between the sampling periods of two equivalent clocks."""
 
 REGULAR = 0.02
-"""Part by which the steps of a clock may differ where other columns rise in every row, too."""
+"""Relative tolerance of the steps of a clock if other columns also increase in every row."""
 
 IS_RATE = 0.05
-"""Part of a motion that the integral of its velocity may leave: rows are few, and velocities are filtered."""
+"""Largest residual of a motion after subtracting the integral of its velocity, relative to the motion: rows are few,
+and velocities are filtered."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Value of a key of a profile, and what shows it; or the question that has to be answered, with a proposal."""
+    """Value of a profile key with its evidence, or an open question with a proposal."""
 
     value: Any
     evidence: str = ""
@@ -50,8 +51,8 @@ Answers = dict[str, Answer]
 
 
 class Role(NamedTuple):
-    """Names that a column of this role may have, units in the order in which they are proposed, and the range [SI] of
-    sampling period, command and position in one log of a device."""
+    """Usual column names of a role, units in the order of proposal, and the plausible range [SI] of sampling period,
+    command or position in one log."""
 
     names: str
     units: tuple[str, ...]
@@ -80,7 +81,7 @@ _WORDS = {
     "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|actions?",
     "position": r"position|pos|angle|winkel|weg|lage|place|displacement|encoder|velocity|speed|geschwindigkeit",
 }
-"""Words in the names of columns that belong to a role, where no name is one by itself."""
+"""Words in column names that indicate a role, used if no full name does."""
 
 _ASKED = {
     "time": 'which column is the time stamps (without any: kind = "sampled")?',
@@ -90,7 +91,7 @@ _ASKED = {
 
 
 def stated_unit(sample: Sample, role: str, name: str) -> str:
-    """Return the unit that the file states for a column, where it is one of its role; else an empty text."""
+    """Return the unit that the file states for a column if it fits the role; otherwise an empty text."""
     said = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
     unit = find_unit(said)
     allowed = {*QUANTITIES[role].values(), *(SPEEDS if role == "position" else DRIVES if role == "command" else ())}
@@ -98,7 +99,7 @@ def stated_unit(sample: Sample, role: str, name: str) -> str:
 
 
 def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[str]:
-    """Return the units in which the numbers of a column are those of a device; the stated one alone where it is one."""
+    """Return the units in which the numbers of a column are plausible; only the stated one if it is plausible."""
     _, units, low, high = ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
     stated = stated_unit(sample, role, name)
@@ -109,7 +110,7 @@ def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[s
 
 
 def likely_roles(sample: Sample) -> dict[str, str]:
-    """Return for each role a column that is likely by its name; a clock rises in every row."""
+    """Return the likely column of each role by name; a clock must increase in every row."""
     likely, numbers = dict[str, str](), sample.numbers
     for role in ROLES:
         left = [name for name in numbers if name not in likely.values()]
@@ -121,16 +122,16 @@ def likely_roles(sample: Sample) -> dict[str, str]:
 
 
 def _named(sample: Sample, role: str, names: Iterable[str]) -> list[str]:
-    """Return the columns whose whole name is one of a role."""
+    """Return the columns whose full name is a usual name of a role."""
     return [name for name in names if re.fullmatch(ROLES[role].names, sample.unit(name, role)[0])]
 
 
 def named_roles(sample: Sample) -> dict[str, Answer]:
-    """Return the column of each role without a wall law: what its name or the motion shows, else the question."""
+    """Return the column of each role without a wall law: identified by name or motion, otherwise the question."""
     numbers, times = sample.numbers, sample.contents.units
     rising = [name for name in numbers if (np.diff(numbers[name]) > 0).all()]
     time = _clock(sample, rising)
-    # what rises in every row by equal steps is a counter, what has a unit of time by its type a stamp
+    # a column that increases by equal steps is a counter; one with a time unit by its type is a stamp
     moving = [name for name in numbers if name != time.value and np.ptp(numbers[name]) > 0 and name not in times]
     others = [name for name in moving if name not in rising or np.ptp(np.diff(numbers[name])) > 0]
     others = [name for name in others if name not in _named(sample, "time", others)]
@@ -151,13 +152,13 @@ def named_roles(sample: Sample) -> dict[str, Answer]:
 
 
 def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Answer | None) -> dict[str, Answer]:
-    """Return command and position by stated units and names; the questions where these leave several."""
+    """Return command and position by stated units and names; questions if several columns remain."""
     named: dict[str, list[str]] = {}
     for role, words in _WORDS.items():
         by_unit = [name for name in others if _has_unit_of(sample, role, name)]
         by_word = [name for name in others if _has_word(sample.title(name).lower(), words)]
         whole = _named(sample, role, others)
-        if role == "position":  # a velocity is one where there is no position
+        if role == "position":  # a velocity replaces a missing position
             whole = [name for name in whole if not _is_speed(sample, name)] or whole
         named[role] = by_unit or whole or by_word
     sure = {role: names[0] for role, names in named.items() if len(names) == 1}
@@ -177,7 +178,7 @@ def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Ans
             taken = [time.value, *sure.values()]
             order = [name for name in (*named[role], *left, *sample.numbers) if name not in taken]
             found[role] = _asked(role, order or list(sample.numbers))
-            # two questions with one proposal would be one answer too many
+            # two questions must not propose the same column
             if role == "position" and found["command"].question and found["command"].value == found[role].value:
                 rest = [name for name in order if name != found["command"].value]
                 found[role] = _asked(role, rest or order or list(sample.numbers))
@@ -185,7 +186,7 @@ def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Ans
 
 
 def _has_word(title: str, words: str) -> bool:
-    """Return whether a heading has one of the words, and none of a switch or a limit."""
+    """Return whether a heading contains one of the words, and no word for a switch or a limit."""
     return all(
         (re.search(rf"(?<![a-z])({each})(?![a-z])", title) is not None) == wanted
         for each, wanted in ((words, True), (r"enabled?|limits?|modes?|status|flags?|supply", False))
@@ -197,9 +198,9 @@ def _is_speed(sample: Sample, name: str) -> bool:
 
 
 def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
-    """Return whether the file states a unit of a role apart from the name; of a position, that of no velocity.
+    """Return whether the file states a unit of a role outside the name; for a position, units of velocity do not count.
 
-    What stands behind an underscore may be a part of the name, such as that of a supply in volts.
+    A suffix after an underscore may be part of the name, such as that of a supply voltage.
     """
     unit = find_unit(stated_unit(sample, role, name))
     apart = sample.title(name).rstrip().endswith(("]", ")")) or name in sample.contents.hints
@@ -207,7 +208,7 @@ def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
 
 
 def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer | None:
-    """Return the command that has one value from the first row on, as its name or the other trials of the file show."""
+    """Return the command that is constant from the first row, identified by its name or by other trials of the file."""
     constant = [name for name in still if name != time and sample.numbers[name][0] and not np.ptp(sample.numbers[name])]
     differing = [name for name in constant if len(set(values_of_trials(sample, name))) > 1]
     if len(differing) == 1:
@@ -219,17 +220,17 @@ def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer
 
 
 def values_of_trials(sample: Sample, name: str) -> list[float]:
-    """Return the value of a column in each trial of a file where it is constant; none where it changes in one."""
+    """Return the value of a column in each trial of a file; empty if it is not constant in one of them."""
     columns = [trial.columns[name] for trial in sample.trials if name in trial.columns]
     changes = [column for column in columns if column.dtype.kind == "U" or np.ptp(column)]
     return [] if changes else [float(column[0]) for column in columns]
 
 
 def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str, float] | None:
-    """Return the column that is the rate of another one, and the seconds of a unit of time by which it is; else None.
+    """Return the column that is the rate of another one, and the implied unit of time in seconds; otherwise None.
 
-    A velocity is the change of its position per second: what its integral over the stamps has to be multiplied by is
-    the unit of the stamps. It is returned where it is the factor of a known unit.
+    A velocity is the change of its position per second: the factor between its integral over the stamps and the
+    position is the unit of the stamps. It is returned only if it belongs to a known unit.
     """
     numbers = sample.numbers
     for name in numbers:
@@ -253,7 +254,7 @@ def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str
 
 
 def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> list[str]:
-    """Return columns without those that are the rate of another one, as long as so many are left."""
+    """Return columns without those that are the rate of another one, as long as at least `fewest` remain."""
     rates: list[str] = []
     for name in names[:MOST_TRIED] if len(names) > fewest else ():
         found = rate_of(sample, time, name) if name not in rates else None
@@ -264,7 +265,7 @@ def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> 
 
 
 def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
-    """Return the column of time: the only one that rises in every row, or the most regular of clocks that agree."""
+    """Return the time column: the only one that increases in every row, or the most regular of consistent clocks."""
     numbers = sample.numbers
     fitting = _named(sample, "time", numbers)
     clocks = [name for name in fitting if name in rising] or list(rising)
@@ -287,14 +288,14 @@ def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
 
 
 def _asked(role: str, names: Sequence[str]) -> Answer:
-    """Return the question which column has a role, with the candidates."""
+    """Return the question of which column has a role, with the candidates."""
     candidates = list(dict.fromkeys(names))
     listing = f" Candidates: {', '.join(candidates[:MOST_TRIED])}." if len(candidates) > 1 else ""
     return Answer(candidates[0], question=f"{_ASKED[role]}{listing}")
 
 
 def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return the command and the position that follows it, where one pair explains the motion clearly best."""
+    """Return command and position if one pair of columns explains the motion clearly better than all others."""
     numbers = sample.numbers
     stamps = numbers.get(time)
     if stamps is None or len(names) > MOST_TRIED:
@@ -315,17 +316,17 @@ def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str
 
 
 def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return command and position of two columns, where one has few values and changes before the other moves."""
+    """Return command and position of two columns if one has few values and changes before the other moves."""
     columns = [sample.numbers[name] for name in names]
     if len(columns) != 2 or len(columns[0]) != len(columns[1]):
         return None
     units = {sample.unit(name, "position")[1] for name in names}
     begins = [int(np.argmax(column != column[0])) for column in columns]
     values = [len(np.unique(column)) for column in columns]
-    if len(units) == 1 and units != {""}:  # a set-point has the unit of its position
+    if len(units) == 1 and units != {""}:  # a set-point has the same unit as its position
         return None
     for at, other in ((0, 1), (1, 0)):
-        # a reading that flickers comes back before the device moves
+        # a noisy reading returns to its value before the device moves
         stays = (columns[at][begins[at] : begins[other] + 1] != columns[at][0]).all()
         if begins[at] < begins[other] and stays and values[at] <= values[other]:
             return names[at], names[other]

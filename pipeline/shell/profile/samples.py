@@ -1,4 +1,4 @@
-"""A log of which nothing is known, opened for a look: its format, its layout, and its columns of numbers."""
+"""An unknown log opened for inspection: its format, its layout, and its numeric columns."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pipeline.readers.isolation import read_file
 from pipeline.records.trials import Floats
 
 SPEEDS = frozenset(QUANTITIES["velocity"].values())
-"""Quantities of a column that a position is the integral of."""
+"""Quantities of a column whose integral is a position."""
 
 _BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
-"""Quantities that a column may have instead of its usual one."""
+"""Alternative quantities of a column."""
 
 
 _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
@@ -30,7 +30,7 @@ _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
 
 class Sample(NamedTuple):
     """An unknown log: its format, keys of its layout and questions about them, its contents, and the contents of each
-    trial where the file has several."""
+    trial if the file has several."""
 
     name: str
     kind: Format
@@ -40,12 +40,12 @@ class Sample(NamedTuple):
 
     @property
     def numbers(self) -> dict[str, Floats]:
-        """Columns of numbers with several rows, by name."""
+        """Numeric columns with several rows, by name."""
         columns = self.contents.columns.items()
         return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
 
     def title(self, name: str) -> str:
-        """Return the heading of a column, which may stand in a remark."""
+        """Return the heading of a column, which may come from a comment line."""
         return self.layout.titles.get(name, name)
 
     def unit(self, name: str, role: str) -> tuple[str, str]:
@@ -53,17 +53,17 @@ class Sample(NamedTuple):
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
         plain, unit = unit_in_heading(self.title(name), allowed)
         said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
-        # what is called "data" is called like what it is of
+        # a column named "data" takes the name of its parent
         plain = _OF_ANOTHER.sub("", plain) or plain
         return re.split(r"[./]", plain)[-1].strip().lower(), said
 
 
 SHORTEST_TRIAL = 10
-"""Rows of a trial in a long table."""
+"""Smallest number of rows of a trial in a long table."""
 
 
 def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
-    """Return the column of a long table that numbers the trials, and their rows: time restarts where it changes."""
+    """Return the column that numbers the trials of a long table, and their rows: time restarts in each."""
     columns = contents.columns
     rows = len(next(iter(columns.values()), ()))
     if any(len(column) != rows for column in columns.values()) or rows < 2 * SHORTEST_TRIAL:
@@ -74,7 +74,7 @@ def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
         steps = np.diff(clock.astype(np.float64))
         starts = np.flatnonzero(steps < 0) + 1
         ends = np.array([0, *starts.tolist(), rows])
-        # within a trial it rises in every row, or is no clock
+        # a clock increases in every row within a trial
         if not len(starts) or min(np.diff(ends)) < SHORTEST_TRIAL or (np.delete(steps, starts - 1) <= 0).any():
             continue
         blocks = [slice(first, behind) for first, behind in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
@@ -86,14 +86,14 @@ def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
 
 
 def _rows_of(contents: FileColumns, rows: slice) -> FileColumns:
-    """Return some rows of the contents of a file."""
+    """Return a range of rows of the contents of a file."""
     return replace(
         contents, columns={name: column[rows] for name, column in contents.columns.items()}, row=contents.row[rows]
     )
 
 
 def open_sample(path: Path) -> Sample:
-    """Return a log of which nothing is known.
+    """Open an unknown log.
 
     Raises
     ------
