@@ -453,7 +453,7 @@ def _sensor_variance(
     start = max(first, 1)
     resting, moved = slopes[:, 1:start], slopes[:, start:rows]
     at_rest, in_motion = resting.sum(axis=1), moved.sum(axis=1)
-    # the first reading is the reference of all others, which share the lasting part of its error until the motion;
+    # the first reading is the reference of all others, which share its lasting error until the device moves;
     # the wall pulls the device towards the first reading
     alone = _squares(resting) + (at_rest + in_motion) ** 2
     variance = error.sensor**2 * (_squares(moved) + error.wandering * alone + error.lasting * in_motion**2)

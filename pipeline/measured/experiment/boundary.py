@@ -281,8 +281,7 @@ def _outvoted(c: _Columns, sure: Booleans) -> Floats:
 
 
 def _witnessed(stiffness: Floats, said: Booleans) -> Booleans:
-    """Return for each trial whether `WITNESSES` trials, itself included, share its verdict at its stiffness or
-    beyond."""
+    """Return for each trial whether `WITNESSES` trials, including itself, share its verdict at least as far out."""
     far = np.sort(np.where(said, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
     found: Booleans = said & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
     return found

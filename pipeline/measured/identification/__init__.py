@@ -1,1 +1,2 @@
-"""One model of an experiment, one likelihood, one interval: arrays of logs in, an identified device out."""
+"""Identification of an experiment: one model, one likelihood, one interval; from arrays of logs to an identified
+device."""

@@ -1,7 +1,7 @@
-"""The table between the numbers of the estimator and the parameters of a loop.
+"""Conversion table between the numbers of the estimator and the parameters of a loop.
 
 The estimator works per sample and with mass 1, in `LogUnits`: ``gain`` is the acceleration per command, ``coulomb`` and
-``force`` are accelerations, ``limit`` is a command, all others shape the motion (`motion.PlantShape`).
+``force`` are accelerations, ``limit`` is a command; all others determine the shape of the motion (`motion.PlantShape`).
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ Numbers = dict[str, float]
 """Numbers of the estimator by name."""
 
 Quantity = Callable[[Numbers], float]
-"""A quantity in SI as a function of the estimator's numbers."""
+"""Function that returns a quantity in SI from the estimator's numbers."""
 
 Conversion = Callable[[Numbers, LogUnits], float]
-"""What makes a quantity in SI, per unit of command, of the numbers and the units of the logs."""
+"""Function that returns a quantity in SI, per unit of command, from the numbers and the units of the logs."""
 
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """One parameter of a loop that the estimator knows.
+    """Parameter of a loop that the estimator determines.
 
     Parameters
     ----------
     name : str
         In `PARAMETERS`.
     number : str
-        Number of the estimator with which a device has it.
+        Number of the estimator whose presence means that a device has the parameter.
     conversion : callable
-        Makes its value.
+        Function that returns its value.
     key : str
         Name in the document of `pipeline identify`.
     ends_at_zero : bool
-        Whether its interval ends at 0, by the profile likelihood there.
+        Whether its interval is bounded by 0, using the profile likelihood there.
     """
 
     name: str
@@ -49,11 +49,11 @@ class EstimatedParameter:
     ends_at_zero: bool = True
 
     def quantity(self, units: LogUnits) -> Quantity:
-        """Return its value as a function of the numbers."""
+        """Return the parameter's value as a function of the numbers."""
         return lambda numbers: self.conversion(numbers, units)
 
     def unit_size(self, mass: float, units: LogUnits) -> float:
-        """Return the size, in SI, of which computing leaves an error where its value is 0; 0 where it is never 0."""
+        """Return the size [SI] that determines the numerical error if the value is 0; 0 if it is never 0."""
         parameter = PARAMETERS[self.name]
         if parameter.positive:
             return 0.0
@@ -73,12 +73,12 @@ def _mode_damping_ratio(n: Numbers, _: LogUnits) -> float:
 
 
 def _per_mass(number: str, power: int) -> Conversion:
-    """Return what makes a damping or stiffness of a number per sample and mass."""
+    """Return the conversion of a number per sample and mass into a damping or stiffness."""
     return lambda n, units: n[number] / units.period**power * _mass(n, units)
 
 
 def _force(number: str) -> Conversion:
-    """Return what makes a force of an acceleration."""
+    """Return the conversion of an acceleration into a force."""
     return lambda n, units: n[number] / n["gain"] * units.command
 
 
@@ -108,9 +108,9 @@ _ROWS = (
 )
 
 ESTIMATED: dict[str, EstimatedParameter] = {row.name: row for row in _ROWS}
-"""What the estimator knows of a loop by names of `PARAMETERS`, in its order."""
+"""Parameters of a loop that the estimator determines, by names of `PARAMETERS`, in its order."""
 
 
 def estimated_names(numbers: Numbers) -> list[str]:
-    """Return the parameters that a device with some numbers has."""
+    """Return the parameters of a device with the given numbers."""
     return [name for name, row in ESTIMATED.items() if row.number in numbers]

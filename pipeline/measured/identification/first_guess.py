@@ -1,4 +1,4 @@
-"""A device from which a search starts: balances of forces that are integrated twice, by least squares over segments."""
+"""Initial device of a search: twice integrated force balances, solved by least squares over segments."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 ROBUST_ROUNDS = 4
-"""Rounds of least squares and weights for a start."""
+"""Number of iterations of reweighted least squares for a starting value."""
 
 ALIKE = 0.7
-"""Share of the fall of the logarithm of what is left, by the best delay, from which on a shorter one may be it, too."""
+"""Share of the largest decrease of the log residual over all delays, above which a shorter delay is also plausible."""
 
 MIRRORED = 2.0
-"""Fall of the logarithm of what is left from which on a device moves against its command: 8 and more where a sign is
-wrong, below 0 where it is right."""
+"""Decrease of the log residual above which a device moves against its command: 8 and more for a wrong sign, below 0 for
+a correct one."""
 
 ROUNDED = 1e-12
-"""Least eigenvalue of a scaled matrix of normal equations, relative to the largest; what is less is rounding."""
+"""Smallest eigenvalue of a scaled matrix of normal equations, relative to the largest; smaller ones are rounding
+errors."""
 
 SMALLEST_SHARE = 1e-6
-"""Share of a column, as the square root of that of `numpy.linalg.lstsq`, below which it is rounding of the others."""
+"""Share of a column (square root of that of `numpy.linalg.lstsq`) below which it is a rounding error of the others."""
 
 VISIBLE = 4.0
-"""Squares of a segment's deviations from a straight line, in those of its noise, from which on its motion is visible:
-a plateau at constant speed has no information on the mass, however long it is."""
+"""Sum of squares of a segment's deviations from a straight line, relative to that of its noise, above which its motion
+is visible: a plateau at constant speed has no information on the mass, however long it is."""
 
 RESTING = (
     "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. "
@@ -41,23 +42,23 @@ RESTING = (
 
 
 BALANCED = ("gain", "delta", "gamma", "coulomb", "force")
-"""Numbers of a balance of forces."""
+"""Numbers of the force balance."""
 
 MOST_SEGMENTS = 60
-"""Segments that are balanced, spread over all."""
+"""Largest number of segments used for the force balance, spread evenly over all segments."""
 
 
 def first_guesses(segments: Segments, names: tuple[str, ...], most_delay: float) -> list[Device]:
-    """Return devices from which a search starts: the best integer delay for the twice integrated balance of forces.
+    """Return initial devices of a search, with the best integer delay of the twice integrated force balance.
 
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
-    from the segment's start: linear, and errors of readings enter almost undisturbed. The second device is that
-    without a spring, where one moves along its command.
+    from the segment's start. This is linear, and hardly amplifies errors of readings. The second device has no spring;
+    it is included if such a device moves along its command.
 
     Raises
     ------
     ParameterError
-        If it moves against its command.
+        If the device moves against its command.
     """
     some = segments.select(spread(segments, MOST_SEGMENTS))
     known = [name for name in BALANCED if name in names]
@@ -81,12 +82,12 @@ def first_guesses(segments: Segments, names: tuple[str, ...], most_delay: float)
 
 
 def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) -> dict[str, float]:
-    """Return the numbers of the balance with the best delay; none where there is no motion along the command."""
+    """Return the numbers of the balance with the best delay; none if there is no motion along the command."""
     numbers, lefts, weights = _robust(products)
     gain = names.index("gain")
     signs = np.stack([_left(products, numbers, floor), *np.full((2, len(delays)), np.inf)], axis=1)
     for place in np.flatnonzero(numbers[:, gain] < 0).tolist():
-        # late by half a period, or over rows far apart, a motion is that of a force the other way round as well
+        # a motion delayed by half a period, or with widely spaced rows, also fits a force of opposite sign
         fits = np.stack([_bounded(products[place], weights[place], names, sign) for sign in (1.0, -1.0, 0.0)])
         signs[place] = _left(products[place], fits, floor)
         numbers[place] = fits[0]
@@ -104,7 +105,7 @@ def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) ->
 
 
 def _way(segments: Segments) -> Floats:
-    """Return the integral of the position over each segment up to its rows; of one from rest, from where it rests."""
+    """Return the integral of the position over each segment up to its rows, relative to its rest position, if any."""
     parts = []
     for first, behind, rests in zip(segments.first, segments.behind, segments.rests, strict=True):
         way = segments.between[first:behind] - segments.position[first] * rests
@@ -113,7 +114,7 @@ def _way(segments: Segments) -> Floats:
 
 
 def _balances(segments: Segments, names: list[str], delay: float, once: Floats) -> Floats:
-    """Return the products of the columns of each segment and its position, without its start, (S, k + 1, k + 1)."""
+    """Return the products of the columns of each segment and its position, without initial state, (S, k + 1, k + 1)."""
     forces = [name for name in names if name != "delta"]
     transitions = Transitions.of(segments, PlantShape(delay=delay))
     columns, _, _ = kernels.whitened(
@@ -146,9 +147,9 @@ def _balances(segments: Segments, names: list[str], delay: float, once: Floats) 
 
 
 def shortest(lefts: Floats) -> int:
-    """Return the place of the shortest delay, from the shortest on, that is about as likely as the best of all.
+    """Return the index of the shortest delay that is about as likely as the best of all.
 
-    Where a mode makes most of the motion, all explain little, and a late one hardly more than the true one.
+    If a mode dominates the motion, all delays explain little of it, and a large one hardly more than the true one.
 
     >>> shortest(np.array([-0.054, -0.058, -0.057, -0.004, -0.053, -0.064])), shortest(np.array([-2.0, -6.0, -9.0]))
     (1, 2)
@@ -160,11 +161,11 @@ def shortest(lefts: Floats) -> int:
 
 
 def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return least squares over segments, the logarithm of the share of the motion that is left, and the weights.
+    """Return least squares over segments, the logarithm of the residual share of the motion, and the weights.
 
-    Of products (D, S, k + 1, k + 1) for D delays: shapes (D, k), (D,) and (D, S). A segment of which much more is left
-    than of most has little weight. The share is a mean over segments by how far they move, up to what most of them do:
-    one that grows without bound would decide alone.
+    Of products (D, S, k + 1, k + 1) for D delays: shapes (D, k), (D,) and (D, S). A segment with a much larger residual
+    than most has little weight. The share is a mean over segments, weighted by the distance they move up to that of
+    most segments: an unbounded motion would otherwise dominate.
     """
     way, weight = _ways(products), np.ones(products.shape[:2])
     for _ in range(ROBUST_ROUNDS):
@@ -185,32 +186,32 @@ def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _rest(products: Floats, found: Floats) -> Floats:
-    """Return the squares that numbers (..., k) leave of each segment, (..., S)."""
+    """Return the residual sum of squares of each segment for numbers (..., k), shape (..., S)."""
     whole = np.concatenate([-found, np.ones((*found.shape[:-1], 1))], axis=-1)
     return np.asarray(np.maximum(np.einsum("...i,...tij,...j->...t", whole, products, whole), 1e-300))
 
 
 def _ways(products: Floats) -> Floats:
-    """Return the weight of each segment in a mean: how far it moves, up to the median, with a sum of 1."""
+    """Return the weight of each segment in a mean: the distance it moves, up to the median, with a sum of 1."""
     way = np.sqrt(products[..., -1, -1])
     way = np.minimum(way, np.median(way, axis=-1, keepdims=True))
     return np.asarray(way / np.maximum(way.sum(axis=-1, keepdims=True), 1e-300))
 
 
 def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> Floats:
-    """Return the mean logarithm of the share of the motion of segments that each balance of forces leaves.
+    """Return the mean logarithm of the residual share of the motion of segments for each force balance.
 
-    ``floor`` is what the noise of readings leaves at least of each.
+    ``floor`` is the smallest residual of each due to the noise of readings.
     """
     left, moved = np.maximum(_rest(products, found), floor), np.maximum(products[..., -1, -1], floor)
     return np.asarray((_ways(products) * np.log(left / np.maximum(moved, 1e-300))).sum(axis=-1))
 
 
 def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) -> Floats:
-    """Return least squares over segments for a gain of one sign, or of 0, and no negative friction.
+    """Return least squares over segments for a gain of one sign, or 0, and nonnegative friction.
 
-    Damping, stiffness and Coulomb friction are not negative: with all of them reversed a device would follow its
-    command as well.
+    Damping, stiffness and Coulomb friction are nonnegative: with all of them reversed a device would also follow its
+    command.
     """
     from scipy.optimize import nnls
 
@@ -221,7 +222,7 @@ def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) ->
     ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
     signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
     columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
-    # where two columns are the same, as of friction and a constant force in one direction, both are small
+    # if two columns are equal, as for friction and a constant force in one direction, both are small
     columns = np.vstack([columns, SMALLEST_SHARE * np.eye(columns.shape[1])])
     amounts, _ = nnls(columns, np.append(root[:, -1], np.zeros(columns.shape[1])))
     found = np.zeros(len(names))

@@ -1,4 +1,4 @@
-"""What logs cannot identify: which parameters, why, the combination that is known, and what to record for more."""
+"""Parameters that logs cannot identify: which ones, why, the combination that is known, and what to record."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from pipeline.measured.identification.recordings import Recording
 from pipeline.records.trials import Floats
 
 WIDE = 0.5
-"""Half width of an interval, relative to its value, from which on a quantity cannot be identified: it may be three
-times as large at one end as at the other."""
+"""Half-width of an interval, relative to its value, above which a quantity is not identifiable: one end may be three
+times as large as the other."""
 
 FEWEST_COUNTS = 10
-"""Steps of the sensor that a device must move by in the largest log; presliding moves one by as many."""
+"""Smallest motion of a device in the largest log, in sensor steps; presliding alone causes as many."""
 
 STILL_COUNTS, SPRING_LIKE = 3.0, 0.5
-"""Steps of the sensor within which a device rests, and correlation of its position with the command from which on it
-follows that as a spring does: friction that does not slide is one."""
+"""Largest motion of a device at rest, in sensor steps, and smallest correlation of its position with the command at
+which it follows the command like a spring: friction that does not slide is one."""
 
 FEW_COUNTS = 100
-"""Steps of the sensor below which a device whose mass cannot be identified hardly moves."""
+"""Number of sensor steps below which a device whose mass cannot be identified hardly moves."""
 
 PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.coulomb", "constant_force"}
 """Parameters that cannot be identified without the mass."""
@@ -33,17 +33,17 @@ PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.
 
 @dataclass(frozen=True)
 class IdentifiableCombination:
-    """A combination that is known where its members are not.
+    """Combination of parameters that is known although its members are not.
 
     Parameters
     ----------
     code : str
     members : tuple of str
-        By names of `PARAMETERS`.
+        Names of the members as in `PARAMETERS`.
     interval : Interval
-        In SI.
+        Value and interval in SI.
     unit : str
-        A dimension of `parameters.UNITS`, else the unit itself.
+        Dimension of `parameters.UNITS`, otherwise the unit itself.
     record : str
         What to record to identify each of the members.
     """
@@ -57,7 +57,8 @@ class IdentifiableCombination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What was recorded: most sizes of the command in one direction, directions of it and of the motion, trials."""
+    """Content of the recordings: largest number of command sizes in one direction, directions of command and motion,
+    trials."""
 
     sizes: int
     signs: int
@@ -66,7 +67,7 @@ class Recorded:
 
     @classmethod
     def of(cls, recordings: list[Recording]) -> Recorded:
-        """Return what a set of recordings contains."""
+        """Return the content of a set of recordings."""
         largest = max(float(np.abs(each.command).max()) for each in recordings) or 1.0
         usual = np.round(
             [20 * float(np.median(each.command[len(each.command) // 4 :])) / largest for each in recordings]
@@ -84,7 +85,7 @@ class Recorded:
         )
 
     def remedy(self) -> str:
-        """Return what to record so that friction, a constant force and the mass can be separated."""
+        """Return what to record to separate friction, a constant force and the mass."""
         if self.sizes < 2:
             return "steps of two sizes in one direction"
         if self.directions < 2 or self.signs < 2:
@@ -93,7 +94,7 @@ class Recorded:
 
 
 def _turns(position: Floats) -> bool:
-    """Return whether a log goes there and back by a tenth of its range."""
+    """Return whether a log moves back and forth by a tenth of its range."""
     way = float(np.ptp(position))
     ahead = np.maximum.accumulate(position) - position
     behind = position - np.minimum.accumulate(position)
@@ -101,7 +102,7 @@ def _turns(position: Floats) -> bool:
 
 
 def is_identifiable(interval: Interval) -> bool:
-    """Return whether an interval is narrow enough to be a value."""
+    """Return whether an interval is narrow enough for its value to be meaningful."""
     return bool(np.isfinite(interval.error) and interval.high - interval.low < 2 * WIDE * abs(interval.value))
 
 
@@ -111,12 +112,12 @@ def largest_command(recordings: list[Recording]) -> float:
 
 
 def sensor_resolution(recordings: list[Recording]) -> float:
-    """Return the coarsest resolution of the position of recordings [m, rad], 0 where none is seen."""
+    """Return the coarsest resolution of the position of recordings [m, rad], 0 if none is visible."""
     return max(each.rounding for each in recordings) * float(np.sqrt(12.0))
 
 
 def stuck(steps: float, command: float) -> str:
-    """Return why nothing can be identified of a device that moves by few steps of the sensor under a command."""
+    """Return why nothing is identifiable for a device that moves by few sensor steps under a command."""
     return (
         f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the "
         f"command reaches {command:.3g}. Static friction of more than that command, or a stop, fixes it. Record larger "
@@ -125,7 +126,7 @@ def stuck(steps: float, command: float) -> str:
 
 
 def _rests(each: Recording, resolution: float) -> bool:
-    """Return whether a device is at rest in the last third of a log, or follows its command as a spring does."""
+    """Return whether a device rests in the last third of a log, or follows its command like a spring."""
     last = each.position[-max(len(each.position) // 3, 1) :]
     if np.ptp(last) <= STILL_COUNTS * resolution:
         return True
@@ -134,10 +135,11 @@ def _rests(each: Recording, resolution: float) -> bool:
 
 
 def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
-    """Return the names of parameters whose interval is too wide to be a value.
+    """Return the names of parameters whose interval is too wide for a meaningful value.
 
-    An interval of mass, frequency or largest force that reaches 0, of a force beyond the largest command, of a delay of
-    several samples, of a damping or spring that would stop the device within a sample: none of these is knowledge.
+    Such are: an interval of mass, frequency or largest force that includes 0; that of a force beyond the largest
+    command; that of a delay over several samples; that of a damping or spring that would stop the device within a
+    sample.
     """
     period, command = choice.units.period, choice.units.command
     mass = parameters["mass"]
@@ -175,7 +177,7 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
 def reasons(
     names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool
 ) -> dict[str, str]:
-    """Return why each of some parameters cannot be identified, and what to record, as a sentence each.
+    """Return why each of some parameters is not identifiable, and what to record, as one sentence each.
 
     ``slow_rows``: whether the command explains the motion without an inertia.
     """
@@ -213,7 +215,7 @@ def reasons(
 
 
 def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[str]) -> list[IdentifiableCombination]:
-    """Return the known combinations of parameters, by their names, that cannot be identified."""
+    """Return the known combinations of the named parameters that cannot be identified."""
     units, numbers = choice.units, errors.numbers
     acceleration = units.position / units.period**2
     level = _usual_level(choice)
@@ -254,7 +256,7 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[
 
 
 def _usual_level(choice: Choice) -> float:
-    """Return the largest of the usual commands of the segments, in units of `LogUnits`, with its sign."""
+    """Return the largest of the median commands of the segments, in units of `LogUnits`, with its sign."""
     segments = choice.segments
     usual = np.array([np.median(segments.command[a:b]) for a, b in zip(segments.first, segments.behind, strict=True)])
     return float(usual[np.argmax(np.abs(usual))]) if len(usual) else 1.0

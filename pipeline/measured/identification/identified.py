@@ -1,4 +1,4 @@
-"""From recordings to an identified device: parameters, parts, what is not identifiable, replay; each trial alone."""
+"""Identification from recordings: parameters, parts, what is not identifiable, replay, and each trial alone."""
 
 from __future__ import annotations
 
@@ -33,28 +33,29 @@ from pipeline.measured.identification.segments import segments_of
 from pipeline.records.trials import Floats
 
 MOST_REPLAYED = 40
-"""Logs that are replayed, spread over all."""
+"""Largest number of logs that are replayed, spread evenly over all."""
 
 EXPLAINS = 0.5
-"""Weight of a trial from which on the device explains it; see `scatter.OWN_ROWS`."""
+"""Smallest weight of a trial that the device explains; see `scatter.OWN_ROWS`."""
 
 SAME_PERIOD = 0.05
-"""Difference of sampling periods, relative to them, up to which logs are those of one."""
+"""Largest relative difference of sampling periods that count as equal."""
 
 SMALLEST_UNIT = 1e-60
-"""Smallest unit of position, command and time in SI, and the inverse of the largest: squares of more overflow."""
+"""Smallest unit of position, command and time in SI, and the inverse of the largest: squares of larger ones
+overflow."""
 
 LAST = 0.4
-"""Share of a single log that is replayed by the device fitted to what came before."""
+"""Share of a single log that is replayed by the device fitted to the part before."""
 
 
 NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
-"""Reason where the equations of a fit have no solution."""
+"""Reason if the equations of a fit have no solution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """What recordings say of a device; parameters are in SI by their names in `ESTIMATED`.
+    """Result of the identification of a device; parameters are in SI by their names in `ESTIMATED`.
 
     Parameters
     ----------
@@ -66,24 +67,25 @@ class Identification:
     parts : dict of str to float
         Gain of cross-validated log-likelihood by part.
     assumed : tuple of str
-        Names of what had to be taken as none.
+        Names of parameters that were assumed to be zero.
     combinations : list of IdentifiableCombination
-        What is known of unidentifiable parameters together.
+        Known combinations of unidentifiable parameters.
     scatter : dict of str to float
         Standard deviations from trial to trial by name.
     noise : float
         Standard deviation of a reading [m, rad].
     disturbance : float
-        Of the random force, constant over a sample [N, Nm].
+        Standard deviation of the random force, constant over a sample [N, Nm].
     replay : list of (str, float)
-        Names of logs, and how well free runs of the device without them fit each [%]; NaN for one that does not move.
+        Names of logs, and fit of free runs of the device identified without them [%]; NaN for a log without motion.
     units : LogUnits
     names : list of str
-        Of all recordings.
+        Names of all recordings.
     covariance : float64, shape (P, P)
-        Of the parameters, in their order.
+        Covariance of the parameters, in their order.
     folds : list of dict of str to float
-        Their values by the logs but every fifth from the first, the second ... on; empty below `FEWEST` logs.
+        Values of the parameters without every fifth log, starting at the first, the second ...; empty below `FEWEST`
+        logs.
     choice : Choice
     """
 
@@ -105,30 +107,30 @@ class Identification:
 
     @property
     def explained(self) -> int:
-        """Logs that the device and its noise explain: what is left of them is less than twice as much as of most."""
+        """Number of logs explained by the device and its noise: with a residual less than twice that of most logs."""
         fit = self.choice.fit
         return len(self.names) if fit.few else int((fit.solved.weight > EXPLAINS).sum())
 
     @property
     def fit_percent(self) -> float | None:
-        """Median fit of the free runs; None where no log could be replayed."""
+        """Median fit of the free runs; None if no log could be replayed."""
         fits = [fit for _, fit in self.replay if np.isfinite(fit)]
         return float(np.median(fits)) if fits else None
 
 
 def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -> Identification:
-    """Return the device that made recordings, whatever their order.
+    """Return the device identified from recordings, independently of their order.
 
     Parameters
     ----------
     recordings : list of Recording
     chosen : ChosenParts, optional
-        Its parts, if they were chosen by the `subset` of these recordings already.
+        Parts of the device, if already chosen from the `subset` of these recordings.
 
     Raises
     ------
     ParameterError
-        If nothing moves in them, no command is given, they are too short, or no device fits them.
+        If they contain no motion or no command, are too short, or no device fits them.
     """
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
@@ -145,12 +147,12 @@ def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -
 
 
 def no_fit(error: np.linalg.LinAlgError) -> ParameterError:
-    """Return the error where the equations of a fit have no solution."""
+    """Return the error for a fit whose equations have no solution."""
     return ParameterError(NO_FIT.format(str(error).rstrip(".").lower()))
 
 
 def described(recordings: list[Recording], choice: Choice) -> Identification:
-    """Return what recordings, in the order of their ranks, say of a device with the parts of their fit."""
+    """Return the identification of a device with given parts from recordings in the order of their ranks."""
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
@@ -191,14 +193,14 @@ def _scatter(choice: Choice) -> dict[str, float]:
 
 
 def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
-    """Return intervals with what the likelihood of this device does not say."""
+    """Return intervals widened by uncertainty that the likelihood of this device does not include."""
     result = dict(parameters)
     if "delay_samples" in choice.bounds:
         delay, more = parameters["delay_samples"], choice.bounds["delay_samples"] - parameters["delay_samples"].value
         low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
         result["delay_samples"] = replace(delay, low=low, high=high)
     if "spring_damping_fraction" in choice.fit.device.numbers:
-        # with damping on both sides a load of any mass moves the same
+        # with damping on both sides a load of any mass gives the same motion
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
@@ -208,7 +210,8 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
 def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
     """Return intervals without the assumption of no constant force: at rest before, friction may have balanced one.
 
-    It is anywhere between both directions of friction, and what is identified per command is off by as much of it.
+    The constant force lies anywhere between both directions of friction; quantities identified per unit of command have
+    the same relative error.
     """
     share = parameters["friction.coulomb"].value / command / np.sqrt(3.0)
     result = dict(parameters)
@@ -228,7 +231,7 @@ def check_recordings(recordings: list[Recording]) -> None:
     Raises
     ------
     ParameterError
-        As `identified`: too few rows, several sampling periods, no motion, no command, or numbers in no unit.
+        As in `identified`: too few rows, several sampling periods, no motion, no command, or values out of range.
     """
     rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
     if rows < 4 * SHORTEST:
@@ -256,7 +259,7 @@ def check_recordings(recordings: list[Recording]) -> None:
 
 
 def _check_periods(recordings: list[Recording]) -> None:
-    """Refuse logs whose sampling periods differ, or are none."""
+    """Refuse logs whose sampling periods differ or are invalid."""
     periods = np.array([each.period for each in recordings])
     low, high = float(periods.min()), float(periods.max())
     if not low > SMALLEST_UNIT or not high < 1 / SMALLEST_UNIT:
@@ -277,7 +280,7 @@ def _check_periods(recordings: list[Recording]) -> None:
 
 
 def _replay(recordings: list[Recording], choice: Choice) -> list[tuple[str, float]]:
-    """Return the fit [%] of free runs of logs by the device without their fold, of few by that of their first part."""
+    """Return the fit [%] of free runs by the device without the log's fold (few logs: fitted to their first part)."""
     lead = choice.segments.lead
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
     fits: list[tuple[str, float]] = []
@@ -308,18 +311,18 @@ def _cut(each: Recording, first: int, behind: int) -> Recording:
 
 
 def _without_folds(fit: Fit) -> list[Device]:
-    """Return the device without each fold of units: one Newton step from the whole fit."""
+    """Return the device without each fold of units, by one Newton step from the whole fit."""
     return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds]
 
 
 OWN = ("mass", "damping", "delay_samples")
-"""Parameters that are identified by trial; the others stay as they are in it."""
+"""Parameters that are identified for each trial; the others are kept at their common values."""
 
 
 def own_numbers(found: Identification) -> dict[str, list[float]]:
     """Return mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] of each trial, each with its error.
 
-    Friction, a constant force and all other parts are those of the trial by the model, or common.
+    Friction, a constant force and all other parts are those of the trial according to the model, or common ones.
     """
     fit, units = found.choice.fit, found.units
     if fit.few:

@@ -1,4 +1,4 @@
-"""What a fit says in SI: quantities of a device, each with one interval."""
+"""Results of a fit in SI: quantities of a device, each with one interval."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.trials import Floats
 
 COMPUTED = 1e-9
-"""Error relative to a value that computing it leaves: the search ends there in logs without noise."""
+"""Relative numerical error of a value: the accuracy of the search in logs without noise."""
 
 FAR = 1e3
-"""Deviation, relative to the size of a number, of what logs contain nothing about."""
+"""Deviation, relative to the size of a number, assigned to a number on which the logs contain no information."""
 
 GROUPS = 10
-"""Neighbours in the order of walls that a jackknife leaves out together, from twice as many units on."""
+"""Number of groups of neighbouring walls for a jackknife, if there are at least twice as many units."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """What intervals depend on: numbers and their covariance, those without each unit, degrees of freedom, the change
-    of the numbers by an error of the noise, what each phase of the motion adds to them, and the steps to other
+    """Inputs of intervals: numbers and their covariance, those without each unit, degrees of freedom, the change of the
+    numbers due to an error of the noise, the contribution of each phase of the motion, and the steps to other
     optima."""
 
     numbers: Numbers
@@ -50,10 +50,10 @@ class Errors:
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
-        """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step.
+        """Return the errors of a fit: from its information, and from leaving out each unit, with one Newton step each.
 
-        A portion of few logs may be the only one that identifies a number, such as the delay: its step is of first
-        order.
+        With few logs, a single portion may be the only one that identifies a number, such as the delay: its step is of
+        first order.
         """
         solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
@@ -63,7 +63,7 @@ class Errors:
         steps = -(without @ score[..., None])[..., 0]
         freedom = max(float(informative.sum() - 1), 1.0)
         nothing = unidentified(total)
-        # those of the shape are per sample and with a mass of 1
+        # numbers of the shape are per sample and for a mass of 1
         least = {name: numbers.get("gain", 0.0) if name in LINEAR else 1.0 for name in numbers}
         sizes = [max(abs(value), least[name], 1e-6) for name, value in numbers.items()]
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
@@ -77,21 +77,21 @@ class Errors:
         return self.interval(row.quantity(units), row.ends_at_zero, row.unit_size(mass, units))
 
     def interval(self, quantity: Quantity, ends_at_zero: bool = False, unit: float = 0.0) -> Interval:
-        """Return a quantity's value and interval; one that ends at zero by its profile likelihood there.
+        """Return a quantity's value and interval; one bounded by zero uses the profile likelihood there.
 
-        ``unit`` is a size of which computing leaves an error.
+        ``unit`` is the size that determines the numerical error.
         """
         value, slope = quantity(self.numbers), self._slope(quantity)
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
         reach = float(student_95(self.freedom)) * error
         if ends_at_zero and value - reach < 0:
-            # from the likeliest value that is allowed the likelihood falls by as much as it does inside
+            # the likelihood falls from the likeliest admissible value by as much as from an interior optimum
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
             return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
         return Interval(value, value - reach, value + reach, error)
 
     def covariance(self, names: Sequence[str], units: LogUnits) -> Floats:
-        """Return the covariance (Q, Q) of parameters, as large as their intervals of 95 % are for a normal one."""
+        """Return the covariance (Q, Q) of parameters, scaled so that normal 95 % intervals equal theirs."""
         slopes = np.stack([self._slope(ESTIMATED[name].quantity(units)) for name in names])
         known = slopes @ self.covariance_of_numbers @ slopes.T
         size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
@@ -114,10 +114,10 @@ class Errors:
         return slope
 
     def _spread(self, slopes: Floats) -> Floats:
-        """Return the variance along slopes (Q, p): of the information, or of a jackknife where that is larger.
+        """Return the variance along slopes (Q, p): from the information, or from a jackknife if that is larger.
 
-        What the model leaves out moves units of similar walls together, which follow each other, and acts in each phase
-        of the motion otherwise: these are left out together, too.
+        Unmodelled behaviour shifts units of similar walls together, which are neighbours, and differs between phases of
+        the motion: neighbours and phases are therefore also left out as groups.
         """
         variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count, spread = len(self.without), (self.without - self.without.mean(axis=0)) @ slopes.T
@@ -135,7 +135,7 @@ class Errors:
 
 
 def with_delay(values: dict[str, float], covariance: Floats) -> tuple[dict[str, float], Floats]:
-    """Return values and their covariance with a delay of 0 where logs show none, in the order of `ESTIMATED`."""
+    """Return values and their covariance with a delay of 0 if logs show none, in the order of `ESTIMATED`."""
     if "delay_samples" in values:
         return values, covariance
     complete = {name: values.get(name, 0.0) for name in ESTIMATED if name in values or name == "delay_samples"}

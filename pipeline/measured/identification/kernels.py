@@ -1,14 +1,14 @@
 """Loops over the rows of segments: transitions, filter gains, prediction errors with tangents, triangular factors.
 
-In sampling periods and standard deviations of a reading, with x the device's state, and a which of A ages the command
-in force has (1 for that one, else 0) less how likely each is:
+In units of sampling periods and standard deviations of a reading, x is the device's state, and a the indicator of the
+age of the applied command among A ages (1 for that age, else 0) minus the probability of each:
 
     x[k+1] = F x[k] + u[k] + W (c[k]' a[k] + w[k])     var(w) = q
     a[k+1] = M' a[k] + v[k]                            cov(v) = C - M' C M
     y[k]   = H x[k] + e[k]                             var(e) = 1
 
-u[k] is the motion by the known forces of an interval, c[k] the force that each age would make. Without a jittering
-delay A is 0.
+u[k] is the motion due to the known forces of an interval, c[k] the force for each age. Without a jittering delay A is
+0.
 
 Arrays of the same meaning in all functions:
 
@@ -38,10 +38,10 @@ from pipeline.base.compiled import compiled, inlined
 from pipeline.records.trials import Floats, Integers
 
 ALWAYS = -1_000_000_000
-"""Stands for the row from which on forces act on a device in motion."""
+"""Marker for a device in motion, on which forces act in all rows."""
 
 TERMS = 14
-"""Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
+"""Number of terms of the series of a matrix exponential of norm 1/2: 0.5^15/15! is neglected."""
 
 
 @compiled("f8[:,:,:,::1](f8[:,:,::1],f8[::1])")
@@ -112,17 +112,17 @@ def exponentials(matrices: Floats, times: Floats) -> Floats:
 
 
 DOUBLINGS = 60
-"""Most doublings of a filter's memory until it is steady: doubles distinguish up to 2^40 samples from none."""
+"""Largest number of doublings of a filter's memory until it is steady: doubles resolve at most 2^40 samples."""
 
 STEADY = 1e-14
-"""Change of a filter's variance in a doubling, relative to it, that is rounding."""
+"""Relative change of a filter's variance per doubling that is attributed to rounding."""
 
 
 @compiled("Tuple((f8[::1],f8))(f8[:,::1],f8[::1],f8[::1],f8)")
 def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, float]:
-    """Return the gain (n,) of the steady filter, and the variance of its prediction errors; NaN where there is none.
+    """Return the gain (n,) of the steady filter and the variance of its prediction errors; NaN if there is none.
 
-    The memory of the start is doubled until nothing changes:
+    The memory of the initial state is doubled until convergence:
 
         A <- A (1 + G P)^-1 A     G <- G + A (1 + G P)^-1 G A'     P <- P + A' P (1 + G P)^-1 A
 
@@ -202,9 +202,9 @@ def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, floa
 
 @inlined
 def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: int) -> None:
-    """Write M' a into a result for some columns a of ages; rows from ``top`` on are ages.
+    """Write M' a into a result for the columns a of ages; rows from ``top`` on are ages.
 
-    By sums over the ages from each on, in which M is a product with few numbers: see `motion.Ages.ageing`.
+    Uses sums over the ages from each age on, for which M needs only a few numbers: see `motion.Ages.ageing`.
     """
     reached, left, chance = chances[0], chances[1], chances[2]
     last = len(chance) - 1
@@ -220,7 +220,7 @@ def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: 
             )
     for col in range(columns):
         result[top, col] *= reached[0] - chance[0]
-        # what is older than the oldest age stays there
+        # anything older than the oldest age stays there
         result[top + last, col] += left[last] * ages[top + last, col]
 
 
@@ -249,7 +249,7 @@ def advance(result: Floats, P: Floats, F: Floats, W: Floats, c: Floats, chances:
 def filter_gains(
     segments: Any, command: Floats, motion: Any, pieces: Any, ages: Any, noise: Any
 ) -> tuple[Floats, Floats]:
-    """Return the gains of a filter that knows the state at the first row, and the spreads of its prediction errors.
+    """Return the gains of a filter with known initial state, and the standard deviations of its prediction errors.
 
     With z = (x, a), z[k+1] = Phi z[k] + ..., cov = Q:
 
@@ -262,9 +262,9 @@ def filter_gains(
     motion : kind, F, W, H
     pieces : offset, back, age, width
     ages : M, C
-        Chances (3, A) of an age after another as `motion.Ages.ageing`, and covariance (A, A) of the ages.
+        Transition probabilities (3, A) of the ages as in `motion.Ages.ageing`, and covariance (A, A) of the ages.
     noise : q, late
-        Variance of the random force, and standard deviation of a force that a unit command makes.
+        Variance of the random force, and standard deviation of the force of a unit command.
 
     Returns
     -------
@@ -310,7 +310,7 @@ def filter_gains(
                     seen[i] += P[i, j] * H[j]
             for i in range(n):
                 variance += H[i] * seen[i]
-            # a prediction is no surer than a reading but by rounding
+            # the variance of a prediction error is below that of a reading only by rounding
             if variance < 1.0:
                 variance = 1.0
             spread[place] = math.sqrt(variance)
@@ -343,8 +343,9 @@ def filter_gains(
 
 
 GAIN, COULOMB, FORCE, LIMIT, SPRING, SHAPE = 0, 1, 2, 3, 4, 5
-"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, what a
-largest command takes, by a separate spring; from SHAPE on the parameters of a motion's shape, in their order."""
+"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, by the
+part of a command beyond the limit, by a separate spring; from SHAPE on the parameters of a motion's shape, in their
+order."""
 
 
 @compiled(
@@ -358,9 +359,9 @@ largest command takes, by a separate spring; from SHAPE on the parameters of a m
 def whitened(
     rows: Any, segments: Any, motion: Any, pieces: Any, gains: Any, asked: Any
 ) -> tuple[Floats, Floats, float]:
-    """Return the whitened prediction errors of segments with their tangents, without the unknown start of each.
+    """Return the whitened prediction errors of segments with tangents, without the unknown initial state of each.
 
-    All columns pass the same filter, whose gains K are constant along the parameters:
+    All columns pass through the same filter, whose gains K do not depend on the parameters:
 
         e[k] = y[k] - H x[k]     x <- F (x + K e) + W c' a + u     a <- M' (a + K e)
 
@@ -368,9 +369,10 @@ def whitened(
 
         e' = -H x' - H' x        x' <- F (x' + K e') + F' (x + K e) + W c' a' + W' c' a + u'
 
-    The unknowns z of a start (states, and the force in a lag) are columns, too. A row each, below those of the errors,
-    states that they are no larger than some sizes. Their likeliest values (least squares by Gram and Schmidt, twice)
-    are subtracted from all columns, and are the start of the motion along which tangents are taken.
+    The unknown initial values z of a segment (states, and the lagged actuator force) are columns, too. One row for
+    each, after those of the errors, contains its prior size. Their maximum-likelihood values (least squares by
+    Gram-Schmidt, twice) are subtracted from all columns, and are the initial state of the motion along which tangents
+    are taken.
 
     Parameters
     ----------
@@ -378,13 +380,14 @@ def whitened(
         ``spring`` is the position between two rows, for a column of that code.
     segments : first, behind, begin, edge, direction, numbers, shifts
         ``direction`` of motion, -1, 0 or 1; ``numbers`` (S, 3) acceleration per command, by friction and by a constant
-        force; ``shifts`` (S, p) by how much a segment's numbers exceed the common ones, for which the errors are.
+        force; ``shifts`` (S, p) deviation of a segment's numbers from the common ones, for which the errors are
+        computed.
     motion : kind, F, F', W, W', H, H'
         Derivatives of shape (m, P, n, n), (m, P, n), (P, n) along P parameters of the shape.
     pieces : offset, back, age, width, G, G'
     gains : K, spread, M, late
-        K (1 or all rows, n + A), standard deviation of the errors, chances (3, A) of an age after another, and
-        standard deviation of a force that a unit command makes.
+        K (1 or all rows, n + A), standard deviation of the errors, transition probabilities (3, A) of the ages, and
+        standard deviation of the force of a unit command.
     asked : codes, places, constants, sizes
         Codes (p,) of the columns; places of stiffness, lag and delay among the parameters of the shape, -1 for none;
         largest command, stiffness, lag, delay, variance of a reading, and rows of commands before a
@@ -393,11 +396,12 @@ def whitened(
     Returns
     -------
     columns : float64, shape (rows of all segments + S q, p + 1)
-        -e' of each code, and e; behind each segment the rows of what is known before.
+        -e' of each code, and e; after each segment the rows of the prior.
     known : float64, shape (S,)
-        How many unknowns of the start the readings determine.
+        Number of unknown initial values that the readings determine.
     lost : float
-        By how much the spreads, and what is known of the starts, make the readings less likely.
+        Reduction of the log-likelihood by the standard deviations of the errors and by the information on the initial
+        states.
     """
     time, command, position, spring = rows
     first, behind, begin, edge, direction, numbers, shifts = segments
@@ -434,8 +438,8 @@ def whitened(
         own_gain, own_coulomb, own_force = numbers[s, 0], numbers[s, 1], numbers[s, 2]
         way, rests = direction[s], edge[s] > ALWAYS
         direct = own_force - own_coulomb * way
-        # what remains at the first row of the forces by the commands before, behind a lag: value, along limit, lag,
-        # delay; and of the force before all of them
+        # lagged force at the first row due to previous commands: value, and along limit, lag,
+        # delay; and due to the force before all of them
         oldest = 1.0
         lag_start[:] = 0.0
         if lag > 0:
@@ -526,7 +530,7 @@ def whitened(
             for i in range(n):
                 moved[i, 0] += driven[i] * own_gain + acting[i] * direct
                 if q:
-                    # friction fixes a device at rest against the spring
+                    # friction keeps a device at rest against the spring
                     moved[i, L] += gamma * resting[i]
                 for j in range(p):
                     if codes[j] == GAIN:
@@ -579,7 +583,7 @@ def whitened(
             lost += 0.5 * (math.log(information) - (1.0 - share) * math.log(variance))
         for k in range(N):
             lost += math.log(spread[0 if steady else row_place + k])
-        # along the parameters of the shape, from the likeliest start on
+        # along the parameters of the shape, starting at the likeliest initial state
         if P:
             for j in range(q - 1, -1, -1):
                 value = 0.0
@@ -698,19 +702,19 @@ def whitened(
 
 
 BLOCK = 32
-"""Rows that are taken into a triangular factor together."""
+"""Number of rows that are added to a triangular factor together."""
 
 
 @compiled("void(f8[:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1])")
 def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers) -> None:
-    """Append rows to triangular factors R of units: R'R is the sum of products of the columns of all their rows.
+    """Append rows to the triangular factors R of units: R'R is the Gram matrix of the columns over all their rows.
 
     Parameters
     ----------
     factors : float64, shape (units, c, c)
-        They are changed in place.
+        Changed in place.
     columns : float64, shape (rows, c)
-        They are overwritten.
+        Overwritten.
     first, behind, unit : int64, shape (ranges,)
         Ranges of rows, and the unit that each belongs to.
 

@@ -1,4 +1,4 @@
-"""The likeliest device: start by integrated balances, then Newton's steps on the likelihood of all trials."""
+"""Maximum-likelihood device: start from integrated balances, then Newton steps on the likelihood of all trials."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats, Integers
 
 LINEAR = ("gain", "coulomb", "force")
-"""Acceleration per command, by friction and by a constant force, in which the motion is linear; `LogUnits`, time in
-samples."""
+"""Numbers in which the motion is linear: acceleration per command, by friction and by a constant force; `LogUnits`,
+time in samples."""
 
 SCATTERED = ("delay", "coulomb", "force")
 """Numbers that may differ from trial to trial."""
@@ -35,7 +35,7 @@ LIMITS = {
     "spring_damping_fraction": (1e-4, 0.999),
 }
 BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
-"""Mean of a number without logs, and information of it: a part that is anywhere between 0 and 1."""
+"""Prior of a number, as mean and information: a fraction anywhere between 0 and 1."""
 
 LARGEST_STEP = {
     "limit": 0.05,
@@ -48,38 +48,41 @@ LARGEST_STEP = {
     "load_damping": 0.2,
     "spring_damping_fraction": 0.3,
 }
-"""Change of a number in one step within which the response is near a straight line."""
+"""Largest change of a number in one step for which the response is approximately linear."""
 
 BY_HALF = ("gain", "mode_damping_ratio")
-"""Numbers that change by half of themselves at most: a mode without damping is known so well that no step leaves it."""
+"""Numbers whose largest relative step is one half: an undamped mode is so sharply determined that a full step would
+lose it."""
 
 DONE = 1e-3
-"""Square of a step in standard errors at which the search ends: 0.03 of the interval's half width."""
+"""Square of the step, in standard errors, at which the search ends: 0.03 of the interval's half-width."""
 
 PORTIONS = 16
-"""Portions of few logs, whose own numbers show what is not independent within a log; Student's t is then 2.13."""
+"""Number of portions of few logs, whose separate estimates show the correlation within a log; Student's t is then
+2.13."""
 
 PHASES = 8
-"""Phases of the motion, between which what the model leaves out differs: damping by direction, a hand by the way, play
-by the speed."""
+"""Number of phases of the motion, between which unmodelled effects differ: damping by direction, a hand by
+displacement, backlash by speed."""
 
 TOGETHER = 3_000_000
-"""Numbers in the columns of segments that are computed together, 24 MB."""
+"""Largest number of values in the columns of segments that are computed together, 24 MB."""
 
 ROUNDED_ROW = 0.01
-"""Gain of log-likelihood, a row, up to which a random force is rounding: no jitter is looked for, nor another part."""
+"""Gain of log-likelihood per row up to which a random force is attributed to rounding; neither jitter nor another part
+is then searched for."""
 
 LARGEST_FACTOR = 1e30
-"""Largest root of a sum of squares of a column, in units near 1, from which others can be computed in doubles."""
+"""Largest root sum of squares of a column, in units near 1, for which others can be computed in double precision."""
 
 WORTH = 5.0
-"""Gain of log-likelihood from which on a part, of the device or of its noise, is one: odds of 150 to 1."""
+"""Gain of log-likelihood above which a part of the device or of its noise is accepted: odds of 150 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and its noise; ``effects`` (T, p) are what trials differ by, ``reading``
-    the variance of a reading where a fit has one."""
+    """Numbers of a device by name, and its noise; ``effects`` (T, p) are deviations of trials, ``reading`` is the
+    variance of a reading if a fit has one."""
 
     numbers: dict[str, float]
     noise: Noise = WHITE
@@ -88,7 +91,7 @@ class Device:
 
     @property
     def shape(self) -> PlantShape:
-        """Its numbers that shape a motion."""
+        """Numbers that determine the shape of the motion."""
         return PlantShape.of(self.numbers)
 
     @property
@@ -97,7 +100,7 @@ class Device:
         return tuple(self.numbers)
 
     def stepped(self, step: Floats) -> Device:
-        """Return the device after a step, each number within its limits."""
+        """Return the device after a step, with each number within its limits."""
         moved = dict(self.numbers)
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
             most = LARGEST_STEP.get(name, 0.5 * abs(value) if name in BY_HALF else np.inf)
@@ -106,7 +109,7 @@ class Device:
         return replace(self, numbers=moved)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
-        """Return a number of the trial of each segment, shape (S,); 0 where the device has none."""
+        """Return a number for the trial of each segment, shape (S,); 0 if the device does not have it."""
         common = np.full(len(trials), self.numbers.get(name, 0.0))
         if self.effects is None or name not in self.numbers:
             return common
@@ -115,13 +118,13 @@ class Device:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A device with what its likelihood says.
+    """Device with its likelihood and the results derived from it.
 
     ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
-    ``few`` logs, else trials. ``repeats`` is the mean number of equal readings in a row, which count as one, ``open``
-    (p,) how far the numbers move with a jitter that is larger by its error, ``phases`` (8, p) what each phase of the
-    motion adds to them: nothing but noise where the model is complete. None of a fit that has not `ended`. ``optima``
-    (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
+    ``few`` logs, else trials. ``repeats`` is the mean number of consecutive equal readings, which count as one,
+    ``open`` (p,) the change of the numbers if the jitter is larger by its error, ``phases`` (8, p) the contribution of
+    each phase of the motion to them, which is only noise if the model is complete. They are None for a fit that has not
+    `ended`. ``optima`` (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
     """
 
     device: Device
@@ -136,7 +139,7 @@ class Fit:
 
     @property
     def likelihood(self) -> float:
-        """Restricted logarithm of the likelihood."""
+        """Restricted log-likelihood."""
         return self.solved.likelihood
 
 
@@ -152,23 +155,23 @@ CODES = {
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Whitened prediction errors of segments with their derivatives, without the likeliest starts.
+    """Whitened prediction errors of segments with their derivatives, without the maximum-likelihood initial states.
 
     Parameters
     ----------
     values : float64, shape (rows of all segments + S q, p + 1)
-        Derivatives of the predictions along p numbers, and the errors; behind the rows of each segment q rows of what
-        is known of its start before.
+        Derivatives of the predictions along p numbers, and the errors; after the rows of each segment, q rows for the
+        prior of its initial state.
     first, behind : int64, shape (S,)
-        Rows of each segment among these, without the rows of the starts.
+        Rows of each segment among these, without the rows of the initial states.
     starts : int
-        q, unknowns of a start.
+        Number q of unknowns of an initial state.
     known : float64, shape (S,)
-        How many of them the readings determine.
+        Number of these unknowns that the readings determine.
     lost : float
-        By how much the filter's spreads and the starts make the readings less likely.
+        Reduction of the log-likelihood by the innovation variances of the filter and by the unknown initial states.
     spread : float64, shape (rows of all segments,), or (1,)
-        Standard deviations of the errors, in that of a reading.
+        Standard deviations of the errors, relative to that of a reading.
     """
 
     values: Floats
@@ -189,8 +192,8 @@ def columns_of(
 ) -> Columns:
     """Return the whitened prediction errors of segments, with derivatives along some numbers of a device.
 
-    ``transitions`` of the device along those names, where they are known; ``whole`` are all segments where these are
-    some of them: what is known of a start before is the same for all.
+    ``transitions`` are those of the device along those names, if known; ``whole`` contains all segments if these are a
+    subset: the prior of the initial state is common to all.
     """
     whole, shape, noise = whole or segments, device.shape, device.noise
     along = [each.name for each in fields(PlantShape) if each.name in names]
@@ -227,7 +230,7 @@ def columns_of(
 
 
 def blocks(segments: Segments, columns: int) -> list[Segments]:
-    """Return segments in parts that are computed together."""
+    """Return the segments in blocks that are computed together."""
     most = max(1, TOGETHER // columns)
     part = (np.cumsum(segments.rows) - segments.rows) // most
     cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(segments)]
@@ -235,13 +238,13 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
 
 
 def portions_of(segments: Segments) -> int:
-    """Return into how many portions each segment is cut; 0 with `FEWEST` trials, each of which is one unit."""
+    """Return the number of portions of each segment; 0 with `FEWEST` trials, each of which is one unit."""
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 
-@np.errstate(all="ignore")  # numbers far off overflow: they are impossible, and a search leaves them
+@np.errstate(all="ignore")  # numbers far from the solution overflow: they count as impossible, and a search leaves them
 def moments_of(segments: Segments, device: Device) -> Moments:
-    """Return the moments of all units (trials, or portions) at a device; none where doubles overflow."""
+    """Return the moments of all units (trials, or portions) at a device; none if doubles overflow."""
     p, portions = len(device.names), portions_of(segments)
     units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
@@ -269,7 +272,7 @@ def moments_of(segments: Segments, device: Device) -> Moments:
 
 
 def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
-    """Return what the likelihood says at a device, with scatter between trials of the numbers at some places."""
+    """Return the likelihood at a device, with scatter between trials of the numbers at some places."""
     moments = moments_of(segments, device)
     solved = solve(moments, places)
     repeats = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
@@ -289,11 +292,11 @@ def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
 
 
 def phases_of(segments: Segments, fit: Fit) -> Floats:
-    """Return the step of the numbers that the errors in each phase of the motion ask for, shape (8, p); together none.
+    """Return the step of the numbers from the errors of each phase of the motion, shape (8, p), with a sum of zero.
 
-    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each adds the product of
-    the inverse information and its own sum of scores, whose scatter between phases is that of the numbers: what a model
-    that is complete leaves in them is noise.
+    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each contributes the
+    product of the inverse information and its sum of scores; the scatter between phases is that of the numbers. With a
+    complete model it is only noise.
 
     Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
     """
@@ -321,12 +324,12 @@ def phases_of(segments: Segments, fit: Fit) -> Floats:
 
 
 def _rate(segments: Segments) -> Floats:
-    """Return by how much the position changes in the four rows around each row of segments."""
+    """Return the change of the position in the four rows around each row of segments."""
     first, last = (np.repeat(ends, segments.rows) for ends in (segments.first, segments.behind - 1))
     ahead, before = np.minimum(segments.places + 2, last), np.maximum(segments.places - 2, first)
     return np.asarray(segments.position[ahead] - segments.position[before])
 
 
 def spread(segments: Segments, most: int) -> np.ndarray:
-    """Return the places of at most so many segments, evenly among all."""
+    """Return the indices of at most ``most`` segments, spread evenly over all."""
     return np.unique(np.linspace(0, len(segments) - 1, min(most, len(segments))).round().astype(int))

@@ -1,7 +1,7 @@
-"""Loops over units of a mixed-effects regression: common numbers, variances between units, weights of units.
+"""Loops over the units of a mixed-effects regression: common numbers, variances between units, weights of units.
 
-Each of T units is known by a triangular factor R of its whitened columns and errors, e_t = X_t (theta + b_t) + noise.
-With c columns X'X = R'R, and D the variances between units, its covariance is that of
+Each of T units is represented by a triangular factor R of its whitened columns and errors, e_t = X_t (theta + b_t) +
+noise. With c columns X'X = R'R, and D the variances between units, its covariance is that of
 
     V_t = 1 + C_t D C_t'        C_t = R_t sqrt(w_t / v)
 
@@ -19,45 +19,47 @@ from pipeline.base.compiled import compiled, inlined, part
 from pipeline.records.trials import Floats, Integers
 
 OWN_ROWS = 20.0
-"""Degrees of freedom of the noise of single trials: one that was bumped is noisier than the others, and weighs less."""
+"""Degrees of freedom of the noise distribution of single trials: a disturbed trial is noisier than the others, and has
+less weight."""
 
 ROUNDS = 4
-"""Rounds of weights and variances between trials, each of which depends on the other."""
+"""Number of alternating updates of weights and variances between trials, which depend on each other."""
 
 FLAT = 1e-8
-"""Change of the noise, relative to it, at which its search ends."""
+"""Relative change of the noise at which its search ends."""
 
 NEWTON = 40
-"""Most steps of that search, each by a factor of e^2 at most."""
+"""Largest number of Newton steps of that search, each by at most a factor of e^2."""
 
 LEAST_SHARE = 1e-6
-"""Share of the mean square from which on it is looked for: most units are as noisy as the others."""
+"""Share of the mean square at which the search starts: most units are as noisy as the others."""
 
 RIDGE = 1e-12
-"""Share of a number's own information below which a direction has none, but rounding: it gets a step of 0."""
+"""Share of a number's information below which a direction contains only rounding errors; its step is 0."""
 
 ROUNDED = 1e-16
-"""Share of a number's information below which a column is rounding, and its number has no scatter."""
+"""Share of a number's information below which a column is a rounding error, and its number has no scatter."""
 
 LEAST_LOG, MOST_LOG = -9.0, 25.0
-"""Logarithms of the variances between units that are tried, relative to the variance of a number by a usual unit."""
+"""Smallest and largest logarithm of the variances between units, relative to the variance of a number from a typical
+unit."""
 
 SCORING = 30
-"""Most steps of the search for these variances."""
+"""Largest number of steps of the search for these variances."""
 
 FARTHEST = 3.0
 """Largest change of such a logarithm in a step."""
 
 ENOUGH = 1e-6
-"""Gain of log-likelihood that a step of the search for variances must promise."""
+"""Smallest predicted gain of log-likelihood for which the search for variances continues."""
 
 SWEEPS, NOTHING = 30, 1e-150
-"""Most sweeps of rotations for eigenvalues, of which six are usual; number that is rotated away already."""
+"""Largest number of sweeps of rotations for eigenvalues (typically six), and size below which an element is zero."""
 
 
 @part
 def spectrum(matrix: Floats, values: Floats, vectors: Floats) -> None:
-    """Write eigenvalues and vectors (columns) of a symmetric matrix, which is overwritten.
+    """Write the eigenvalues and eigenvectors (columns) of a symmetric matrix, which is overwritten.
 
     Source: Golub and Van Loan 2013, Matrix Computations, sec. 8.5 (cyclic Jacobi).
     """
@@ -97,7 +99,7 @@ def spectrum(matrix: Floats, values: Floats, vectors: Floats) -> None:
 def invert(matrix: Floats, result: Floats, work: Floats) -> float:
     """Write the inverse of an information matrix, 0 along directions without information; return its log determinant.
 
-    ``work`` has four matrices of this size or more.
+    ``work`` contains at least four matrices of this size.
     """
     n, log = len(matrix), 0.0
     scale, values = work[2, 0], work[3, 0, :n]
@@ -122,9 +124,10 @@ def invert(matrix: Floats, result: Floats, work: Floats) -> float:
 
 @inlined
 def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) -> float:
-    """Return the likeliest variance of errors, from one near it on, of units with some sums of squares.
+    """Return the maximum-likelihood variance of errors of units with the given sums of squares, starting nearby.
 
-    Of s_t = squares, n_t = rows and f = `OWN_ROWS`: sum (n_t + f) s_t/(f v + s_t) = sum n_t, by Newton's steps in ln v.
+    With s_t = squares, n_t = rows and f = `OWN_ROWS`: sum (n_t + f) s_t/(f v + s_t) = sum n_t, by Newton's steps in ln
+    v.
     """
     total, whole = 0.0, 0.0
     for t in range(len(rows)):
@@ -139,7 +142,7 @@ def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) ->
             slope += (rows[t] + OWN_ROWS) * ratio * (1 - ratio)
         step = min(max(off / max(slope, 1e-3 * total), -2.0), 2.0)
         former, noise = noise, max(noise * math.exp(step), least)
-        # the likelihood is flat along the noise: an error in it is squared
+        # the likelihood is flat along the noise: an error of it enters squared
         if not abs(noise - former) > FLAT * noise:
             break
     return noise
@@ -147,7 +150,7 @@ def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) ->
 
 @part
 def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> float:
-    """Write columns (T, p, p + 1) whitened by variances (p,) between units; return minus the log determinants' half."""
+    """Write columns (T, p, p + 1) whitened by variances (p,) between units; return minus half the log determinants."""
     T, p = len(plain), len(variances)
     log, mixed = 0.0, False
     for j in range(p):
@@ -178,10 +181,10 @@ def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> f
 
 @part
 def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Floats) -> float:
-    """Write the likeliest step of whitened columns, with what is known before (2, p), and what it leaves.
+    """Write the maximum-likelihood step of whitened columns with a prior (2, p), and its residual.
 
-    ``outputs`` are step (p,), sums of squares (T,) before and behind it, and the inverse information (p, p); returned
-    is the log determinant of the information.
+    ``outputs`` are step (p,), sums of squares (T,) before and after it, and the inverse information (p, p); returned is
+    the log determinant of the information.
     """
     step, before, behind, inverse = outputs
     T, p = len(columns), len(step)
@@ -218,7 +221,8 @@ def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Fl
 
 @part
 def score_variances(columns: Floats, step: Floats, inverse: Floats, random: Integers, outputs: Any) -> None:
-    """Write slope (r,) and information (r, r) of the restricted likelihood along the variances of random numbers."""
+    """Write the slope (r,) and information (r, r) of the restricted likelihood along the variances of random
+    numbers."""
     slope, information, of_unit, rows = outputs
     p, r = len(step), len(random)
     slope[:] = 0.0
@@ -252,7 +256,7 @@ def score_variances(columns: Floats, step: Floats, inverse: Floats, random: Inte
 
 
 SPACE = 14
-"""Matrices (p + 1, p + 1) of space that the loops below need."""
+"""Number of work matrices (p + 1, p + 1) that the loops below need."""
 
 
 @compiled(
@@ -260,23 +264,22 @@ SPACE = 14
     "Tuple((f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1])))"
 )
 def mixed_effects(given: Any, space: Any, result: Any) -> None:
-    """Write the likeliest common numbers of units, with variances between these and a weight of each.
+    """Write the maximum-likelihood common numbers of units, with variances between units and a weight of each.
 
-    Rounds of variances (restricted likelihood, by Fisher's scoring in their logarithms, cut until it does not fall),
-    numbers (weighted least squares), and noise and weights (Student's t).
+    Alternates between variances (restricted likelihood, by Fisher scoring in their logarithms, with steps shortened
+    until it does not fall), numbers (weighted least squares), and noise and weights (Student's t).
 
     Parameters
     ----------
     given : factors, rows, random, known, noise, least
         R (T, p + 1, p + 1); degrees of freedom (T,); numbers with a variance between units, as places (r,); information
-        and slope (2, p) of what is known of the numbers before; variance of an error at first, and the least.
+        and slope (2, p) of the prior of the numbers; initial and smallest variance of an error.
     space : plain, columns, rest, work
         Shapes (T, p, p + 1) twice, (T,), and (`SPACE`, p + 1, p + 1).
     result : step, variances, weight, before, behind, inverse, sums
-        Step (p,), variances (p,) and weights (T,); sums of squares (T,) before and behind the step, over their variance
-        as of a unit's own noise; inverse information (p, p); noise, noise before the step, and minus half the
-        logarithms of the units' covariances.
-        ``columns`` are then those whitened by all of these.
+        Step (p,), variances (p,) and weights (T,); sums of squares (T,) before and after the step, divided by the
+        variance of the unit's noise; inverse information (p, p); noise, noise before the step, and minus half the
+        logarithms of the units' covariances. ``columns`` are then those whitened by all of these.
     """
     factors, rows, random, known, noise, least = given
     plain, columns, rest, work = space
@@ -305,7 +308,7 @@ def mixed_effects(given: Any, space: Any, result: Any) -> None:
                 for i in range(p):
                     usual[a] += plain[t, i, random[a]] ** 2
             usual[a] /= T
-            # columns have a unit size: what is less is rounding, and has no scatter
+            # columns have unit size: smaller values are rounding errors without scatter
             if usual[a] > ROUNDED:
                 active += 1
         if active:

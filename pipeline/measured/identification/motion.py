@@ -1,4 +1,4 @@
-"""What a device does between two readings: exact motion under a late command, for even and uneven rows.
+"""Motion of a device between two readings: exact for a delayed command, and for even and uneven rows.
 
 Time is in sampling periods, mass 1. The states of the device are those of `loop.state_space`.
 """
@@ -18,18 +18,18 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats, Integers
 
 LARGEST_LOAD = 0.97
-"""Largest load, as a fraction of the mass: of a lighter motor nothing is seen but its end."""
+"""Largest load, as a fraction of the mass: with a lighter motor, the motion shows only that it is light."""
 
 SMALL = 1e-20
-"""Imaginary part of a number for the derivative of a matrix along it: its square is lost to rounding."""
+"""Imaginary perturbation of a number for the derivative of a matrix: its square is lost to rounding."""
 
 SHORTEST_LAG = 0.02
-"""Shortest lag [samples] that is a part: a shorter one moves the position by less than any sensor resolves."""
+"""Shortest lag [samples] that counts as a part: a shorter one shifts the position by less than any sensor resolves."""
 
 
 @dataclass(frozen=True)
 class PlantShape:
-    """What decides the shape of a device's motion, per sample and with mass 1.
+    """Numbers that determine the shape of a device's motion, per sample and for a mass of 1.
 
     Parameters
     ----------
@@ -38,16 +38,17 @@ class PlantShape:
     delay, lag : float
         Delay of the command, and time constant of the actuator [samples].
     mode_frequency : float
-        Of a vibration mode [rad/sample].
+        Frequency of a vibration mode [rad/sample].
     mode_damping_ratio : float
-        Of all that its vibration loses, also to the damping of both sides: it is better identified than each part.
+        Total damping ratio of the vibration, including the damping of both sides: it is better identified than each
+        part.
     load_mass_fraction : float
-        Part of the mass that is the load; no mode where it and ``spring_damping_fraction`` are 0.
+        Fraction of the mass that is the load; no mode if it and ``spring_damping_fraction`` are 0.
     load_damping : float
         Part of ``delta`` that acts on the load.
     spring_damping_fraction : float
-        Where the load's position is read, any fraction of the mass gives the same motion: the parameter is then the
-        part of the loss that the damper between both sides has; the motor has the rest.
+        If the load's position is measured, any fraction of the mass gives the same motion: the parameter is then the
+        part of the loss in the damper between both sides; the remainder is lost at the motor.
     """
 
     delta: float = 0.0
@@ -62,22 +63,22 @@ class PlantShape:
 
     @classmethod
     def of(cls, numbers: Mapping[str, float]) -> PlantShape:
-        """Return the device of some numbers, without those that do not shape its motion."""
+        """Return the shape of a device with the given numbers, ignoring those that do not affect it."""
         return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
 
     @property
     def load_mass(self) -> float:
-        """Mass of the load, of a whole of 1; 0 without a mode."""
+        """Mass of the load, relative to a total of 1; 0 without a mode."""
         if not self.spring_damping_fraction:
             return self.load_mass_fraction
         lost = 2 * self.mode_damping_ratio * self.mode_frequency * (1 - self.spring_damping_fraction)
-        # the motor's damping takes more of a vibration the lighter that side is; none takes it with no damping
+        # the motor's damping absorbs more of a vibration the lighter that side is; nothing without damping
         load = lost / (lost + self.delta) if np.real(self.delta) > 0 else LARGEST_LOAD
         return load if np.real(load) < LARGEST_LOAD else LARGEST_LOAD
 
     @property
     def plant(self) -> Plant:
-        """Its linear motion."""
+        """Linear plant of this shape."""
         load = self.load_mass
         if not load:
             return Plant(1.0, self.delta, self.gamma, self.lag)
@@ -99,16 +100,16 @@ class PlantShape:
 
 @lru_cache(maxsize=64)
 def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floats]:
-    """Return the matrix of a shape's motion and inputs, (1 + P, n + 2, n + 2), and its sensor's row, (1 + P, n).
+    """Return the matrix of motion and inputs, (1 + P, n + 2, n + 2), and the sensor row, (1 + P, n), of a shape.
 
-    The inputs are a command and a force on the motor; behind the first the derivatives along P parameters. The
-    arrays are kept for the next call, and not to be changed.
+    The inputs are a command and a force on the motor; the first entry is followed by the derivatives along P
+    parameters. The arrays are cached for the next call, and must not be changed.
 
     Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions" (of the entries
     of the state space, which are rational in the parameters).
     """
     systems = [state_space(shape.plant)]
-    # a delay is none of the state space
+    # a delay is not part of the state space
     shaping = [name for name in along if name != "delay"]
     systems += [state_space(replace(shape, **{name: getattr(shape, name) + SMALL * 1j}).plant) for name in shaping]
     n, places = systems[0].states, [0, *(1 + along.index(name) for name in shaping)]
@@ -121,13 +122,13 @@ def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floa
 
 
 OFF_BY_ONE = 0.7
-"""Most of a variance of ages [samples^2] by commands that come one sample early or late, as is left for 0.5 from a
-whole one; what is more comes from further ones."""
+"""Largest variance of ages [samples^2] due to commands one sample early or late, chosen to be possible for a mean 0.5
+from a whole delay; a larger variance is due to larger deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ages:
-    """Ages [samples] of the command in force, shape (A,), and their probabilities, with derivatives along the delay."""
+    """Ages [samples] of the applied command, shape (A,), and their probabilities, with derivatives along the delay."""
 
     age: Floats
     chance: Floats
@@ -137,10 +138,10 @@ class Ages:
     @classmethod
     @lru_cache(maxsize=64)
     def of(cls, delay: float, jitter: float) -> Ages:
-        """Return the ages by their mean and standard deviation [samples].
+        """Return the ages for their mean and standard deviation [samples].
 
-        Commands arrive on whole samples as far as the deviation allows: of whole delays whose mean lies ``off`` from
-        one the variance is at least |off| - off^2.
+        Commands arrive on whole samples if the deviation allows it: for whole delays whose mean differs by ``off`` from
+        a whole number, the variance is at least |off| - off^2.
         """
         if jitter <= 0:
             return cls(np.array([delay]), np.ones(1), 1.0, np.zeros(1))
@@ -162,17 +163,17 @@ class Ages:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (A, A) of which age is in force."""
+        """Covariance (A, A) of the indicators of the applied age."""
         return np.diag(self.chance) - np.outer(self.chance, self.chance)
 
     @cached_property
     def ageing(self) -> Floats:
-        """Chances of an age in force after another for delays drawn independently, three numbers an age, (3, A).
+        """Transition probabilities of the applied age for independently drawn delays, three numbers per age, (3, A).
 
-        The newest command that has arrived is in force: one of age i has arrived with probability F_i, and the next
-        row finds those that were on their way before with (F_i - F_(i-1))/(1 - F_(i-1)). So the chance of age j is
-        the same behind every age i >= j; the second number is that of i + 1 behind i, which is what is left, and the
-        third that of an age after any.
+        The newest command that has arrived is applied: one of age i has arrived with probability F_i; one that was
+        still on its way arrives by the next row with probability (F_i - F_(i-1))/(1 - F_(i-1)). The probability of age
+        j is therefore equal after every age i >= j; the second number is that of i + 1 after i (the remainder), and the
+        third that of an age after any other.
         """
         left = 1 - np.append(0.0, np.cumsum(self.chance)[:-1])
         arrived = np.clip(self.chance / np.maximum(left, 1e-12), 0.0, 1.0)
@@ -185,12 +186,11 @@ class Ages:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Pieces of the intervals behind rows, in each of which one command is in force.
+    """Pieces of the intervals after rows, in each of which one command is applied.
 
-    Pieces of the interval behind row r are ``offset[r]`` to ``offset[r + 1]``; two values where all rows are even.
-    Arrays of shape (Q,): the command is that ``back`` rows before, of age ``age`` among those of `Ages`; the piece
-    begins and ends so long before the interval's end [samples], and both change with the age by ``begin_slope`` and
-    ``end_slope``.
+    Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``; two values if all rows are even. Arrays
+    of shape (Q,): the command is that ``back`` rows before, of age ``age`` among those of `Ages`; ``begin`` and ``end``
+    are the times before the interval's end [samples], which change with the age by ``begin_slope`` and ``end_slope``.
     """
 
     offset: Integers
@@ -244,10 +244,10 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Transitions of a shape's states over the intervals behind rows, and gains of what acts in them, with tangents.
+    """Transitions of a shape's states over the intervals after rows, and gains of the inputs in them, with tangents.
 
-    As the loops of `kernels` take them: ``motion`` is (kind, F, F', W, W', H, H'), ``pieces`` (offset, back, age,
-    width, G, G') along P parameters.
+    In the form used by the loops of `kernels`: ``motion`` is (kind, F, F', W, W', H, H'), ``pieces`` (offset, back,
+    age, width, G, G') along P parameters.
     """
 
     motion: tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]

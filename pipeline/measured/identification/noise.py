@@ -1,4 +1,4 @@
-"""Noise other than that of readings, and the Kalman filter that makes prediction errors independent under it."""
+"""Noise in addition to that of readings, and the Kalman filter that whitens the prediction errors."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 FORGETS = 1e-6
-"""By how much the largest eigenvalue of a filter's errors may exceed 1 by rounding: a filter forgets its start."""
+"""Largest excess of the largest eigenvalue of a filter's errors over 1 due to rounding: a filter forgets its initial
+state."""
 
 Gains = tuple[Floats, Floats, Floats, float]
-"""K, standard deviation of the errors, chances of ages, and force of a unit command, for `kernels.whitened`."""
+"""K, standard deviation of the errors, transition probabilities of ages, and force of a unit command, for
+`kernels.whitened`."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """A random force, and a delay that jitters.
+    """Random force, and jitter of the delay.
 
     Parameters
     ----------
     force : float
-        Variance of the random force over a sample, in that of a reading.
+        Variance of the random force over a sample, relative to that of a reading.
     late : float
-        Variance of a force that a command of 1 makes, in that of a reading; 0 without jitter.
+        Variance of the force of a unit command, relative to that of a reading; 0 without jitter.
     jitter : float
-        Standard deviation of the age of the command in force [samples].
+        Standard deviation of the age of the applied command [samples].
     jitter_error : float
-        Standard error of it.
+        Standard error of the jitter.
     """
 
     force: float = 0.0
@@ -41,13 +43,13 @@ class Noise:
 
 
 WHITE = Noise()
-"""No noise but that of the readings."""
+"""Noise of the readings alone."""
 
 
 def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: float = np.inf) -> Gains:
     """Return the filter for some noise: a steady one for even rows without jitter, else one with gains row by row.
 
-    ``limit`` is the largest command that the drive has a force for.
+    ``limit`` is the command at which the drive saturates.
     """
     n, none = transitions.states, np.zeros((3, 0))
     if noise == WHITE:
@@ -69,9 +71,10 @@ def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: 
 
 
 def _steady(F: Floats, W: Floats, H: Floats, force: float) -> tuple[Floats, Floats]:
-    """Return gain (1, n) and spread (1,) of the steady filter.
+    """Return the gain (1, n) and the standard deviation (1,) of the steady filter.
 
-    They are NaN where doubles do not reach it, as of a device that runs away faster than its readings show.
+    They are NaN if it cannot be computed in double precision, e.g. for a device that runs away faster than its readings
+    show.
     """
     gain, variance = steady_gain(F, W, H, force)
     errors = F @ (np.eye(len(H)) - np.outer(gain, H))

@@ -1,4 +1,4 @@
-"""The noise under which the errors of a device are likeliest: a random force, and a jitter of the delay."""
+"""Maximum-likelihood noise of a device: a random force, and a jitter of the delay."""
 
 from __future__ import annotations
 
@@ -15,56 +15,57 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 MEMORIES = (1e-12, 3e5)
-"""Least and largest variance of the disturbing force in that of a reading, per sample: from a random walk that forgets
-in a thousand samples to one that forgets in one."""
+"""Smallest and largest variance of the random force per sample, relative to that of a reading: from a filter memory of
+a thousand samples to one of a single sample."""
 
 JITTERS = (0.02, 1.5)
-"""Least and largest jitter of the delay that is looked for [samples]: with nine ages of the command in force; of eight
-equally likely whole delays it is 1.5."""
+"""Smallest and largest jitter of the delay that is searched for [samples], with nine ages of the applied command; for
+eight equally likely whole delays the jitter is 1.5."""
 
 FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
-"""Jitters [samples], and random forces relative to that without a jitter, from which the likeliest are looked for."""
+"""Initial jitters [samples] of the search, and initial random forces relative to that without jitter."""
 
 FORCE_ROUNDS = 2
-"""Rounds of random forces over their range: behind the likeliest near one, a far smaller one may be likelier."""
+"""Number of rounds over the range of random forces: a far smaller one than the local optimum may be likelier."""
 
 READINGS = (1e-6, 10.0)
-"""Least and largest variance of a reading that is looked for with a jitter, in that by third differences: where
-readings are exact, these are the kicks of the jitter, 1e3 times as large."""
+"""Smallest and largest variance of a reading that is searched for with jitter, relative to that from third differences:
+for exact readings, the latter contain the effects of jitter, 1e3 times as large."""
 
 ROUGH = 0.7
-"""Change of the logarithm of a variance that is near enough for a start: intervals grow with its root."""
+"""Tolerance of the logarithm of a variance for a starting value: intervals scale with its square root."""
 
 NEAR = 0.05
-"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is a parabola."""
+"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is approximately parabolic."""
 
 ASIDE = 0.1
-"""Change of the logarithm of a variance, or of a jitter, to the one by which derivatives are taken."""
+"""Step of the logarithm of a variance, or of a jitter, for numerical derivatives."""
 
 SCORING, FARTHEST = 6, 1.5
-"""Most steps in the search for a jitter, the noise of readings and a random force; their largest change of a
-logarithm."""
+"""Largest number of steps in the search for a jitter, the noise of readings and a random force, and largest change of a
+logarithm in a step."""
 
 ENOUGH = 0.05
-"""Gain of log-likelihood by a step below which the next one is none."""
+"""Gain of log-likelihood of a step below which the search ends."""
 
 OTHER_AGES = 0.08
-"""Error of a jitter by the shape of its distribution, relative, for each sample from half of one on: of delays drawn
-from two to four whole ones it is off by up to 0.15."""
+"""Relative error of a jitter due to the shape of its distribution, per sample of jitter above one half: for delays
+drawn from two to four whole values it is up to 0.15."""
 
 LEAST_JITTER = 0.05
-"""Jitter [samples] from which on one is believed: what rounding leaves may look like less."""
+"""Smallest jitter [samples] that is accepted; rounding may imitate smaller ones."""
 
 NOISE_SEGMENTS, NOISE_ROWS = 24, 150
-"""Segments by which the noise is found, cut into parts of so many rows: a variance from 8,000 rows is known to 2 %."""
+"""Number of segments used to estimate the noise, and largest number of rows of the parts into which they are cut: 8,000
+rows give a variance to 2 %."""
 
 IMPOSSIBLE = 1e30
-"""Cost, as a logarithm of a likelihood, of a noise under which a device cannot be computed: any other is less."""
+"""Cost, as a negative log-likelihood, of a noise for which a device cannot be computed; any other cost is lower."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseLikelihood:
-    """What a noise costs, the errors of all rows in their standard deviations, and the logarithms of these, (R,)."""
+    """Cost of a noise, the errors of all rows in their standard deviations, and the logarithms of these, (R,)."""
 
     lost: float
     errors: Floats
@@ -73,7 +74,7 @@ class NoiseLikelihood:
 
 @dataclass(eq=False)
 class NoiseCost:
-    """The likelihood of segments of a device as a function of its noise, with its other numbers fixed."""
+    """Likelihood of segments of a device as a function of its noise, with its other numbers fixed."""
 
     segments: Segments
     device: Device
@@ -81,24 +82,25 @@ class NoiseCost:
 
     @classmethod
     def of(cls, segments: Segments, device: Device) -> NoiseCost:
-        """Return the likelihood of parts of some segments, spread over all."""
+        """Return the likelihood of parts of some segments, spread evenly over all."""
         return cls(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
 
     @cached_property
     def white(self) -> float:
-        """Variance of a reading by third differences."""
+        """Variance of a reading from third differences."""
         return self.segments.white
 
     def __call__(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> float:
-        """Return the negative logarithm of the likelihood."""
+        """Return the negative log-likelihood."""
         return self.likelihood(force, jitter, reading).lost
 
     @np.errstate(all="ignore")  # as in `likelihood.moments_of`
     def likelihood(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> NoiseLikelihood:
         """Return the likelihood of a noise.
 
-        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading with a jitter, in that by
-        third differences. The constant force of each segment is free, so that it is not taken for a random one.
+        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading with jitter, relative to
+        that from third differences. The constant force of each segment is estimated, so that it is not mistaken for a
+        random one.
         """
         some, noise = self.segments, self.noise(force, jitter, reading)
         if self._transitions is None or self._transitions[0] != jitter:
@@ -109,7 +111,7 @@ class NoiseCost:
         own_force = np.add.reduceat(pushed * errors, columns.first) / squares
         errors = errors - pushed * np.repeat(own_force, some.rows + columns.starts)
         rows = np.maximum(some.rows - columns.known - 1, 1)
-        # the strength of a jitter is that of its forces, relative to the noise of a reading
+        # the effect of jitter is that of its forces, relative to the noise of a reading
         left = np.add.reduceat(errors**2, columns.first)
         variance = np.full(len(some), reading * self.white) if jitter else np.maximum(left / rows, some.least)
         lost = 0.5 * float((rows * np.log(variance) + left / variance + np.log(squares)).sum()) + columns.lost
@@ -118,15 +120,15 @@ class NoiseCost:
         return NoiseLikelihood(lost if np.isfinite(lost) else IMPOSSIBLE, errors, deviations)
 
     def noise(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> Noise:
-        """Return the noise of some numbers."""
+        """Return the noise with the given values."""
         command = self.device.numbers["gain"] ** 2
         return Noise(force, command / (reading * self.white) if jitter else 0.0, jitter)
 
 
 def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> Noise:
-    """Return the noise under which the errors of a device are likeliest, without what is worth nothing.
+    """Return the maximum-likelihood noise of a device, without insignificant contributions.
 
-    A random force is looked for, and a jitter of the delay if asked for; from the device's own noise on.
+    A random force is searched for, and optionally a jitter of the delay, starting at the device's present noise.
     """
     cost, former = NoiseCost.of(segments, device), device.noise
 
@@ -140,7 +142,7 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
     if none >= IMPOSSIBLE:
         return WHITE
     force, by_force = _likeliest(cost, MEMORIES, 0.0 if former.jitter else former.force)
-    # what rounding leaves may look like a little of either
+    # rounding may imitate a little of either
     still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
     if not jitters or none - by_force <= WORTH + ROUNDED_ROW * float(cost.segments.rows.sum()):
         return still
@@ -166,7 +168,7 @@ def with_jitter_error(segments: Segments, device: Device) -> Noise:
     noise, cost = device.noise, NoiseCost.of(segments, device)
     reading = device.numbers["gain"] ** 2 / (noise.late * cost.white)
     lost = [cost(noise.force, noise.jitter * float(np.exp(way * NEAR)), reading) for way in range(-2, 3)]
-    # a jitter and a delay of half a sample are at a kink of the likelihood: its flatter side gives the error
+    # the likelihood has a kink at a jitter and a delay of half a sample: its flatter side gives the error
     bends = np.diff(lost, 2)[[0, 2]]
     bend = max(float(min(bends, key=lambda each: each if each > 0 else np.inf)), 2e-3)
     error = float(np.hypot(NEAR / np.sqrt(bend), OTHER_AGES * max(noise.jitter - 0.5, 0.0)))
@@ -174,7 +176,7 @@ def with_jitter_error(segments: Segments, device: Device) -> Noise:
 
 
 def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near: float = 0.0) -> tuple[float, float]:
-    """Return roughly the number within limits that costs least, and that cost; from ``near`` on where it is not 0."""
+    """Return approximately the number of lowest cost within limits, and that cost; start at a nonzero ``near``."""
     from scipy.optimize import minimize_scalar
 
     if limits[0] < near < limits[1]:
@@ -191,15 +193,15 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 def _minimum(
     likelihood: Callable[..., NoiseLikelihood], near: Sequence[float], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
-    """Return the positive numbers within limits that cost least, from some near them on, and that cost.
+    """Return the positive numbers within limits of lowest cost, starting near the given ones, and that cost.
 
-    By Fisher's scoring in their logarithms: with errors e in their standard deviations s the information is
+    Uses Fisher scoring in their logarithms: with errors e, relative to their standard deviations s, the information is
 
         e_i' e_j + (ln s)_i' (ln s)_j          subscripts are derivatives
 
-    Derivatives are differences over `ASIDE`, less the part of the information that is in them: the likelihood has a
-    kink where the number of ages changes, over which smaller differences would mislead. Where a step by those ahead
-    leads to no lower cost, those on both sides give the slope.
+    Derivatives are differences over `ASIDE`, minus the contribution of the information: the likelihood has a kink where
+    the number of ages changes, at which smaller differences would mislead. If a step with forward differences does not
+    lower the cost, central differences give the slope.
 
     Source: Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, p. 774.
     """

@@ -1,4 +1,4 @@
-"""Parts of a device in addition to a mass, a damper and a delay: their numbers, and where they are looked for."""
+"""Parts of a device in addition to mass, damper and delay: their numbers, and starting values of their search."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import numpy as np
 from pipeline.measured.identification.likelihood import BEFORE, WORTH
 
 Starts = Callable[[dict[str, float]], list[dict[str, float]]]
-"""Numbers from which a search for a part starts, of those of the device without it."""
+"""Function that returns starting values for a part from the numbers of the device without it."""
 
 CLOSER = 20.0
-"""Gain of log-likelihood that each number but the first of a part must bring, as rounding is no white noise: a mode in
-the place of a lag of half a sample gained 6 to 38 with two more, a real mode at 300 Hz 100."""
+"""Gain of log-likelihood required for each further number of a part, because rounding is not white noise: a mode
+instead of a lag of half a sample gained 6 to 38 with two more numbers, a real mode at 300 Hz gained 100."""
 
 NEARBY = (0.86, 0.93, 1.0, 1.07, 1.15)
-"""Factors of the best start for a second search: what is clipped is often a row or two of each log."""
+"""Factors of the best starting value for a second search: often only a row or two of each log are clipped."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a device.
+    """Part of a device.
 
     Parameters
     ----------
     numbers : tuple of str
         Numbers of the estimator that it adds.
     starts : callable
-        Where they are looked for; the best is where a search starts.
+        Function that returns candidate values; a search starts at the best of them.
     size : str
-        The number, if there is one, that is 0 without the part and in which the motion is linear.
+        The number, if any, that is 0 without the part and in which the motion is linear.
     near : str
-        The number, if there is one, that is looked for again near the best start.
+        The number, if any, that is searched for again near the best start.
     needs : str
-        Part without which it is not looked for.
+        Part that is required before this one is searched for.
     """
 
     numbers: tuple[str, ...]
@@ -46,21 +46,21 @@ class Part:
 
     @property
     def threshold(self) -> float:
-        """Gain of log-likelihood from which on there is such a part."""
+        """Smallest gain of log-likelihood for which the part is accepted."""
         return WORTH + CLOSER * (len(self.numbers) - 1)
 
 
 FREQUENCIES = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
-"""Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
+"""Initial frequencies [rad a sample] of the search for a mode, a factor of 1.5 apart."""
 
 
 def _largest_forces(_: dict[str, float]) -> list[dict[str, float]]:
-    """Return largest forces, relative to the largest command."""
+    """Return candidates of the largest force, relative to the largest command."""
     return [{"limit": limit} for limit in (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)]
 
 
 def _lags(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return lags [samples] each of which the next one resembles, in the place of as much of the delay."""
+    """Return lags [samples], each similar to the next one, that replace an equal part of the delay."""
     return [{"lag": lag, "delay": max(numbers["delay"] - lag, 0.0)} for lag in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)]
 
 
@@ -71,9 +71,9 @@ def _modes(_: dict[str, float]) -> list[dict[str, float]]:
 
 
 def _modes_at_load(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return modes whose load is read.
+    """Return modes whose position is measured at the load.
 
-    Where such a mode vibrates most the load is a quarter of a period late; a faster one is hardly late at all.
+    At the resonance of such a mode the load lags by a quarter of a period; with a faster mode it hardly lags.
     """
     share = BEFORE["spring_damping_fraction"][0]
     modes = [
@@ -104,4 +104,4 @@ PARTS: dict[str, Part] = {
     ),
     "load damping": Part(("load_damping",), _load_dampings, size="load_damping", needs="mode"),
 }
-"""Parts that forward selection looks for; bounds of their numbers are in `likelihood.LIMITS`."""
+"""Parts that forward selection considers; bounds of their numbers are in `likelihood.LIMITS`."""

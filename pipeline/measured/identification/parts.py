@@ -1,4 +1,4 @@
-"""Selection of the parts of a device by cross-validation: those without which trials left out are less likely."""
+"""Selection of the parts of a device by cross-validation: parts without which trials left out are less likely."""
 
 from __future__ import annotations
 
@@ -33,59 +33,61 @@ BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
 
 SHORTER = (150,)
-"""Rows of the short segments by which a search starts, too: about ten time constants of a fast motor at 1 kHz."""
+"""Largest number of rows of the short segments that are also used for starting values: about ten time constants of a
+fast motor at 1 kHz."""
 
 STARTS = 2
-"""Devices from which a search of whole segments starts: with a spring, and without."""
+"""Number of initial devices for a search on whole segments: with a spring, and without."""
 
 MOST_TRIALS = 100
-"""Most trials by which parts are chosen; all are fitted in the end."""
+"""Largest number of trials used to choose parts; all are fitted in the end."""
 
 LONGEST_DELAY = 48
-"""Longest delay [samples] that is looked for."""
+"""Longest delay [samples] that is searched for."""
 
 DELAYS, FRICTIONS = 4, (0.3, 2.0)
-"""Delays over their range, and friction relative to the likeliest, from which other optima are looked for."""
+"""Number of delays over their range, and friction relative to the optimum, from which other optima are searched for."""
 
 UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
-"""Lags [samples] that may be part of a delay: rounding makes shorter ones likelier than none."""
+"""Lags [samples] that may be part of a delay; rounding makes shorter ones likelier than none."""
 
 IMITATED = 0.75
-"""Lag [samples] below which a mode that is too fast to be looked for moves the device as much: one of 1.9 rad a sample
-as 0.38, with a delay that is shorter by as much."""
+"""Lag [samples] below which a mode too fast to be searched for has the same effect: one of 1.9 rad a sample acts like
+0.38, with a delay that is shorter by the same amount."""
 
 BESIDE = 1.92
-"""Log-likelihood below the largest at which an interval of 95 % by it ends."""
+"""Drop of the log-likelihood at the ends of a 95 % profile interval."""
 
 WEIGHED = 0.1
-"""Share of the random force without a part that is left to errors where a start with it is looked for."""
+"""Share of the random force of the fit without a part that is assumed in the search for a starting value with it."""
 
 LOOKED_AT = 9000
-"""Rows, of segments spread over all, by which parts are looked for at first: what these do not show moves no limit."""
+"""Number of rows, in segments spread over all, with which parts are first searched for: others change no limit."""
 
 FIRST_STEPS, SOME_STEPS = 4, 10
-"""Steps by which they are looked for at first, without other noise than that of readings, and in that noise."""
+"""Number of steps of the first search for parts, without noise other than that of readings, and with it."""
 
 LEFT = 0.5
-"""Share of the random force's variance that a part may leave: a largest force that stood for a stiffening hand left
-0.85 of it, real parts less than 0.01."""
+"""Largest share of the random force's variance that may remain with a part: a force limit that imitated a stiffening
+hand left 0.85 of it, real parts less than 0.01."""
 
 HEAVY = 0.5
-"""Share of the mass from which on the load of a mode may stand for what a spring is fixed to."""
+"""Smallest share of the mass for which the load of a mode may be the base to which a spring is fixed."""
 
 SLOW = 4 * np.pi
-"""Phase [rad] that a mode turns by in a log, up to which its load hardly moves: two periods."""
+"""Largest phase [rad] of a mode over a log for which its load hardly moves: two periods."""
 
 APART = 10.0
-"""Range of the first positions of logs, in noises of a reading, up to which they begin in one place."""
+"""Largest range of the first positions of logs, in noise standard deviations of a reading, for which they begin in one
+place."""
 
 UNSEEN_FRICTION = 0.02
-"""Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
-too large by as much."""
+"""Friction, relative to the largest command, that may remain undetected before it must be included as unknown: the mass
+is too large by the same amount."""
 
 SLIGHT = 1e-6
-"""Force of a spring or of friction, relative to the largest command, below which it is none: exact logs separate
-rounding from nothing."""
+"""Force of a spring or of friction, relative to the largest command, below which it is zero; it separates rounding from
+real forces in exact logs."""
 
 CONSTANT = 1e-3
 """Change of the commands, relative to the largest, below which they count as one constant command."""
@@ -93,11 +95,11 @@ CONSTANT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A fit with its parts, and the gain of cross-validated likelihood by each.
+    """Fit with its parts, and the gain of cross-validated likelihood by each.
 
-    A part with 0 may be there or not: its number is taken along as unknown. ``assumed`` names what is taken as none,
-    ``bounds`` gives the upper ends of friction, spring and lag where there is none, and the other end of a delay that
-    may be part of a lag, or have one as a part; both by names of `ESTIMATED`.
+    A part with 0 may be present or not: its number is included as unknown. ``assumed`` names the parameters assumed to
+    be zero, ``bounds`` contains the upper ends of absent friction, spring and lag, and the other end of a delay that
+    may be part of a lag, or include one; both by names of `ESTIMATED`.
     """
 
     fit: Fit
@@ -109,13 +111,13 @@ class Choice:
 
     @property
     def moving(self) -> bool:
-        """Whether rows at which the direction of motion is not seen are left out."""
+        """Whether rows with an unknown direction of motion are left out."""
         return "friction" in self.parts
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenParts:
-    """Parts of a device, and where a fit of its logs begins.
+    """Parts of a device, and starting point for a fit of its logs.
 
     Parameters
     ----------
@@ -126,11 +128,11 @@ class ChosenParts:
         Variance of a reading, in ``units``.
     units : LogUnits
     lead : int
-        Rows before a segment whose commands a delay may need.
+        Number of rows before a segment whose commands a delay may need.
     parts : dict of str to float
         Gain of cross-validated log-likelihood by part; 0 where undecided.
     assumed : tuple of str
-        Names of what is taken as none.
+        Names of parameters assumed to be zero.
     bounds : dict of str to float
         Upper ends of friction and spring [SI] with both in the fit.
     """
@@ -146,28 +148,28 @@ class ChosenParts:
 
     @property
     def device(self) -> Device:
-        """The device from which a fit begins."""
+        """Initial device of a fit."""
         return Device(self.numbers, self.noise, reading=self.reading)
 
 
 def held_out(fit: Fit) -> float:
-    """Return the log-likelihood of units by fits without their fold, each one Newton step from the whole fit.
+    """Return the log-likelihood of units under fits without their fold, each one Newton step from the whole fit.
 
     Each portion of few logs is a fold, and the step that of first order (Takeuchi's criterion).
     """
     solved = fit.solved
     if fit.few:
         return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, inverse(solved.total), solved.score))
-    # never above 0 but for rounding, where a direction is hardly known
+    # above 0 only by rounding, if a direction is hardly known
     losses = (float(score @ step - 0.5 * step @ information @ step) for information, score, step in solved.folds)
     return fit.likelihood + sum(min(loss, 0.0) for loss in losses)
 
 
 def subset(recordings: list[Recording]) -> list[Recording]:
-    """Return the recordings by which parts are chosen, in the order of their ranks.
+    """Return the recordings used to choose parts, in the order of their ranks.
 
-    All up to `MOST_TRIALS`, else those with the smallest hashes of their samples: one log more replaces at most one of
-    them, whatever it contains and wherever it is recorded.
+    All up to `MOST_TRIALS`, otherwise those with the smallest hashes of their samples: an additional log replaces at
+    most one of them, whatever it contains and at whichever wall it was recorded.
     """
     some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
     return sorted(some, key=lambda each: each.rank)
@@ -176,8 +178,8 @@ def subset(recordings: list[Recording]) -> list[Recording]:
 def choose_parts(recordings: list[Recording]) -> ChosenParts:
     """Return the parts of a device that cross-validation over the `subset` of some recordings requires.
 
-    A spring may be the device's own, relaxed in one place, or a hand's, relaxed where each log begins: logs that begin
-    in several places decide which.
+    A spring may belong to the device and be relaxed in one place, or to a hand and be relaxed where each log begins:
+    logs that begin in several places decide.
 
     Parameters
     ----------
@@ -203,20 +205,20 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
 
 
 def _is_like_ground(chosen: ChosenParts, rows: float) -> bool:
-    """Return whether the load of a mode may be what a spring is fixed to: it is heavy, or hardly moves in a log."""
+    """Return whether the load of a mode may be the base of a spring: it is heavy, or hardly moves in a log."""
     turn = chosen.numbers.get("mode_frequency", np.inf)
     return chosen.numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
 
 
 def _worthiness(fit: Fit) -> float:
-    """Return the likelihood of a fit less what each of its numbers must bring."""
+    """Return the likelihood of a fit minus the gain required for each of its numbers."""
     return fit.likelihood - WORTH * len(fit.device.names)
 
 
 def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, float]:
-    """Return the parts of a device with a spring that is relaxed at the origin of some units, its fit, and usual rows.
+    """Return the parts of a device with a spring relaxed at the units' origin, its fit, and the usual segment length.
 
-    Rows are the median of a segment's.
+    The usual length is the median number of rows of a segment.
     """
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
@@ -234,7 +236,7 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
 
 
 def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
-    """Return the fit of recordings, in the order of their ranks, with parts that were chosen by some of them.
+    """Return the fit of recordings, in the order of their ranks, with parts that were chosen from some of them.
 
     Raises
     ------
@@ -257,7 +259,7 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
 
 
 def _largest_bound(name: str, units: LogUnits) -> float:
-    """Return the largest upper end of friction or a spring [SI] that means something.
+    """Return the largest meaningful upper end of friction or of a spring [SI].
 
     More friction than the largest command would fix the device, and a stiffer spring than twice that command over the
     largest displacement would have moved it less.
@@ -266,10 +268,10 @@ def _largest_bound(name: str, units: LogUnits) -> float:
 
 
 def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
-    """Return the likeliest of several optima, with intervals that reach to those that the logs do not exclude.
+    """Return the best of several optima, with intervals that include those that the logs do not exclude.
 
-    With friction few logs leave several: where a motion turns depends on both friction and delay. They are searched
-    from delays over the whole range, with less and with more friction.
+    With friction and few logs there are several, because a reversal depends on both friction and delay. They are
+    searched for from delays over the whole range, with less and with more friction.
     """
     numbers = fit.device.numbers
     starts = [
@@ -280,16 +282,16 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
     fits = [fit, *(climbed(segments, device, SOME_STEPS) for device in starts)]
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
-    # the last climb may go beyond all others
+    # the last search may end beyond all others
     near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats)]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack(steps))
 
 
 def _unseen_lag(segments: Segments, fit: Fit) -> float:
-    """Return the upper end of the lag [samples] that a delay longer by as much stands for.
+    """Return the upper end of the lag [samples] that is indistinguishable from an equally longer delay.
 
-    Up to the second order in its length a lag is a delay. Next to a lag or a mode none is looked for.
+    Up to second order in its length, a lag acts like a delay. In addition to a lag or a mode, none is searched for.
     """
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
@@ -299,7 +301,7 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
     def likelihood(lag: float) -> float:
         late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
         device = replace(alone, numbers=numbers | late)
-        # from where the others are likeliest with it: a prediction from afar is too good
+        # start at the optimum of the others with it: a prediction from far away is too optimistic
         step = np.zeros(len(device.names))
         step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
         return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood
@@ -316,9 +318,9 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
 def _first(
     recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
 ) -> tuple[Fit, Segments, dict[str, float], dict[str, float]]:
-    """Return the fit with friction and spring where there are some or may be, its segments, those parts, and bounds.
+    """Return the fit with friction and spring if present or possible, its segments, those parts, and bounds.
 
-    The search starts from each of some devices.
+    The search starts from each of the given devices.
 
     Bounds are the upper ends of friction and spring [SI] with both in the fit.
     """
@@ -340,15 +342,15 @@ def _first(
 
 
 def _upper(fit: Fit, name: str, units: LogUnits) -> float:
-    """Return the upper end of the interval of a quantity that is not negative."""
+    """Return the upper end of the interval of a nonnegative quantity."""
     return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 
 
 def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with its spring where there is one, else without.
+    """Return the fit with its spring if there is one, otherwise without.
 
-    Where there seems to be one the search climbs without it, too, from where it began: behind one wall a spring may
-    stand for the command.
+    If there seems to be one, the search is repeated without it from the same start: with a single wall a spring may
+    imitate the command.
     """
     gain, numbers = _loss(fit, "gamma"), fit.device.numbers
     # in units of the largest command, at the largest displacement
@@ -369,7 +371,7 @@ def _sliding(device: Device) -> Device:
 
 
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the numbers that commands identify, and those that are taken as none."""
+    """Return the numbers that commands identify, and those assumed to be zero."""
     largest = max(float(np.abs(each.command).max()) for each in recordings)
     if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
         return BASE, ()
@@ -382,9 +384,9 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
 
 
 def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], lead: int) -> list[Device]:
-    """Return devices from which a search starts, with a spring, and with friction where directions are seen.
+    """Return initial devices of a search, with a spring, and with friction if directions are known.
 
-    The balances of forces are integrated over whole segments, and over short ones: a long plateau behind a fast motion
+    The force balances are integrated over whole segments, and over short ones: a long plateau after a fast motion
     outweighs it, and short segments of a slow motion hardly move.
 
     Raises
@@ -405,20 +407,20 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
 
 
 def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
-    """Return two devices from which a search starts, the likelier first: by the balance with a spring, and without.
+    """Return two initial devices of a search, the likelier first: from the balance with a spring, and without.
 
-    Behind one wall the command is a spring and a damper: but for the delay, a device with these and no gain
-    moves the same, and the errors of readings decide between the two.
+    With a single wall the command is that of a spring and a damper: except for the delay, a device with these and no
+    gain moves in the same way, and the errors of readings decide between the two.
     """
     some = _some(segments)
     return sorted(first_guesses(segments, names, lead), key=lambda device: -_likelihood(some, device))
 
 
 def _searched(segments: Segments, begin: list[Device]) -> Fit:
-    """Return the likeliest fit from the first of some devices.
+    """Return the maximum-likelihood fit, starting from the first of some devices.
 
-    Where it leaves a random force, the search also climbs from all of them without one: a random force that is found
-    before the search ends may replace friction, a delay, or a fast motion.
+    If the best model includes a random force, the search is repeated from all devices without one: a random force that
+    is included too early may replace friction, a delay, or a fast motion.
     """
     fit = refined(segments, begin[0])
     if not fit.solved.information.any():
@@ -428,7 +430,7 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
         )
     if segments.trials < FEWEST and len(begin) > 1:
         first, second = (climbed(segments, device).solved.here for device in begin[:2])
-        # starts that lead to the same place without a random force lead to one fit
+        # starts with the same optimum without a random force give one fit
         if abs(first - second) >= WORTH:
             fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
     if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):
@@ -436,7 +438,7 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
     some = _some(segments)
     climbs = [climbed(some, device) for device in begin]
     here = climbed(some, replace(fit.device, noise=WHITE, effects=None))
-    # where these lead to the same place without a random force, none has replaced anything
+    # if these have the same optimum without a random force, it has replaced nothing
     best = max(climbs, key=lambda each: each.solved.here)
     if best.solved.here < here.solved.here + WORTH:
         return fit
@@ -452,16 +454,16 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
 
 
 def _likelihood(segments: Segments, device: Device) -> float:
-    """Return the likelihood of a device as it is."""
+    """Return the likelihood of a device without further search."""
     return solve(moments_of(segments, device), np.empty(0, dtype=np.int64)).here
 
 
 def _pruned(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]]:
-    """Return segments, fit and parts without friction and spring that only stood for another part.
+    """Return segments, fit and parts without friction and spring that only imitated another part.
 
-    Friction that another part hid is found.
+    Friction that was hidden by another part is added.
     """
     recordings, units, lead = logs
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
@@ -482,18 +484,18 @@ def _pruned(
 
 
 def _loss(fit: Fit, name: str) -> float:
-    """Return by how much the likelihood falls without a number that is not negative, in which the motion is linear."""
+    """Return the loss of likelihood without a nonnegative number in which the motion is linear."""
     found = Errors.of(fit).interval(lambda n: n[name])
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
 def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with largest force, lag and mode: the likeliest first, as each may replace another."""
+    """Return the fit with force limit, lag and mode: the likeliest first, as each may replace another."""
     some, left, rounds = _some(segments), dict(PARTS), 0
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = fit if some is segments else refined(some, alone, far=False)
-        # where the noise of readings alone is left, most parts are seen to be none from where a search starts
+        # if only the noise of readings remains, most parts can be excluded at the start of a search
         least = ROUNDED_ROW * float(some.rows.sum())
         is_white, white = plain.device.noise == WHITE, climbed(some, replace(plain.device, noise=WHITE, effects=None))
         for number, (name, part) in enumerate(left.items()):
@@ -513,23 +515,23 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
             break
         rounds += 1
         name = max(tried, key=lambda each: tried[each].likelihood - PARTS[each].threshold)
-        # far from the solution noise may replace what is left: it is looked for again
+        # far from the solution noise may replace the residual: it is estimated again
         other = refined(segments, replace(tried[name].device, effects=None), far=False)
         fit = plain if some is segments else refined(segments, alone, far=False)
         part, gain = left.pop(name), held_out(other) - held_out(fit)
         if gain > WORTH * len(part.numbers) and _is_inside(other.device, part) and _takes_away(fit, other):
             fit, parts = other, parts | {name: gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
-        # a jitter may have replaced what was left before the part was found to the end
+        # jitter may have replaced the residual before the search for the part ended
         fit = refined(segments, replace(fit.device, effects=None), far=False)
     return fit, parts
 
 
 def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | None:
-    """Return the fit from a device with one part more; None where that is no better than ``plain``, the fit without.
+    """Return the fit from a device with an additional part; None if it is not better than ``plain``, the fit without.
 
-    A part of a device makes its motion likelier without any other noise than that of readings, as in ``white``, and in
-    the noise that is left without it.
+    A real part makes the motion likelier both with the noise of readings alone, as in ``white``, and with the noise
+    that remains without it.
     """
     climb = climbed(some, start, FIRST_STEPS)
     if climb.likelihood < white.solved.here + WORTH:
@@ -538,20 +540,20 @@ def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | N
     within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
     if within.likelihood < plain.likelihood + BESIDE:
         return None
-    # a part leaves no jitter where there was none without it
+    # a part does not add jitter if there was none without it
     return refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
 
 
 def _some(segments: Segments) -> Segments:
-    """Return segments of about `LOOKED_AT` rows; all themselves where there are no more."""
+    """Return segments of about `LOOKED_AT` rows; all segments if there are no more."""
     count = int(LOOKED_AT / np.mean(segments.rows)) + 1
     return segments if count >= len(segments) else segments.select(spread(segments, count))
 
 
 def _is_inside(device: Device, part: Part) -> bool:
-    """Return whether no number of a part is where its search ends, as of a largest force that nothing exceeds.
+    """Return whether no number of a part is at its search limit, e.g. a force limit that is never reached.
 
-    Readings at the load hardly show where a vibration is lost.
+    Readings at the load hardly show where a vibration is dissipated.
     """
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
@@ -559,7 +561,7 @@ def _is_inside(device: Device, part: Part) -> bool:
 
 
 def _takes_away(fit: Fit, other: Fit) -> bool:
-    """Return whether a fit has at most `LEFT` of another's random force, or of its jitter where that is all it has."""
+    """Return whether a fit has at most `LEFT` of another's random force, or of its jitter if it has only jitter."""
     before, behind = fit.device.noise, other.device.noise
     if before.force > 0:
         return bool(behind.force * other.solved.noise <= LEFT * before.force * fit.solved.noise)
@@ -567,9 +569,10 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
 
 
 def _having(segments: Segments, device: Device, part: Part) -> Device:
-    """Return a device with one part more, from which a search starts: the one that leaves least as noise.
+    """Return a device with an additional part as the start of a search: the one with the smallest remaining noise.
 
-    A jitter, or all of a random force, would take its place; without any the slowest of what is left counts most.
+    Jitter, or the full random force, would replace the part; without any noise, the slowest part of the residual would
+    dominate.
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
     found = _best(segments, device, part, part.starts(device.numbers))
@@ -580,17 +583,17 @@ def _having(segments: Segments, device: Device, part: Part) -> Device:
 
 
 def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:
-    """Return the likeliest of some devices with a part as it is, each with the best of its other numbers."""
+    """Return the best of some devices with a part as given, each with the best of its other numbers."""
     devices = (replace(device, numbers=device.numbers | each) for each in starts)
     return max(devices, key=lambda each: _promise(segments, each, part))
 
 
 def _promise(segments: Segments, device: Device, part: Part) -> float:
-    """Return the likelihood of a device with the best of the numbers that are not a part's."""
+    """Return the likelihood of a device with the best of the numbers that do not belong to a part."""
     return _others(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
 
 
 def _others(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
-    """Return the estimate of the numbers that are not a part's, in order, with scatter of those at some places."""
+    """Return the estimate of the numbers that do not belong to a part, in order, with scatter of some of them."""
     others = [i for i, name in enumerate(device.names) if name not in part.numbers]
     return solve(moments_of(segments, device).some(others), random)

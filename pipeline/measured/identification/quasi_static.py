@@ -1,4 +1,4 @@
-"""Speed per command of a device whose rows are farther apart than its time constant."""
+"""Speed per command of a device whose row spacing exceeds its time constant."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from pipeline.measured.student import student_95
 from pipeline.records.trials import Booleans, Floats
 
 WINDOW = 8
-"""Rows of a window: the motion behind a change of the command is over within it, and the position moves visibly."""
+"""Number of rows of a window: the transient after a change of the command ends within it, and the position moves
+visibly."""
 
 BLOCKS = 16
-"""Blocks of windows that a jackknife leaves out."""
+"""Number of blocks of windows for the jackknife."""
 
 KNOWN = (0.1, 0.05)
-"""Largest changes of the command between rows, relative to its range, in windows that are used: between rows it is not
-known. What both differ in is the error of a command by trapezoids."""
+"""Largest changes of the command between rows, relative to its range, in the windows that are used, since the command
+is unknown between rows. The difference between both results is the error of trapezoidal integration."""
 
 EXPLAINS = 0.97
-"""Share of the squares of the displacements that the command must explain; it explains less where an inertia shows."""
+"""Share of the sum of squares of the displacements that the command must explain; it explains less if an inertia is
+visible."""
 
 FASTEST = 2.0
 """Delay and time constant [rows] above which the rows themselves show an inertia."""
@@ -46,7 +48,7 @@ def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
 
 
 def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, float] | None:
-    """Return the damping by windows in which the command changes slowly, and its standard error; None without one."""
+    """Return the damping from windows with a slowly changing command, and its standard error; None if there is none."""
     rows = [_windows(each, known) for each in recordings if len(each.time) >= 4 * WINDOW]
     if not rows:
         return None

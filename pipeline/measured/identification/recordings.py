@@ -1,4 +1,4 @@
-"""Logs as the estimator takes them: rows in SI, how they move, and the units in which they are near 1."""
+"""Logs as input of the estimator: rows in SI, their motion, and units in which their values are near 1."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pipeline.measured.signal.sensor import position_quantum
 from pipeline.records.trials import Floats, Integers
 
 SHORTEST = 8
-"""Rows of the shortest stretch that says more than its own start."""
+"""Smallest number of rows of a segment that has information beyond its initial state."""
 
 SURE = 4.0
-"""Speed in its standard errors from which on its direction counts as seen; wrong in 6e-5 of the rows."""
+"""Smallest speed, in standard errors, for which its direction counts as known; wrong in 6e-5 of the rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s].
 
-    ``edge`` is the row, counted from 0, that is declared as that of a step from rest; ``wall`` damping and stiffness
-    that it was recorded behind.
+    ``edge`` is the declared row, counted from 0, of a step from rest; ``wall`` contains the damping and stiffness of
+    the recorded wall.
     """
 
     name: str
@@ -36,9 +36,9 @@ class Recording:
 
     @cached_property
     def rank(self) -> tuple[float, float, bytes, bytes]:
-        """Place among others: by its wall, and by its samples where walls are equal.
+        """Sort key: wall first, then samples if walls are equal.
 
-        Neighbours are left out together, so that what the model lacks at similar walls widens intervals.
+        Neighbours are left out together, so that unmodelled effects at similar walls widen the intervals.
         """
         samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
         of_command, of_position = samples
@@ -46,7 +46,7 @@ class Recording:
 
     @property
     def digest(self) -> str:
-        """Hash of all but its name."""
+        """Hash of the recording without its name."""
         known = sha256(repr((self.period, self.edge, self.wall)).encode())
         for each in (self.time, self.command, self.position):
             known.update(np.ascontiguousarray(each).data)
@@ -54,7 +54,7 @@ class Recording:
 
     @cached_property
     def motion(self) -> Motion:
-        """How it moves."""
+        """Smoothed motion of the recording."""
         return motion_of(self)
 
     @cached_property
@@ -64,7 +64,7 @@ class Recording:
 
     @cached_property
     def rounding(self) -> float:
-        """Standard deviation of a reading's rounding, 0 where none is seen."""
+        """Standard deviation of a reading's rounding, 0 if none is visible."""
         return rounding(self.position)
 
 
@@ -72,8 +72,8 @@ class Recording:
 class LogUnits:
     """Units of the estimator: sampling period [s], position from its origin [m, rad] and command [N, Nm].
 
-    The origin is where a spring is relaxed: where most logs begin, or None for the beginning of each log, as of a hand
-    that grips the device there. What else acts on the device is a constant force.
+    The origin is the position at which a spring is relaxed: where most logs begin, or None for the beginning of each
+    log, e.g. if a hand grips the device there. Any further offset is a constant force.
     """
 
     period: float
@@ -93,7 +93,7 @@ class LogUnits:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How a recording moves: velocity smoothed over ``half`` rows to each side, its error, directions seen."""
+    """Motion of a recording: velocity smoothed over ``half`` rows to each side, its error, known directions."""
 
     velocity: Floats
     error: float
@@ -102,7 +102,7 @@ class Motion:
 
 
 def motion_of(recording: Recording) -> Motion:
-    """Return the smoothed motion: a parabola over as many rows as bring the error to a thirtieth of the top speed."""
+    """Return the smoothed motion, from a parabola over enough rows for an error of a thirtieth of the top speed."""
     x, rows = recording.position, len(recording.position)
     noise = recording.noise
     half, velocity, error = 1, np.gradient(x), np.inf
@@ -115,21 +115,21 @@ def motion_of(recording: Recording) -> Motion:
         if error * 30 <= np.abs(velocity).max(initial=0.0):
             break
         half = max(half + 1, int(half * 1.5))
-    # at both ends half of the rows are reflections: their error is that of half as many rows, and counts twice
+    # at both ends half of the rows are reflections: the error is that of half as many rows, and counts twice
     near = np.minimum(np.arange(rows), np.arange(rows)[::-1]) < half
     seen = np.abs(velocity) > SURE * error * np.where(near, 3.0, 1.0)
     return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))
 
 
 def reading_noise(position: Floats) -> float:
-    """Return the standard deviation of a reading's error: of third differences, or of rounding to the quantum."""
+    """Return the standard deviation of a reading's error from third differences or rounding to the quantum."""
     third = np.diff(position, 3)
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
     return float(max(noise, rounding(position), 1e-12 * float(np.ptp(position))))
 
 
 def rounding(position: Floats) -> float:
-    """Return the standard deviation of a reading's rounding to the sensor's resolution, 0 where none is seen.
+    """Return the standard deviation of a reading's rounding to the sensor resolution, 0 if none is visible.
 
     A fast motion may change by several steps of the sensor in every row, a steady one by a whole number of them.
     """

@@ -1,4 +1,4 @@
-"""The identified device, run free from the start of logs that it was not fitted to: its fit in percent."""
+"""Free runs of the identified device from the start of logs that were not used for its fit: fit in percent."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 PARTS = 4
-"""Parts of a piece of an interval between which friction may change direction: a turn is off by an eighth of a row."""
+"""Number of parts of an interval's piece between which friction may change direction: a reversal is accurate to an
+eighth of a row."""
 
 STILL = 3.0
-"""Standard deviation of a position, in that of its readings' noise, up to which a log does not move."""
+"""Largest standard deviation of a position, relative to the noise of its readings, of a log without motion."""
 
 STARTS = 3
-"""Newton's steps to the start of a log, in which all but friction is linear."""
+"""Number of Newton steps for the initial state of a log, in which everything except friction is linear."""
 
 NUDGE = 1e-4
-"""Change of a start for the slope of the response, in units of the position's range."""
+"""Perturbation of an initial state for numerical derivatives, relative to the range of the position."""
 
 
 def replay_fit(segments: Segments, device: Device) -> Floats:
-    """Return how well free runs of a device fit each segment, from the start that fits it best, shape (S,) [%].
+    """Return the fit of free runs of a device to each segment, from the best initial state, shape (S,) [%].
 
-    The fit is 100 (1 - |y - x| / |y - mean y|), that of system identification; NaN where a log does not move.
+    The fit is 100 (1 - |y - x| / |y - mean y|), as usual in system identification; NaN for a log without motion.
     """
     if not len(segments):
         return np.empty(0)
@@ -39,21 +40,21 @@ def replay_fit(segments: Segments, device: Device) -> Floats:
     readings = np.split(segments.position[segments.places], ends)
     error = np.array([np.linalg.norm(each) for each in np.split(left, ends)])
     size = np.array([np.linalg.norm(each - each.mean()) for each in readings])
-    # a position that noise and the sensor's steps alone change is predicted by any device
+    # a position that changes only by noise and sensor steps is predicted by any device
     moves = size > np.maximum(STILL * np.sqrt(segments.rows * segments.white), 1e-3)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(moves, 100 * (1 - error / size), np.nan)
 
 
 def _left_linear(segments: Segments, device: Device) -> Floats:
-    """Return what the free run of a device without friction leaves of the readings: its start is linear in it."""
+    """Return the residual of the free run of a device without friction, which is linear in its initial state."""
     columns = columns_of(segments, replace(device, noise=WHITE), ())
     places = np.arange(len(segments.places)) + columns.starts * segments.segment
     return np.asarray(columns.values[places, -1])
 
 
 def _left_with_friction(segments: Segments, device: Device) -> Floats:
-    """Return what the free run of a device with friction leaves, from the start that fits best by Newton's steps."""
+    """Return the residual of the free run of a device with friction, from the best initial state by Newton steps."""
     ends = np.cumsum(segments.rows)
     readings = np.split(segments.position[segments.places], ends[:-1])
     states = matrices_of(device.shape, ())[1].shape[1]
@@ -64,7 +65,7 @@ def _left_with_friction(segments: Segments, device: Device) -> Floats:
         start[s, 1] = 0.0 if rests else (y[few] - y[0]) / max(few, 1)
     tried, least, left = start, np.full(len(start), np.inf), [y * 0.0 for y in readings]
     for _ in range(STARTS + 1):
-        # the run itself, and one with a change of each state
+        # the nominal run, and one with a perturbation of each state
         versions = np.concatenate([tried[:, None], tried[:, None] + NUDGE * np.eye(states)], axis=1)
         runs = np.split(_runs(segments, device, versions), ends[:-1])
         tried = start.copy()
@@ -78,11 +79,11 @@ def _left_with_friction(segments: Segments, device: Device) -> Floats:
 
 
 def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
-    """Return free runs from several starts (S, V, n) of each segment, (rows of all segments, V)."""
+    """Return free runs from several initial states (S, V, n) of each segment, (rows of all segments, V)."""
     matrices, sensors = matrices_of(device.shape, ())
     pieces, n, limit = Pieces.of(segments, [device.shape.delay]), sensors.shape[1], device.numbers.get("limit", np.inf)
     spans, kind = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
-    # behind the pieces of an interval that has fewer than others nothing moves
+    # after the last piece of an interval with fewer pieces than others, nothing moves
     over = exponentials(matrices, np.append(spans, 0.0) / PARTS)[:, 0]
     F, G = (np.ascontiguousarray(each) for each in (over[:, :n, :n], over[:, :n, n:]))
     system = (sensors[0], np.ascontiguousarray(matrices[0, 1, :n]), float(matrices[0, 1, n]))

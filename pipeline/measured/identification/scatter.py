@@ -1,7 +1,7 @@
-"""The likelihood of all trials together: common numbers, their scatter from trial to trial, and trials that lie apart.
+"""Joint likelihood of all trials: common numbers, their scatter from trial to trial, and outlying trials.
 
-Each trial is a linear regression known by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i of
-unknown variances. Restricted maximum likelihood estimates these; a noisier trial weighs less.
+Each trial is a linear regression represented by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i
+of unknown variances. Restricted maximum likelihood estimates these; a noisier trial weighs less.
 """
 
 from __future__ import annotations
@@ -15,27 +15,29 @@ from pipeline.measured.identification.mixed_loops import OWN_ROWS, RIDGE, SPACE,
 from pipeline.records.trials import Floats, Integers
 
 FEWEST = 8
-"""Trials from which on a scatter between them is estimated: fewer give a variance to a factor of three at best."""
+"""Smallest number of trials for which scatter between them is estimated; fewer give a variance to a factor of three at
+best."""
 
 FOLDS = 5
-"""Folds of units, each of which is left out once."""
+"""Number of folds of units, each of which is left out once."""
 
 ROUNDED = 1e-16
-"""Share of the motion below which what is left of it is rounding."""
+"""Share of the motion below which a residual is a rounding error."""
 
 LEAST_NOISE = 1e-100
-"""Noise of logs without any motion, by which everything is identified."""
+"""Noise assigned to logs without any motion, with which everything is identified."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,).
+    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1), and its degrees of freedom
+    (T,).
 
-    R'R are the sums of their products, without the digits that squares lose.
+    R'R are the sums of their products; R avoids the loss of digits by squaring.
 
-    ``least`` is the variance of an error that rounding of the readings alone leaves, ``log_spread`` the sum of the
-    logarithms of the filter's spreads over all rows, and of what the readings determine of the unknown starts.
-    ``before`` (2, p) is what is known of each number without logs: information, and the slope of its likelihood.
+    ``least`` is the variance of an error due to rounding of the readings alone, ``log_spread`` the sum of the
+    logarithms of the filter's standard deviations over all rows, and of the information of the readings on the unknown
+    initial states. ``before`` (2, p) is the prior of each number: information, and the slope of its likelihood.
     """
 
     factors: Floats
@@ -50,20 +52,20 @@ class Moments:
         return np.asarray(self.factors.transpose(0, 2, 1) @ self.factors)
 
     def some(self, places: Sequence[int]) -> Moments:
-        """Return the moments of the numbers at some places alone."""
+        """Return the moments of the numbers at some places only."""
         factors: Floats = np.linalg.qr(self.factors[:, :, [*places, -1]]).R
         return replace(self, factors=factors, before=self.before[:, list(places)])
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Estimate of the common numbers as a step from where the columns were taken.
+    """Estimate of the common numbers as a step from the point of linearisation.
 
     ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
     variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
-    ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants, as the columns foretell
-    it behind the step, and ``here`` before it, for the likeliest starts; ``total`` (p, p) is the information of all
-    trials and of what is known without them.
+    ``weight`` (T,) of each trial; ``likelihood`` the restricted log-likelihood, without constants, as predicted by the
+    columns after the step, and ``here`` before it, for the likeliest initial states; ``total`` (p, p) is the
+    information of all trials and of the prior.
     """
 
     step: Floats
@@ -79,7 +81,7 @@ class Solved:
 
     @property
     def folds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """Information and score of each fold of units, and Newton's step to the numbers by the other folds."""
+        """Information and score of each fold of units, and the Newton step to the numbers from the other folds."""
         for fold in range(FOLDS):
             inside = np.arange(len(self.score)) % FOLDS == fold
             information, score = self.information[inside].sum(axis=0), self.score[inside].sum(axis=0)
@@ -101,7 +103,7 @@ def unidentified(information: Floats) -> Floats:
 
 
 def _scaled(information: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return what scales information matrices to a unit diagonal, and eigenvalues and vectors of these."""
+    """Return the scaling of information matrices to a unit diagonal, and eigenvalues and vectors of these."""
     known = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1 / np.sqrt(np.where(known > 0, known, 1.0))
     return scale, *np.linalg.eigh(information * scale[..., :, None] * scale[..., None, :])
@@ -113,7 +115,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
     Raises
     ------
     numpy.linalg.LinAlgError
-        If doubles do not reach it.
+        If it cannot be computed in double precision.
     """
     from scipy.special import gammaln
 
@@ -122,9 +124,9 @@ def solve(moments: Moments, random: Integers) -> Solved:
     scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     factors, rows = moments.factors * np.append(scale, 1.0), np.maximum(moments.rows, 1.0)
     known = moments.before * np.stack([scale**2, scale])
-    # numbers are rounded by as much, and of readings that never change nothing is left
+    # rounding errors of the numbers; readings that never change have no residual
     least = max(float((factors[:, :, p] ** 2).sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE, moments.least)
-    # at first by what each unit leaves at its own best numbers
+    # initial value: the residual of each unit at its own best numbers
     noise = max(float(np.median(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows)), least)
     space = np.empty((T, p, p + 1)), np.empty((T, p, p + 1)), np.empty(T), np.empty((SPACE, p + 1, p + 1))
     vectors = np.empty(p), np.empty(p), *np.empty((3, T)), np.empty((p, p)), np.empty(3)

@@ -1,4 +1,5 @@
-"""The likeliest device near one: Newton's steps on the likelihood of all trials, and the noise behind them."""
+"""Maximum-likelihood estimate of the device near a starting value, by Newton steps on the likelihood of all trials, and
+of its noise."""
 
 from __future__ import annotations
 
@@ -24,22 +25,23 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 FIXED_STEPS = 2
-"""Steps at first without such scatter, before each search for noise."""
+"""Number of initial steps without scatter between trials, before each search for noise."""
 
 STEPS = 18
-"""Newton's steps at most; seven are usual, a mode may take all."""
+"""Largest number of Newton steps; seven are usual, a mode may take all."""
 
 LAST_STEPS = 3
-"""Steps on all logs from what some of them have shown: the last one is smaller than rounding."""
+"""Number of steps on all logs from the result of a subset: the last one is below rounding."""
 
 CUTS = (1.0, 0.3, 0.1)
-"""Parts of a step that are tried."""
+"""Fractions of a step that are tried."""
 
 STEP_SHARE = 0.03
-"""Part of what is left of a search that is done with a step: some thirty are usual."""
+"""Share of the remaining search that a step completes: about thirty steps are usual."""
 
 NOISE_ROUNDS = 4
-"""Most searches for the noise behind the steps: with a mode the random force fell by a third to a tenth in each."""
+"""Largest number of searches for the noise after the steps: with a mode the random force decreased to between a third
+and a tenth in each."""
 
 
 def refined(
@@ -51,20 +53,20 @@ def refined(
     noisy: bool = True,
     jitters: bool = True,
 ) -> Fit:
-    """Return the likeliest device near one, with the noise that makes its errors independent.
+    """Return the maximum-likelihood device near a starting value, with the noise that whitens its errors.
 
     Parameters
     ----------
     segments : Segments
     device : Device
     steps : int
-        Most steps.
+        Largest number of steps.
     far : bool
-        Whether it starts far from the solution, where scatter between trials would explain everything.
+        Whether the search starts far from the solution, where scatter between trials would explain everything.
     noisy : bool
-        Whether the noise is looked for, too; else it stays as it is.
+        Whether the noise is estimated, too; otherwise it is unchanged.
     jitters : bool
-        Whether a jitter of the delay may be part of it.
+        Whether the noise may include a jitter of the delay.
     """
     scattered = SCATTERED if segments.trials >= FEWEST else ()
     places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
@@ -77,10 +79,10 @@ def refined(
     start = fitted(segments, device, places)
     found = _climbed(start, segments, steps)
     for number in range(NOISE_ROUNDS if noisy else 0):
-        # noise is found with the numbers as they are, and far from the solution some of these are not
+        # noise is estimated with the current numbers, some of which are wrong far from the solution
         if found.likelihood - start.likelihood < WORTH and not (far and number == 0):
             break
-        # what was noise where the search began may be motion where it ends
+        # noise at the start of the search may be motion at its end
         device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
         start = fitted(segments, device, places)
         again = _climbed(start, segments, steps)
@@ -89,7 +91,7 @@ def refined(
         found = again
     if noisy and found.device.noise != WHITE:
         plain = fitted(segments, replace(found.device, noise=WHITE), places)
-        # what a step foretells from afar is too good
+        # the prediction of a step far from the solution is too optimistic
         if plain.likelihood > found.likelihood - WORTH:
             plain = _climbed(plain, segments, steps)
             found = plain if plain.likelihood > found.likelihood else found
@@ -102,7 +104,7 @@ def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
 
 
 def ended(segments: Segments, device: Device) -> Fit:
-    """Return the likeliest fit from a device on that is near it, with what its jitter leaves open."""
+    """Return the maximum-likelihood fit, starting from a nearby device, with the uncertainty due to its jitter."""
     fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
     fit = replace(fit, phases=phases_of(segments, fit))
     if not fit.device.noise.jitter:
@@ -114,7 +116,7 @@ def ended(segments: Segments, device: Device) -> Fit:
 
 
 def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
-    """Return the likeliest fit that Newton's steps lead to, each of them cut until the likelihood does not fall."""
+    """Return the fit after Newton steps, each shortened until the likelihood does not fall."""
     for _ in range(steps):
         approach(STEP_SHARE)
         step = _inner_step(fit)
@@ -136,7 +138,7 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
 
 
 def _inner_step(fit: Fit) -> Floats:
-    """Return Newton's step along the numbers that do not stand at a limit beyond which the likelihood rises."""
+    """Return the Newton step along the numbers that are not at a limit beyond which the likelihood rises."""
     step, total = fit.solved.step, fit.solved.total
     values = np.array(list(fit.device.numbers.values()))
     low, high = np.array([LIMITS.get(name, (-np.inf, np.inf)) for name in fit.device.names]).T

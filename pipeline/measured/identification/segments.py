@@ -1,4 +1,4 @@
-"""Segments of logs: rows in motion whose start is unknown, as ranges of the rows of all trials."""
+"""Segments of logs: rows in motion with unknown initial state, as ranges of the rows of all trials."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from pipeline.measured.identification.recordings import SHORTEST, SURE, LogUnits
 from pipeline.records.trials import Booleans, Floats, Integers
 
 EARLIER = 50
-"""Rows at rest before a start that are kept: they give the position from which it starts to a seventh of the noise."""
+"""Number of rows at rest before a start that are kept: they give the initial position to a seventh of the noise."""
 
 EXACT = 1e-9
-"""Error of a reading, relative to the largest way, that computing may leave: no part explains less."""
+"""Relative numerical error of a reading, in the largest displacement: smaller residuals do not justify a part."""
 
 LONGEST = 1000
-"""Rows of a segment: a longer log is cut, so that a force that changes slowly is none of its motion."""
+"""Largest number of rows of a segment: a longer log is cut, so that a slowly changing force is not part of its
+motion."""
 
 GAP = 1.5
-"""Pause in sampling periods from which on a command is missing between two rows, where it differs behind them."""
+"""Smallest pause, in sampling periods, at which a command is missing between two rows if it differs after them."""
 
 REGULAR = 0.05
-"""Largest distance of a row from an even grid, in samples, at which stamps count as scatter of the clock that wrote
-them and the rows as even; the logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
+"""Largest distance of a row from an even grid, in samples, for which the rows count as even and the time stamps as
+scattered by the clock; logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Part of a recording: first row and the row behind its last; the row of the command that starts it from rest."""
+    """Part of a recording: first row, row after the last one, and row of the command that starts it from rest."""
 
     trial: int
     first: int
@@ -56,11 +57,12 @@ class Segments:
         Row from which on forces act on a device that friction fixes at rest before; `ALWAYS` for a segment that does
         not start at rest.
     direction : float64, shape (S,)
-        Of motion; 0 where it is not asked for.
+        Direction of motion; 0 if it is not required.
     distinct, least : float64, shape (S,)
-        Number of readings with information not in the one before, and variance that rounding alone leaves of a reading.
+        Number of readings with information that is not in the previous one, and variance of a reading due to rounding
+        alone.
     lead : int
-        Rows of commands before a segment that its motion depends on.
+        Number of rows of commands before a segment on which its motion depends.
     even : bool
         Whether all rows of segments, and those before them, are one sample apart.
     """
@@ -84,7 +86,7 @@ class Segments:
 
     @property
     def trials(self) -> int:
-        """Number of trials T, of which some may have no segment."""
+        """Number of trials T, some of which may have no segment."""
         return len(self.offsets) - 1
 
     @cached_property
@@ -104,7 +106,7 @@ class Segments:
 
     @cached_property
     def places(self) -> Integers:
-        """Places of the rows of all segments, in their order, in the flat arrays."""
+        """Indices of the rows of all segments in the flat arrays, in order."""
         start = np.cumsum(self.rows) - self.rows
         return np.asarray(np.arange(int(self.rows.sum())) + np.repeat(self.first - start, self.rows))
 
@@ -115,7 +117,7 @@ class Segments:
 
     @cached_property
     def spans(self) -> tuple[Floats, Integers]:
-        """Lengths of intervals [samples], and which of them each row has behind it; one value where rows are even."""
+        """Distinct lengths of intervals [samples], and the one after each row; one value if rows are even."""
         if self.even:
             return np.ones(1), np.zeros(1, np.int64)
         span = np.append(np.diff(self.time), 1.0)
@@ -125,7 +127,7 @@ class Segments:
 
     @cached_property
     def between(self) -> Floats:
-        """Position in the middle of the interval behind each row, as far as segments have one, shape (R,)."""
+        """Position in the middle of the interval after each row within segments, shape (R,)."""
         result = self.position.copy()
         inner = self.places[np.append(np.diff(self.segment) == 0, [False])[: len(self.places)]]
         result[inner] = 0.5 * (self.position[inner] + self.position[inner + 1])
@@ -133,7 +135,7 @@ class Segments:
 
     @cached_property
     def white(self) -> float:
-        """Variance of a reading by third differences, which motion does not have; no less than that of rounding."""
+        """Variance of a reading from third differences, in which motion is negligible; at least that of rounding."""
         third = np.diff(self.position[self.places], 3)[self.segment[3:] == self.segment[:-3]]
         of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
         return max(of_noise, float(np.median(self.least)), EXACT**2)
@@ -149,7 +151,7 @@ class Segments:
         return replace(self, **{name: getattr(self, name)[which] for name in arrays})
 
     def split(self, most: int) -> Segments:
-        """Return the segments as parts of at most so many rows, each with its own start."""
+        """Return the segments as parts of at most ``most`` rows, each with a separate initial state."""
         parts = -(-self.rows // most)
         size = np.repeat(-(-self.rows // parts), parts)
         number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -172,10 +174,10 @@ def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving:
     recordings : list of Recording
     units : LogUnits
     lead : int
-        Rows of commands that are needed before a reading: the delay, rounded up.
+        Number of rows of commands needed before a reading: the delay, rounded up.
     moving : bool
-        Only rows at which the direction of motion is known, as friction needs, each segment in one of them: where a
-        motion turns is known to a part of a row only. Else all rows.
+        Whether only rows with a known direction of motion are used, as required for friction, with one direction per
+        segment; a reversal is only known to a fraction of a row. Otherwise all rows are used.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / units.period) for each in recordings]
@@ -193,7 +195,7 @@ def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving:
 
 
 def _even(time: Floats) -> Floats:
-    """Return times [samples] on an even grid where they lie within `REGULAR` of one."""
+    """Return times [samples] on an even grid if they lie within `REGULAR` of one."""
     if len(time) < SHORTEST:
         return time
     index = np.arange(len(time))
@@ -206,7 +208,7 @@ def _even(time: Floats) -> Floats:
 
 
 def _starts_at_rest(recording: Recording) -> bool:
-    """Return whether position and command do not change in the first rows, so that what came before does not matter."""
+    """Return whether position and command are constant in the first rows, so that earlier commands do not matter."""
     few = min(5, len(recording.position) - 1)
     noise = recording.noise
     first = recording.position[: few + 1]
@@ -228,12 +230,12 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
     edges = np.flatnonzero(np.diff(sign)) + 1
     found: list[_Cut] = []
     for a, b in pairwise([0, *edges.tolist(), len(sign)]):
-        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
+        # the smoothed velocity continues after a stop for as many rows as it uses from before it
         stop = b - seen.half if b < len(sign) else b
         if not sign[a] or stop <= a:
             continue
         edge = _edge(each, seen, first, first + a, lead)
-        if edge is not None and first + stop <= edge + 1:  # nothing follows the edge: all of it is rest
+        if edge is not None and first + stop <= edge + 1:  # nothing follows the edge: all rows are at rest
             continue
         begin = max(first, edge - EARLIER) if edge is not None else first + a + seen.half * (a > 0)
         bounds = [*range(begin, first + stop, LONGEST), first + stop]
@@ -246,9 +248,9 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
 
 
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
-    """Return the row at which a command jumps and sets the device in motion from rest, None where none does."""
+    """Return the row at which a command jumps and sets the device in motion from rest, None if there is none."""
     if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
-        # behind the first turn it comes from no rest
+        # after the first reversal it does not start from rest
         return None if seen.direction[each.edge : moves].any() else each.edge
     begin = max(first, moves - lead - EARLIER)
     resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
@@ -263,10 +265,10 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
 
 
 def _distinct(position: Floats, rounding: float) -> int:
-    """Return the number of readings with information that is not in the one before.
+    """Return the number of readings with information that is not in the previous one.
 
-    One that repeats the one before says nothing new; nor does, of a sensor with steps, one of a motion by as many steps
-    as in the row before: its rounding is the same.
+    A reading that repeats the previous one has no new information. Neither has, for a sensor with steps, a reading that
+    changes by as many steps as in the previous row: its rounding error is the same.
     """
     changes = np.diff(position)
     bends = np.abs(np.diff(changes)) > 0.1 * np.sqrt(12.0) * rounding if rounding > 0 else np.ones(len(changes))
