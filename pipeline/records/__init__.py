@@ -1,1 +1,1 @@
-"""What is passed on and stored: frozen records, arrays of trials, the dictionary of stored columns."""
+"""Data that is passed on and stored: frozen records, arrays of trials, the dictionary of stored columns."""

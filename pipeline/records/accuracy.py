@@ -1,4 +1,4 @@
-"""Error against run time of every method: the records, and where a finished measurement is kept."""
+"""Error versus run time of every method: the records, and the file of a finished measurement."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pipeline.base.provenance import PACKAGE_FOLDER, __version__, digest, digest
 from pipeline.records.findings import Record
 
 OURS = "this package"
-"""Name of our own method among the others."""
+"""Name of this package's method among the others."""
 
 WRONG = 1e-6
-"""Relative error from which a result counts as wrong: more than any plot, table or controller would need."""
+"""Smallest relative error of a result that counts as wrong: more than any plot, table or controller would need."""
 
 STORED = "accuracy"
-"""Begin of the name of the file below `processed/` that keeps the last measurement."""
+"""Prefix of the name of the file below `processed/` that contains the last measurement."""
 
 
 class Rung(Record):
-    """One method at one setting: its largest error, and the least time [s] of repeated runs.
+    """One method at one setting: its largest error, and the shortest time [s] of repeated runs.
 
-    ``error`` is None where the method gave no number at all (division by zero, no convergence). Rungs of the measured
+    ``error`` is None if the method gave no number at all (division by zero, no convergence). Rungs of the measured
     branch also have ``missing``, the share of trials without a value, and those of an experiment the number of its
     ``trials``.
     """
@@ -39,7 +39,7 @@ class Rung(Record):
 
 
 class LeftOut(Record):
-    """A method that was not measured, and why."""
+    """Method that was not measured, and the reason."""
 
     method: str
     quantities: str
@@ -49,7 +49,7 @@ class LeftOut(Record):
 class Sweep(Record):
     """Error of one method along a path towards the limits of double precision.
 
-    ``starts`` is the first x from which on the error exceeds `WRONG`, or a verdict is wrong; None if there is none.
+    ``starts`` is the first x at which the error exceeds `WRONG`, or a verdict is wrong; None if there is none.
     """
 
     sweep: str
@@ -62,17 +62,17 @@ class Sweep(Record):
 
 
 class MeasuredAccuracy(Record):
-    """The part of the measured branch: errors of estimators and costs on simulated truth."""
+    """Accuracy of the measured branch: errors of estimators and costs on simulated truth."""
 
     rungs: tuple[Rung, ...]
     seconds: float
 
 
 class AccuracyReport(Record):
-    """Results of `pipeline accuracy`; ``key`` identifies the code and the machine that they are valid for.
+    """Results of `pipeline accuracy`; ``key`` identifies the code and the machine for which they are valid.
 
-    ``rungs``, ``sweeps`` and what is made of them concern the theory, and are empty where it was left out;
-    ``measured_branch`` is None where that was.
+    ``rungs``, ``sweeps`` and their evaluation belong to the theory, and are empty if it was left out;
+    ``measured_branch`` is None if that was left out.
     """
 
     key: str
@@ -87,7 +87,7 @@ class AccuracyReport(Record):
 
 
 def machine() -> dict[str, str]:
-    """Return processor, operating system and versions that run times depend on."""
+    """Return processor, operating system and versions, on which run times depend."""
     found = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -113,24 +113,24 @@ def _processor() -> str:
 
 
 def key() -> str:
-    """Return a hash of code, reference values, machine and versions, which a measurement is valid for."""
+    """Return a hash of code, reference values, machine and versions for which a measurement is valid."""
     code = digest_all(sha256(path.read_bytes()) for path in sorted(PACKAGE_FOLDER.rglob("*.py")))
     values = sha256(reference_file().read_bytes())
     return digest({"code": code, "values": values, **machine()})
 
 
 def reference_file() -> Path:
-    """Return the file of high-precision values that errors are measured against (docs/make_reference.py)."""
+    """Return the file of high-precision reference values for errors (docs/make_reference.py)."""
     return schema_folder() / "reference" / "accuracy.json"
 
 
 def store(report: AccuracyReport, processed: Path) -> None:
-    """Keep a measurement for the reports of comparisons."""
+    """Store a measurement for the reports of comparisons."""
     write_result(processed, STORED, ".json", (report.model_dump_json() + "\n").encode())
 
 
 def stored(processed: Path) -> AccuracyReport | None:
-    """Return the kept measurement if it was made by this code on this machine, else None."""
+    """Return the stored measurement if it was made by this code on this machine, else None."""
     data = read_result(processed, STORED, ".json")
     if data is None:
         return None
@@ -142,5 +142,5 @@ def stored(processed: Path) -> AccuracyReport | None:
 
 
 def own_rungs(report: AccuracyReport) -> tuple[Rung, ...]:
-    """Return the results of this package, one a quantity."""
+    """Return the results of this package, one per quantity."""
     return tuple(r for r in report.rungs if r.method == OURS)

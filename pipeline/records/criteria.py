@@ -1,8 +1,8 @@
-"""What a wall is judged by: one record a criterion, from which everything else knows it.
+"""Criteria by which a wall is judged: one record per criterion, the only source of its properties.
 
-A new criterion is a record here, with a family if its costs are computed in another way than those there are: then
-that family has a function in `pipeline.measured.cost.costs` and one in `pipeline.theory.costs`.
-Light to import: no command waits for it.
+A new criterion is a record here, with a new family if its costs are computed in a new way; that family then has a
+function in `pipeline.measured.cost.costs` and one in `pipeline.theory.costs`. This module is light to import: no
+command waits for it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 
 DISCRETE = "_discrete"
-"""What the name of a criterion ends in where its cost is that of the sampled response."""
+"""Suffix of the name of a criterion whose cost is that of the sampled response."""
 
 
 @dataclass(frozen=True)
@@ -23,28 +23,28 @@ class Family:
     Parameters
     ----------
     name, title : str
-        Name of the stage, and what its costs are called.
+        Name of the stage, and name of its costs in print.
     unit : str
-        Of a cost: ``samples``, or 1 for a number without dimension.
+        Unit of a cost: ``samples``, or 1 for a dimensionless number.
     scale : float
-        From a cost to the printed number; 100 for a share that is printed in percent.
+        Factor from a cost to the printed number; 100 for a share that is printed in percent.
     levels : tuple of float
-        Costs at which contours are drawn. Without, contours lie at doublings of the least cost. Such costs may be
-        zero: they are compared by their difference, others by their ratio.
+        Costs at which contours are drawn; if empty, contours lie at doublings of the smallest cost. Costs with levels
+        may be zero: they are compared by their difference, others by their ratio.
     none : float
-        Cost up to which there counts as none.
+        Largest cost that counts as zero.
     floor : str
-        Stored column with the cost that sensor and chatter alone can cause, where they can.
+        Stored column with the apparent cost due to sensor and chatter alone, if any.
     whole : bool
         Whether measured costs are whole numbers.
     smooth : bool
         Whether costs are a smooth function of stiffness and damping.
     needs : tuple of str
-        Stages that its stage takes results from.
+        Stages whose results its stage uses.
     figure : str
-        Figure of the thesis that maps of its costs are drawn like.
+        Figure of the thesis on which maps of its costs are modelled.
     term, definition : str
-        How a report defines it, as HTML.
+        Definition in a report, as HTML.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Family:
 
     @property
     def printed_unit(self) -> str:
-        """Unit of the printed number; empty for a number without dimension."""
+        """Unit of the printed number; empty for a dimensionless number."""
         return "%" if self.scale != 1 else self.unit.removeprefix("1")
 
 
@@ -77,19 +77,20 @@ class Criterion:
         Name in commands, files and tables, and in print.
     family : Family
     column, meaning : str
-        Stored column of the measured cost, and what it means; empty where no log can be judged by it.
+        Stored column of the measured cost, and its meaning; empty if no log can be judged by it.
     band : float, optional
-        Half width of the settling band relative to the final displacement.
+        Half-width of the settling band relative to the final displacement.
     weight : float
-        Exponent w of the weighting by time.
+        Exponent w of the time weighting.
     signal : str
-        Response it is about: ``step``, ``impulse``; empty for a criterion of the poles, which have no sampled response.
+        Response to which it applies: ``step``, ``impulse``; empty for a criterion of the poles, which have no sampled
+        response.
     reported : bool
-        Whether it is part of a report that names no criteria.
+        Whether it is part of a report by default.
     tabled : bool
         Whether tables include it for an experiment without published values.
     optimum_only : bool
-        Whether theory knows its optimum and no costs.
+        Whether theory provides its optimum, but no costs.
     """
 
     name: str
@@ -152,7 +153,7 @@ RISE = Family(
 POLES = Family("poles", "poles")
 
 RISE_LEVELS = (0.1, 0.9)
-"""Shares of the final displacement between which a response rises."""
+"""Fractions of the final displacement between which a response rises."""
 
 
 _ALL = (
@@ -199,35 +200,35 @@ CRITERIA = {criterion.name: criterion for criterion in _ALL}
 """All criteria by name, in the order in which they are listed."""
 
 MEASURED = tuple(c.name for c in _ALL if c.column)
-"""Criteria that the log of a step response can be judged by."""
+"""Criteria by which the log of a step response can be judged."""
 
 REPORTED = tuple(c.name for c in _ALL if c.reported)
-"""Criteria of a report that names none."""
+"""Criteria of a report by default."""
 
 FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
-"""Families of `MEASURED` by name, which is that of their stage, in the order in which they are computed."""
+"""Families of `MEASURED` by name, equal to that of their stage, in the order of computation."""
 
 _ANY = re.compile(r"settle_(?P<percent>\d+(?:\.\d+)?)pct|energy_(?P<signal>step|impulse)_w(?P<w>\d+(?:\.\d+)?)")
-"""Names of criteria with a number of the caller's: a settling band, an exponent w, which is real in (5.13)."""
+"""Names of criteria with a user-defined number: a settling band, or an exponent w, which is real in (5.13)."""
 
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
-"""Half width of the settling band relative to the final displacement, by criterion."""
+"""Half-width of the settling band relative to the final displacement, by criterion."""
 
 
 WIDEST = 50.0
-"""Half width of the widest settling band [%]: a wider one begins inside."""
+"""Half-width of the widest settling band [%]: with a wider one, the response would begin inside."""
 
 STEEPEST = 8.0
-"""Largest exponent w: with more the last samples above the noise decide alone."""
+"""Largest exponent w; with a larger one, only the last samples above the noise would count."""
 
 
 def criterion_of(name: str) -> Criterion:
-    """Return the criterion of a name, also with `DISCRETE` appended, or of any settling band or exponent w.
+    """Return the criterion with a given name, possibly with `DISCRETE` appended, or of any settling band or exponent w.
 
     Raises
     ------
     KeyError
-        For an unknown one.
+        If the name is unknown.
 
     Examples
     --------
@@ -252,7 +253,7 @@ def _of_any(name: str) -> Criterion:
 
 
 def is_criterion(name: str, names: Iterable[str]) -> bool:
-    """Return whether a name is one of some criteria, with or without `DISCRETE`, or with another band or exponent.
+    """Return whether a name is one of the given criteria, possibly with `DISCRETE`, or another band or exponent.
 
     >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
     (True, False)
@@ -280,11 +281,11 @@ def is_measured(name: str) -> bool:
 
 
 def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:
-    """Return those of some criteria that belong to a family."""
+    """Return the given criteria that belong to a family."""
     return [criterion_of(name) for name in names if criterion_of(name).family is family]
 
 
 def with_discrete(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of criteria, and behind them those of a response again with `DISCRETE` appended."""
+    """Return the names of criteria, followed by those of a response with `DISCRETE` appended."""
     names = tuple(names)
     return (*names, *(f"{name}{DISCRETE}" for name in names if CRITERIA[name].signal))

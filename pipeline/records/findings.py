@@ -1,7 +1,7 @@
-"""Records of what is found in logs, with the criteria that logs are judged by: frozen, validated, SI.
+"""Records of findings in logs, with the criteria by which logs are judged: frozen, validated, SI.
 
-All that the measured stages need of the records, so that a change of any other one makes no result stale. Units follow
-the motion of the device as in `models`.
+They are all records that the measured stages need, so that a change of any other record makes no result stale. Units
+follow the motion of the device as in `models`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Record(BaseModel):
 
 
 ROUNDING = 1e-9
-"""Relative error that is rounding: intervals of logs without noise are as narrow."""
+"""Relative error attributed to rounding: intervals of logs without noise are as narrow."""
 
 
 def holds(low: float, value: float, high: float) -> bool:
@@ -36,8 +36,8 @@ def holds(low: float, value: float, high: float) -> bool:
 
 
 MATTERS = 0.02
-"""Relative change of a result that is worth reporting: campaigns bracket limits no closer than this, and headers with
-rounded K and B stay below. Also the share of logs above which a finding is not due to single trials."""
+"""Smallest relative change of a result that is worth reporting: campaigns bracket limits no closer than this, and
+headers with rounded K and B stay below. Also the share of logs above which a finding is not due to single trials."""
 
 DRIFTS = "drifts by"
 """Beginning of a warning about a `Trend`, which identifies such warnings."""
@@ -59,10 +59,10 @@ class Trend(Record):
 
 
 class Quantity(Record):
-    """A number with its 95 % interval, unit and method, or no value and the reason for that.
+    """Number with its 95 % interval, unit and method, or no value and the reason.
 
-    An end is None where nothing bounds it. ``unit`` is empty for a number without one, ``method`` where it is that of
-    the record which the quantity is part of.
+    An end is None if it is unbounded. ``unit`` is empty for a dimensionless number, ``method`` if it is that of the
+    enclosing record.
     """
 
     value: float | None
@@ -74,12 +74,12 @@ class Quantity(Record):
 
 
 class Estimate(Quantity):
-    """A quantity by the trials of an experiment.
+    """Quantity estimated from the trials of an experiment.
 
     ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
-    one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
-    is the number of those without an interval. ``warning`` says in words what is wrong with the value. ``truth`` is
-    that of a simulation, set by no estimator.
+    one trial. ``trials`` were used; ``outliers`` are the ids of trials excluded as outliers, ``refused`` is the number
+    of trials without a confidence interval. ``warning`` describes what is wrong with the value. ``truth`` is the true
+    value of a simulation and is not set by estimators.
     """
 
     unit: str
@@ -102,9 +102,9 @@ class Estimate(Quantity):
 
 
 class ModelCheck(Record):
-    """How well the likeliest device explains the logs of an experiment: ``explained`` of ``trials``.
+    """Fit of the maximum-likelihood device to the logs of an experiment: ``explained`` of ``trials``.
 
-    ``fit_percent`` is the median fit of its free runs to logs that it was not fitted to.
+    ``fit_percent`` is the median fit of its free runs to logs that were not used for the fit.
     """
 
     trials: int
@@ -113,10 +113,11 @@ class ModelCheck(Record):
 
 
 class Limit(Record):
-    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with its 95 % interval.
+    """Largest stiffness [N/m, Nm/rad] for which a loop is stable at one damping, with its 95 % interval.
 
-    Where the tested range ended first it is ``censored``: all three are a lower bound. With friction it is valid for
-    the step that was used; ``stiffness_large_motion`` is the linear limit, above which a harder push is unstable.
+    If the tested range ended before it is reached, it is ``censored``: all three are a lower bound. With friction it is
+    valid for the step that was used; ``stiffness_large_motion`` is the linear limit, above which a harder push is
+    unstable.
     """
 
     damping: float
@@ -130,13 +131,14 @@ class Limit(Record):
 class BoundaryPoint(Record):
     """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
 
-    ``trials`` is the number of trials with K > 0 at that damping, ``undecided`` that of the undecided ones of them
-    below the largest stable stiffness: worth a look, no evidence against it. Other undecided ones, and all where
-    ``stable`` is null, are not in it. Where friction was found, all of it is valid for the step that was used;
-    ``stiffness_large_motion`` is the linear limit of the identified device, above which a harder push is unstable.
+    ``trials`` is the number of trials with K > 0 at that damping, ``undecided`` that of the undecided ones among them
+    below the largest stable stiffness: they are worth a look, but are not evidence against it. Other undecided ones,
+    and all if ``stable`` is null, are not counted. If friction was found, all of it is valid for the step that was
+    used; ``stiffness_large_motion`` is the linear limit of the identified device, above which a harder push is
+    unstable.
 
-    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone,
-    one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a
+    ``estimate`` is the limit from the growth rates with its 95 % interval; a censored point has only ``low``, one
+    without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a
     simulated loop.
     """
 
@@ -154,7 +156,8 @@ class BoundaryPoint(Record):
 
     @property
     def limit(self) -> Limit | None:
-        """The limit by the growth rates, else in the middle of stable and unstable trials; None where neither is."""
+        """Limit from the growth rates, else in the middle between stable and unstable trials; None if there is
+        neither."""
         stable, unstable, ends = self.stable, self.unstable, (self.estimate, self.low, self.high)
         if self.censored:
             ends = (stable, stable, stable)
@@ -167,7 +170,8 @@ class BoundaryPoint(Record):
 
 
 class NearOptimum(Record):
-    """Box of the ``trials`` that are nearly as good as the best: at most 5 % more cost, or 5 % less stiffness."""
+    """Bounding box of the ``trials`` that are nearly as good as the best: at most 5 % more cost, or 5 % less
+    stiffness."""
 
     stiffness_low: float
     stiffness_high: float
@@ -177,12 +181,12 @@ class NearOptimum(Record):
 
 
 class Optimum(Record):
-    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range.
+    """Trial (or theoretical point) with the smallest cost; censored if it lies at the edge of the tested range.
 
-    ``trials`` is the number of trials that have this cost; ``passive`` says whether the wall is passive for the whole
-    range of an adequate loop, None where that is not known. ``near`` lists the walls that are nearly as good: few
-    where the optimum is sharp. ``margin`` is the lower end of the measured limit at that damping over the
-    stiffness, None without a limit. ``scatter_percent`` is that of single trials in the map of this cost.
+    ``trials`` is the number of trials with this cost; ``passive`` states whether the wall is passive for the whole
+    range of an adequate loop, None if that is unknown. ``near`` lists the walls that are nearly as good: few if the
+    optimum is sharp. ``margin`` is the lower end of the measured limit at that damping divided by the stiffness, None
+    without a limit. ``scatter_percent`` is the scatter of single trials in the map of this cost.
     """
 
     stiffness: float
@@ -219,16 +223,16 @@ FindingCode = Literal[
 ]
 
 Severity = Literal["note", "repaired", "cut", "unsafe", "unusable"]
-"""What a finding means for numbers. ``note``: they stay, their intervals may be wider; ``repaired``: they are those of
-the repaired log; ``cut``: rows from the first one on are left out; ``unsafe``: the log gives no delay and no limit of
-a wall; ``unusable``: it gives nothing."""
+"""Effect of a finding on the numbers. ``note``: they are valid, their intervals may be wider; ``repaired``: they are
+those of the repaired log; ``cut``: rows from the first one on are left out; ``unsafe``: the log gives neither a delay
+nor the limit of a wall; ``unusable``: it gives nothing."""
 
 
 MOST_UNSAFE = 0.2
-"""Share of logs with an unsafe finding above which the others are not trusted either: they come from the same rig."""
+"""Largest share of logs with an unsafe finding for which the other logs, from the same rig, are trusted."""
 
 OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
-"""Unsafe findings that say nothing of other logs."""
+"""Unsafe findings that have no implications for other logs."""
 
 FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
@@ -237,19 +241,19 @@ NO_FINDINGS = f'"{FINDINGS}": []'
 """Entry in the time quality of a trial without recording faults."""
 
 BY_READING = frozenset({"same_samples"})
-"""Findings that only the reading of a log shows, as do all that it repaired: its stored samples do not."""
+"""Findings that are visible only when a log is read, like all repairs: the stored samples do not show them."""
 
 
 class Finding(Record):
-    """A fault of a recording: what it is, where, what shows it, and what to do.
+    """Fault of a recording: kind, place, evidence and remedy.
 
     Parameters
     ----------
     code : str
     first_row : int or None
-        First row concerned, counted from 0; None where it is all of them.
+        First affected row, counted from 0; None if all rows are affected.
     rows : int
-        Number of rows concerned.
+        Number of affected rows.
     evidence, remedy : str
         Sentences with a full stop; the first one with numbers in SI.
     severity : str
@@ -264,47 +268,47 @@ class Finding(Record):
 
     @property
     def sentence(self) -> str:
-        """What every surface shows."""
+        """Text that every output shows."""
         return f"{self.evidence} {self.remedy}"
 
     @property
     def document(self) -> dict[str, Any]:
-        """The finding as JSON values, with its sentence."""
+        """Finding as JSON values, with its sentence."""
         return {**self.model_dump(), "sentence": self.sentence}
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether the log gives no delay and no limit, though it seems to."""
+        """Whether the log gives neither a delay nor a limit, although it seems to."""
         return self.severity == "unsafe"
 
     @property
     def is_by_reading(self) -> bool:
-        """Whether the stored samples do not show it."""
+        """Whether the stored samples do not show the finding."""
         return self.severity == "repaired" or self.code in BY_READING
 
     @property
     def leaves_out(self) -> bool:
-        """Whether nothing is fitted to the log."""
+        """Whether the log is excluded from fits."""
         return self.severity in {"unsafe", "unusable"}
 
 
 def stored_findings(time_quality: str) -> list[Finding]:
-    """Return the findings of a recording as they were stored with its trial.
+    """Return the findings of a recording as stored with its trial.
 
     Parameters
     ----------
     time_quality : str
         The stored column of the trial, JSON.
     """
-    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # as of nearly all trials
+    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # applies to nearly all trials
         return []
     return [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
 
 
 def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
-    """Return whether no delay and no limit follows from logs together, by the findings of each.
+    """Return whether the findings of each log imply that the logs together give neither a delay nor a limit.
 
-    So it is where all are unsafe, and where more than `MOST_UNSAFE` of them have a fault that their rig makes.
+    This is the case if all logs are unsafe, or if more than `MOST_UNSAFE` of them have a fault of their rig.
     """
     unsafe = [any(each.is_unsafe for each in found) for found in findings]
     of_rig = [any(each.is_unsafe and each.code not in OF_ONE_LOG for each in found) for found in findings]
@@ -312,7 +316,7 @@ def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
 
 
 def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
-    """Return why no delay and no limit follows from logs together: the first finding; empty where they may."""
+    """Return why logs together give neither a delay nor a limit, as the first finding; empty if they may."""
     if not are_unsafe(findings):
         return ""
     unsafe = [each for found in findings if (each := next((one for one in found if one.is_unsafe), None))]
@@ -320,7 +324,7 @@ def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
 
 
 class Note(Record):
-    """What people wrote on an experiment, or on one of its trials: a text, and short words."""
+    """Comment of users on an experiment, or on one of its trials: a text, and tags."""
 
     experiment: str
     trial_id: str | None = None
@@ -329,7 +333,7 @@ class Note(Record):
 
 
 class ExcludedTrial(Record):
-    """A trial that was excluded by hand and enters no number: its id, log, why, and since when (UTC)."""
+    """Trial that was excluded by hand and does not affect any result: its id, log, reason and date (UTC)."""
 
     experiment: str
     trial_id: str

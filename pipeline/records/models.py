@@ -1,4 +1,4 @@
-"""Records that stages hand to each other and that users read: frozen, validated, SI.
+"""Records that stages pass to each other and that users read: frozen, validated, SI.
 
 Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad,
 kg m^2 and rad for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/``
@@ -21,11 +21,11 @@ from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
 
 STATED = "stated"
-"""Validation context of files by users, in which a stated delay must not contradict the stated jitter."""
+"""Validation context of files written by users, in which a stated delay must not contradict the stated jitter."""
 
 
 class Limits(Record):
-    """Largest distance from the workspace centre [m, rad] and, where known, largest force [N, Nm]."""
+    """Largest distance from the workspace centre [m, rad] and, if known, largest force [N, Nm]."""
 
     travel: Positive = 1.0
     force: Positive | None = None
@@ -34,9 +34,9 @@ class Limits(Record):
 class Experiment(Record):
     """One experiment: configuration, plant as published, and the grid of (K, B) that is tested.
 
-    A grid that is left out is laid over the walls that theory calls stable (`simulation.tested_grid`). Where each
-    command draws its delay from ``jitter_samples``, ``delay_samples`` is the mean of these; a file may state any delay
-    between the smallest and the largest.
+    If the grid is omitted, it covers the walls that are stable in theory (`simulation.tested_grid`). If each command
+    draws its delay from ``jitter_samples``, ``delay_samples`` is their mean; a file may state any delay between the
+    smallest and the largest.
     """
 
     name: Name
@@ -70,13 +70,13 @@ class Experiment(Record):
                     f"delay_samples ({self.delay_samples:g}) lies outside of jitter_samples, {low:g} to {high:g}: "
                     "state their mean, or leave out the jitter"
                 )
-            # a frozen record, on its way to be one
+            # the frozen record is still under construction
             object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))
         return self
 
 
 class PublishedBound(Record):
-    """A straight bound of measured limits, K <= stiffness + slope B [N/m, N/m per Ns/m], by its equation's number.
+    """Straight bound of measured limits, K <= stiffness + slope B [N/m, N/m per Ns/m], by equation number.
 
     Source: Hulin 2017, eq. 6.5.
     """
@@ -88,7 +88,7 @@ class PublishedBound(Record):
 
 
 class TableLayout(Record):
-    """One published table: which criteria, which experiments, and whose parameters theory uses."""
+    """Layout of a published table: its criteria, its experiments, and the source of the parameters for theory."""
 
     name: Name
     criteria: tuple[str, ...]
@@ -105,10 +105,10 @@ class TableLayout(Record):
 
 
 class Device(Record):
-    """A haptic device as data: everything that simulation, theory and reports need to know of it.
+    """Haptic device as data: everything that simulation, theory and reports need.
 
-    A device file may leave out more (`device_data.devices.read_device`). ``published_as`` is the device whose printed
-    values appear next to this one's in tables; by default the device itself.
+    A device file may omit further fields (`device_data.devices.read_device`). ``published_as`` is the device whose
+    printed values appear next to this one's in tables; by default the device itself.
     """
 
     name: Name
@@ -131,7 +131,7 @@ class Device(Record):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
 
     def loop_table(self, experiment: Experiment) -> LoopTable:
-        """Return the ``[loop]`` table of an experiment: its own entries, and the device's where it names none."""
+        """Return the ``[loop]`` table of an experiment: its own entries, and the device's for the others."""
         return experiment.loop.over(self.loop)
 
     def loop_for(self, experiment: Experiment) -> Loop:
@@ -140,7 +140,7 @@ class Device(Record):
         Raises
         ------
         ParameterError
-            If its numbers contradict each other.
+            If its parameters contradict each other.
         """
         return Loop(
             mass=experiment.mass,
@@ -156,7 +156,7 @@ class Device(Record):
         )
 
     def simulation_of(self, experiment: Experiment) -> SimulationParts:
-        """Return what only the simulator knows of an experiment: its own, and the device's where it names none."""
+        """Return the simulation settings of an experiment: its own, and the device's for the others."""
         return experiment.simulation.over(self.simulation)
 
     @model_validator(mode="after")
@@ -189,11 +189,12 @@ class Device(Record):
 
 
 class Deviation(Record):
-    """What the deviation of a measured optimal cost is made of: factors less 1 in percent, whose product is the whole.
+    """Factors of the deviation of a measured optimal cost, minus 1 in percent; their product is the whole deviation.
 
-    ``range`` and ``grid`` are theory's, since trials have a range and a grid; ``model`` is what theory misses of the
-    measured cost freed from the noise of single trials, with its 95 % interval; ``selection`` is what the best single
-    trial differs from that. The model's part is ``steady`` where leaving out any single trial keeps it.
+    ``range`` and ``grid`` are the effects of the tested range and grid on theory; ``model`` is the deviation of the
+    smoothed measured cost, without the noise of single trials, from theory, with its 95 % interval; ``selection`` is
+    the deviation of the best single trial from the smoothed cost. The model's part is ``steady`` if it does not depend
+    on any single trial.
     """
 
     range: float
@@ -208,9 +209,9 @@ class Deviation(Record):
 class ComparisonRow(Record):
     """One row of Tables D.1 to D.6: a computed or measured value with the published one.
 
-    ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows, and so
-    are the deviations of cost, stiffness and damping from the discrete theory. ``published_deviation_percent`` is that
-    of a printed measurement from the printed theory.
+    ``experiment`` and ``trial_id`` name the trial of a measured row; both are null on theory rows, and so are the
+    deviations of cost, stiffness and damping from the discrete theory. ``published_deviation_percent`` is that of a
+    printed measurement from the printed theory.
     """
 
     table: str
@@ -239,26 +240,27 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
 Overlay = Literal["theory", "estimates", "band", "linear", "passive", "friction", "robust"]
-"""What is drawn over measured boundaries: theory, the limit of the identified loop and its 95 % interval, the linear
+"""Curves drawn over measured boundaries: theory, the limit of the identified loop and its 95 % interval, the linear
 condition (3.25), the passive region (4.12), with friction the limit for a harder push; the walls that are stable with
-every spring (4.3.3), drawn only where they are asked for."""
+every spring (4.3.3), drawn only on request."""
 
 
 MOMENTUM_WINDOW_S = 0.015
-"""Time from the command edge that the momentum balance uses (6.1.2): later the velocity saturates real drives."""
+"""Length of the window of the momentum balance, from the command edge (6.1.2); later, the velocity saturates real
+drives."""
 
 
 class Measuring(Record):
-    """Choices of the thesis in what is measured.
+    """Measuring conventions that follow the thesis.
 
     Parameters
     ----------
     final : {"expected", "measured"}
-        Position about which costs count: x_0 + F_0/K (6.1), or the mean of the last tenth of the log.
+        Final position to which costs refer: x_0 + F_0/K (6.1), or the mean of the last tenth of the log.
     momentum_delay : int, optional
-        Delay [samples] of the momentum balance (6.1.2: 5), in place of that by the first change.
+        Delay [samples] of the momentum balance (6.1.2: 5), instead of that from the first change.
     momentum_window_s : float
-        Its window from the command edge [s].
+        Length of its window, from the command edge [s].
     """
 
     final: Literal["expected", "measured"] = "expected"
@@ -267,7 +269,7 @@ class Measuring(Record):
 
 
 class Shown(Record):
-    """What a report shows, and how it is measured; None means all that there is data for.
+    """Content of a report, and how it is measured; None means everything for which there is data.
 
     ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are the delays
     [samples] of the theoretical curves drawn with boundaries without operator, instead of those of the device file.
@@ -293,7 +295,7 @@ class Shown(Record):
 
 
 class Scene(Record):
-    """What one comparison needs; the plan of stages is made backwards from it."""
+    """Inputs of one comparison, from which the plan of stages is made backwards."""
 
     device: Name
     experiments: tuple[Name, ...]
@@ -317,7 +319,7 @@ else:
 
 
 class SceneFile(Record):
-    """A scene as a file (TOML): what one report shows. A missing key means all that there is data for.
+    """Scene as a file (TOML): the content of one report. A missing key means everything for which there is data.
 
     Parameters
     ----------
@@ -329,7 +331,7 @@ class SceneFile(Record):
     delays, overlays, figures, tables, measuring : optional
         As in `Shown`.
     report : str, optional
-        HTML file, relative to the folder in which the command is called.
+        HTML file, relative to the folder in which the command is run.
     """
 
     device: Name
@@ -345,14 +347,14 @@ class SceneFile(Record):
 
     @property
     def chosen_criteria(self) -> tuple[str, ...]:
-        """The criteria with ``settle`` spelt out, each once."""
+        """Criteria with ``settle`` expanded, without duplicates."""
         settling = tuple(_BANDS[band] for band in self.bands)
         words = self.criteria or ("settle", *(name for name in REPORTED if name not in SETTLING_BANDS))
         return tuple(dict.fromkeys(c for word in words for c in (settling if word == "settle" else (word,))))
 
     @property
     def shown(self) -> Shown:
-        """What of the comparison is shown."""
+        """Requested content of the comparison."""
         return Shown(**{name: getattr(self, name) for name in Shown.model_fields})
 
 
@@ -365,4 +367,4 @@ SCHEMA_MODELS: dict[str, type[Record]] = {
     "scene": Scene,
     "scene_file": SceneFile,
 }
-"""Records whose JSON Schema is kept in ``schemas/<name>.json``."""
+"""Records whose JSON Schema is stored in ``schemas/<name>.json``."""

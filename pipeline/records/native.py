@@ -1,4 +1,4 @@
-"""The header of a native log: conditions of one step response as `# key: value` lines above the columns.
+"""Header of a native log: conditions of one step response as `# key: value` lines above the columns.
 
     # device: lwr
     # experiment: delay-2
@@ -6,8 +6,8 @@
     ...
     time_s,command,position
 
-All values are SI. A note in square brackets behind a value is legal; a note that begins with a unit which is
-not SI (`[N/mm]`) is refused, because the value would be misread by that factor.
+All values are SI. A note in square brackets after a value is allowed; a note that begins with a unit other than SI
+(`[N/mm]`) is refused, because the value would be wrong by that factor.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ _REQUIRED = {
     "sampling_period_s": "the sampling period T in s",
 }
 FREE = ("stiffness", "damping", "step")
-"""Conditions that a log of motion without wall and step leaves out, all three: they are 0 then, and such a trial has
-no response to judge; what moved the device stands in its command."""
+"""Conditions that a log of motion without wall and step omits, all three: they are then 0, and such a trial has no
+response to judge; the command shows what moved the device."""
 
 NOT_STATED = "not stated"
-"""What ``wall`` is in the extra keys of a header that leaves out all of `FREE`."""
+"""Value of ``wall`` in the extra keys of a header that omits all of `FREE`."""
 
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
-# in each pattern a run of blanks can be taken in one way only: others take minutes for a line of 10^4 blanks
+# each pattern matches a run of blanks in one way only: others take minutes for a line of 10^4 blanks
 _KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
 _NOTE_BEHIND_TEXT = re.compile(r"(?:^|\s)\[.*$")
 _OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
@@ -52,7 +52,7 @@ _OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
 
 @dataclass(frozen=True)
 class NativeHeader:
-    """Conditions of one step response as a native log states them.
+    """Conditions of one step response as stated in a native log.
 
     Parameters
     ----------
@@ -62,18 +62,18 @@ class NativeHeader:
     damping : float
         Virtual damping B [Ns/m, Nms/rad].
     step : float
-        External force step F_0 [N, Nm]; 0 says that no step was commanded: such a trial has no response to judge.
+        External force step F_0 [N, Nm]; 0 if no step was commanded: such a trial has no response to judge.
     sampling_period_s : float
         Sampling period T [s].
     added_delay_samples : int
         Delay added on purpose [samples].
     grip : {"none", "comfortable", "firm"}
     motion : Motion or None
-        None where the log does not say it: a known device brings its own.
+        None if the log does not state it: a known device has its own.
     simulated : bool
-        Whether the log says ``# origin: simulated``.
+        Whether the log contains ``# origin: simulated``.
     extra : dict of str to str
-        Further keys of the header, as written; ``step_row`` among them declares the row of the step, counted from 0.
+        Further keys of the header, as written; ``step_row`` declares the row of the step, counted from 0.
     """
 
     device: str
@@ -96,14 +96,14 @@ def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
     ----------
     header : NativeHeader
     motion : Motion, optional
-        Motion of the device; it decides the unit notes and is written. Where it is None the header's own
-        motion is taken, and translation where that is None too.
+        Motion of the device; it determines the unit notes and is written. If it is None, the header's motion is used,
+        or translation if that is also None.
 
     Raises
     ------
     ParameterError
-        If `parse_header` would not give the same header back (a name with a line feed, a number that is NaN,
-        a contradiction between both motions, ...).
+        If `parse_header` would not return the same header (a name with a line feed, a number that is NaN, a
+        contradiction between both motions, ...).
     """
     chosen: Motion = motion or header.motion or "translation"
     lines = [
@@ -141,7 +141,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     Raises
     ------
     LogError
-        If a required key is missing or given twice, or a value is not legal; with the line number.
+        If a required key is missing or given twice, or a value is invalid; with the line number.
     """
     values, extra = _statements(lines)
     missing = [key for key in _REQUIRED if key not in values]
@@ -172,7 +172,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
 
 
 def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
-    """Return values with their line by the keys that are known, and the values of all other keys."""
+    """Return the values of known keys with their line, and the values of all other keys."""
     values: dict[str, tuple[str, int]] = {}
     extra: dict[str, str] = {}
     for row, line in enumerate(lines, start=1):
@@ -190,13 +190,13 @@ def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[
             values[key] = (value, row)
         else:
             value = _NOTE_BEHIND_TEXT.sub("", value).strip()
-            # the same remark on several lines is common in logs; nothing of it gets lost
+            # the same remark on several lines is common in logs; all of them are kept
             extra[key] = f"{extra[key]}; {value}" if key in extra else value
     return values, extra
 
 
 def _incomplete(missing: list[str], values: dict[str, tuple[str, int]], extra: dict[str, str]) -> LogError:
-    """Return the refusal of a header that lacks keys."""
+    """Return the error for a header that lacks keys."""
     found = ", ".join([*values, *extra]) or "no `# key: value` line"
     if not values:
         remedy = "Add a line `# key: <value>` for each, or describe the file by a profile."
@@ -229,7 +229,7 @@ def _number(key: str, value: str, row: int) -> float:
         remedy = f"Multiply the value by {known.factor:.9g} and correct the note, or describe the file by a profile."
         raise _wrong(f"{key} is given in {unit}; native logs are SI (N, m, rad, s). {remedy}", row)
     try:
-        # float() would take 1_000 and digits of every script, which no other reader does
+        # float() would accept 1_000 and digits of every script, unlike other readers
         number = float(text.replace("_", "?")) if text.isascii() else math.nan
     except ValueError:
         number = math.nan

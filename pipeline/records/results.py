@@ -1,6 +1,6 @@
-"""Finished numbers of a comparison: the document that `compare --json` prints, and all that a report is made of.
+"""Results of a comparison: the document that `compare --json` prints, and the input of a report.
 
-Last, what two experiments, devices or code versions differ in: second minus first.
+The last records are differences of two experiments, devices or code versions: second minus first.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pipeline.records.models import ComparisonRow, Measuring, Motion
 
 
 class SourcedLoop(Record):
-    """A loop and where its numbers come from.
+    """Loop and the source of its parameters.
 
-    As JSON it is flat: ``mass``, ``damping`` and all other numbers of the device alone, ``source``, and in ``loop`` its
-    parts, with the keys of a device file.
+    The JSON is flat: ``mass``, ``damping`` and all other parameters of the device alone, ``source``, and in ``loop``
+    its parts, with the keys of a device file.
     """
 
     loop: Loop
@@ -61,8 +61,8 @@ class RegionScore(Record):
     """Measured and theoretical stable regions inside the tested window (areas in stiffness times damping).
 
     ``overlap`` is intersection over union, ``covered`` the part of the theoretical region that is measured as stable,
-    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` bound each of them by what the intervals of the
-    measured limits leave open. At ``censored`` of ``dampings`` the window ends at the stiffest stable trial.
+    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` are their bounds from the intervals of the
+    measured limits. At ``censored`` of ``dampings`` the window ends at the stiffest stable trial.
     """
 
     overlap: float
@@ -85,13 +85,14 @@ class RegionScore(Record):
 class DistanceScore(Record):
     """Signed distance of the measured boundary from theory at the tested dampings.
 
-    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] is over
-    those and the ``near_zero`` ones, where the theoretical limit is too small to divide by. ``lower_bounds`` of the
-    dampings are censored with theory below the tested range: the distance is at least that large. ``open`` are
-    censored ones with theory above it: nothing is known there, and they are left out. Of the dampings, ``bounded`` have
-    a limit with bounds on both sides (or a lower one that theory is below): at ``agreeing`` of these theory meets the
-    interval of the limit, or is nearer to it than 2 %, at ``above`` the limit lies above theory. ``largest`` is among
-    the bounded ones, where there are any. The median is ``steady`` where no single limit decides it.
+    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] also
+    includes the ``near_zero`` ones, at which the theoretical limit is too small as a denominator. ``lower_bounds`` is
+    the number of censored dampings with theory below the end of the tested range: the distance is at least that large.
+    ``open`` is the number of censored ones with theory above it: they are left out, because the distance is unknown.
+    ``bounded`` dampings have a limit with bounds on both sides (or a lower bound above theory): at ``agreeing`` of
+    these theory lies in the interval of the limit, or within 2 % of it; at ``above`` the limit lies above theory.
+    ``largest`` is among the bounded ones, if there are any. The median is ``steady`` if it does not depend on any
+    single limit.
     """
 
     median: float
@@ -109,10 +110,10 @@ class DistanceScore(Record):
 
 
 class VerdictScore(Record):
-    """Verdicts of the trials against those of theory at the same (K, B), as numbers of trials.
+    """Verdicts of the trials compared with those of theory at the same (K, B), as numbers of trials.
 
-    ``agreement`` is the share of both diagonal entries. Left out are ``undecided`` trials and those ``without_wall``
-    (K <= 0), where stable has another meaning.
+    ``agreement`` is the share of the two diagonal entries. Not included are ``undecided`` trials and those
+    ``without_wall`` (K <= 0), for which stable has another meaning.
     """
 
     both_stable: int
@@ -127,7 +128,7 @@ class VerdictScore(Record):
 class StiffnessScore(Record):
     """Largest stable stiffness [N/m, Nm/rad] measured and by theory, both over the tested dampings.
 
-    ``anywhere`` is that of theory over all dampings. ``lower_bound`` says that the tested stiffnesses ended there.
+    ``anywhere`` is that of theory over all dampings. ``lower_bound`` is true if the tested stiffnesses ended there.
     """
 
     measured: float
@@ -143,7 +144,7 @@ class StiffnessScore(Record):
 class DampingScore(Record):
     """Largest damping [Ns/m, Nms/rad] with a stable trial, and that of theory with any stiffness (6.2.3).
 
-    ``lower_bound`` says that the tested dampings ended there.
+    ``lower_bound`` is true if the tested dampings ended there.
     """
 
     measured: float
@@ -153,7 +154,8 @@ class DampingScore(Record):
 
 
 class Scores(Record):
-    """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
+    """Scores of one experiment compared with one theory; an unavailable score is None, with its reason in
+    ``missing``."""
 
     parameters: SourcedLoop
     basis: Literal["device file", "estimates"]
@@ -198,10 +200,10 @@ CauseCode = Literal[
 
 
 LIMITS_WITHIN = 5.0
-"""Error of predicted limits [%] up to which a loop is adequate: campaigns bracket limits to within 4 %."""
+"""Largest error of predicted limits [%] of an adequate loop: campaigns bracket limits to within 4 %."""
 
 VERDICTS_RIGHT = 0.95
-"""Share of the verdicts that a device must predict."""
+"""Smallest share of the verdicts that a device must predict."""
 
 
 NOT_ADEQUATE = "its loop is not adequate"
@@ -209,11 +211,11 @@ NOT_ADEQUATE = "its loop is not adequate"
 
 
 class LoopResult(Record):
-    """The loop that theory and all conclusions about an experiment use, and whether it is adequate for that.
+    """Loop used by theory and by all conclusions about an experiment, and whether it is adequate for that.
 
-    ``mass``, ``damping``, ``stiffness`` and ``mode`` are what the wall feels, operator included, per unit of command;
-    ``delay_samples`` is not rounded. ``velocity``, ``mode``, ``operator`` are parameters by name. ``explained`` is
-    the share of the logs that the fitted model explains; None where none was fitted.
+    ``mass``, ``damping``, ``stiffness`` and ``mode`` are the effective values at the wall, operator included, per unit
+    of command; ``delay_samples`` is not rounded. ``velocity``, ``mode``, ``operator`` are parameters by name.
+    ``explained`` is the share of the logs explained by the fitted model; None without a fit.
     """
 
     source: Literal["device file", "estimated"]
@@ -232,13 +234,13 @@ class LoopResult(Record):
 
 
 class WallReplay(Record):
-    """How the found device, friction and scatter included, predicts tested walls that it was not fitted to.
+    """Prediction of tested walls that were not used for the fit, by the identified device with friction and scatter.
 
-    ``fit_percent`` of the position behind stable walls, median; ``verdicts_same`` share of the decided verdicts;
-    ``limits_off_percent`` and ``costs_off_percent`` median errors of limits and settling times. A measured limit is
-    known to lie in its interval, ``limits_known_percent`` wide to either side in the median; 95 % of the predicted ones
-    are at most ``limits_error_percent`` outside of these. None where there is nothing to compare.
-    ``trials`` are those verdicts: of a device with jitter those that several runs of it agree on.
+    ``fit_percent`` is the median fit of the position at stable walls; ``verdicts_same`` the share of equal decided
+    verdicts; ``limits_off_percent`` and ``costs_off_percent`` the median errors of limits and settling times. A
+    measured limit lies in its interval, with a median half-width of ``limits_known_percent``; 95 % of the predicted
+    ones are at most ``limits_error_percent`` outside of these. A value is None if there is nothing to compare.
+    ``trials`` is the number of compared verdicts; for a device with jitter, only those on which several runs agree.
     """
 
     fit_percent: float | None
@@ -256,27 +258,27 @@ class WallReplay(Record):
 
     @property
     def is_right(self) -> bool:
-        """Whether limits are within 5 % of what is known of them, and 95 % of the verdicts are right."""
+        """Whether limits are within 5 % of the measured intervals, and 95 % of the verdicts are right."""
         limits = (self.limits_off_percent or 0.0) <= LIMITS_WITHIN + (self.limits_known_percent or 0.0)
         if self.verdicts_same is None:
             return False
-        # of few trials one may be chance
+        # with few trials, one may be chance
         return limits and round((1 - self.verdicts_same) * self.trials) <= max((1 - VERDICTS_RIGHT) * self.trials, 1)
 
 
 class PassiveWall(Record):
-    """The stiffest wall that is passive and stable over the whole 95 % range of a loop."""
+    """Stiffest wall that is passive and stable over the whole 95 % range of a loop."""
 
     stiffness: float
     damping: float
 
 
 class ImpliedDelay(Record):
-    """Pure delay [samples] that a measured boundary stands for: by its slope near the origin (3.25), and as a whole.
+    """Pure delay [samples] implied by a measured boundary: from its slope near the origin (3.25), and as a whole.
 
-    It is that of an ideal loop with the mass and damping of the logs. Where it is longer than the delay of the logs, a
-    lag or a velocity filter costs as much; where it is shorter near the origin than as a whole, the delay jitters, or
-    friction keeps soft walls stable.
+    It is that of an ideal loop with the mass and damping of the logs. If it is longer than the delay of the logs, a lag
+    or a velocity filter has the effect of the difference; if it is shorter near the origin than as a whole, the delay
+    jitters, or friction keeps soft walls stable.
     """
 
     origin: Quantity
@@ -284,7 +286,7 @@ class ImpliedDelay(Record):
 
 
 class StraightBound(Record):
-    """A line K <= stiffness + slope B through the measured limits from the stiffest wall on (6.5), in SI.
+    """Line K <= stiffness + slope B through the measured limits, starting at the stiffest wall (6.5), in SI.
 
     ``limits`` is their number, between two dampings. A parabola through them has a ``curvature``, that of theory's
     limits is ``curvature_theory``.
@@ -304,7 +306,7 @@ class StraightBound(Record):
 
     @property
     def excludes_theory(self) -> bool | None:
-        """Whether the curvature of theory lies outside the interval of the measured one; None where it is not known."""
+        """Whether the curvature of theory lies outside the interval of the measured one; None if it is unknown."""
         ends = self.curvature_low, self.curvature_high
         if self.curvature_theory is None or ends[0] is None or ends[1] is None:
             return None
@@ -312,7 +314,7 @@ class StraightBound(Record):
 
 
 class Cause(Record):
-    """Why an experiment deviates from the ideal loop: a code of the contract, a sentence, and what shows it."""
+    """Cause of an experiment's deviation from the ideal loop: a code of the contract, a sentence, and its evidence."""
 
     code: CauseCode | FindingCode
     sentence: str
@@ -320,9 +322,9 @@ class Cause(Record):
 
 
 class RecordingFault(Record):
-    """A fault of the recordings of an experiment: in how many trials, what the first one shows, and what to do.
+    """Fault of the recordings of an experiment: number of trials, evidence of the first one, and remedy.
 
-    ``logs`` has the names of the first ones.
+    ``logs`` contains the names of the first ones.
     """
 
     code: FindingCode
@@ -335,14 +337,14 @@ class RecordingFault(Record):
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether these trials give no delay and no limit."""
+        """Whether these trials give neither a delay nor a limit."""
         return self.severity == "unsafe"
 
 
 class LoopFindings(Record):
     """Loop, limits, passive wall and causes of one experiment; a missing result is None, with a reason.
 
-    ``optimum`` says of each optimum whether it is passive.
+    ``optimum`` states for each optimum whether it is passive.
     """
 
     loop: LoopResult
@@ -360,7 +362,7 @@ class Truth(Record):
     """Ground truth of a simulated experiment: its loop, jitter [samples] and constant force [N, Nm].
 
     The delay of ``loop`` is the mean delay of the applied command, ``jitter_samples`` its standard deviation.
-    ``limit_reason`` says why the limits of the loop are not known.
+    ``limit_reason`` states why the limits of the loop are unknown.
     """
 
     loop: SourcedLoop
@@ -370,9 +372,9 @@ class Truth(Record):
 
     @property
     def values(self) -> dict[str, float | None]:
-        """True values by the names of estimates, which are those that the wall feels, per unit of command.
+        """True values by the names of estimates, as effective values at the wall, per unit of command.
 
-        With an actuator's lag there is no true delay: logs show both as one.
+        With an actuator lag there is no true delay: logs show only the sum of both.
         """
         device = self.loop.loop.apparent()
         return {
@@ -396,7 +398,7 @@ class TruthHeld(Record):
 
 
 class CostRange(Record):
-    """Costs of those of some ``trials`` that have one: their median, the least and the largest."""
+    """Costs of those ``trials`` that have one: median, smallest and largest value."""
 
     median: float
     low: float
@@ -405,13 +407,13 @@ class CostRange(Record):
 
 
 STIFFEST = "stiffness"
-"""Selection of walls where no cost is available: the stiffest ones that are far from the limit."""
+"""Selection of walls if no cost is available: the stiffest ones that are far from the limit."""
 
 
 class UsePoint(Record):
-    """The one tested wall of a region to set, with the costs of its trial and the limit over its stiffness.
+    """Recommended tested wall of a region, with the costs of its trial and the margin of the limit over its stiffness.
 
-    ``margin_large_motion`` is that of large motions, where friction was found.
+    ``margin_large_motion`` is that for large motions, if friction was found.
     """
 
     stiffness: float
@@ -423,12 +425,12 @@ class UsePoint(Record):
 
 
 class UseRegion(Record):
-    """Walls to use: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of nothing but stable trials.
+    """Recommended walls: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] with only stable trials.
 
     ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
-    chance of (n - 1)/(n + 1) for the n trials with that cost. ``margin`` is the lower end of the measured limit over
-    the largest stiffness of the region, the least over its dampings, itself a lower bound where ``bound``.
-    ``criterion`` is what it was chosen by, `STIFFEST` where no cost is available. ``point`` is the wall to set.
+    probability of (n - 1)/(n + 1) for the n trials with that cost. ``margin`` is the lower end of the measured limit
+    divided by the largest stiffness of the region, minimised over its dampings; it is a lower bound if ``bound``.
+    ``criterion`` is the criterion of the choice, `STIFFEST` if no cost is available. ``point`` is the recommended wall.
     """
 
     criterion: str
@@ -444,15 +446,14 @@ class UseRegion(Record):
 
 
 class AnswerEstimate(Quantity):
-    """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
+    """Quantity of the first screen with its 95 % interval; an end is null if it is unbounded.
 
-    The value is null for friction that was not found: ``high`` is the most that the logs leave open. Where not even
-    that is known, ``reason`` says why, and what to record.
-    ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable. Of the
-    replay, the value is the share of verdicts that it has right behind walls that it was not fitted to, and
-    ``limits_off_percent`` the median error of its limits; where measured ones are known less well,
-    ``limits_known_percent`` is what they leave open to either side. ``damping`` is that of the largest limit,
-    ``at_last_damping`` where it is the largest tested one: there may be a larger limit beyond.
+    The value is null for friction that was not found: ``high`` is the largest value compatible with the logs. If this
+    is unknown as well, ``reason`` states why, and what to record. ``large_motion`` is the linear limit of a device with
+    friction, above which a harder push is unstable. For the replay, the value is the share of correct verdicts at walls
+    that were not used for the fit, and ``limits_off_percent`` the median error of its limits; if measured limits are
+    less accurate, ``limits_known_percent`` is their uncertainty to either side. ``damping`` is that of the largest
+    limit, ``at_last_damping`` is true if it is the largest tested one: there may be a larger limit beyond.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -464,11 +465,11 @@ class AnswerEstimate(Quantity):
 
 
 class ReachableCost(Record):
-    """The best settling time (2 %) that the delay alone allows, and the best one of the tested walls [samples].
+    """Best settling time (2 %) that the delay alone allows, and the best one of the tested walls [samples].
 
-    ``delay_samples`` is the whole delay from command to force, an actuator's lag included. ``per_sample`` is what a
-    sample less of it saves; ``within`` is the largest error of the rule relative to the optimum of a device without
-    damping, which only lowers it. ``reached`` is null where no tested wall has a settling time.
+    ``delay_samples`` is the whole delay from command to force, an actuator's lag included. ``per_sample`` is the gain
+    from one sample less of it; ``within`` is the largest error of the rule relative to the optimum of a device without
+    damping, which only lowers it. ``reached`` is null if no tested wall has a settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
     """
@@ -481,16 +482,16 @@ class ReachableCost(Record):
 
 
 class Prediction(Record):
-    """Whether theory predicts the device: distance of the measured limits from it, and of the costs on tested walls.
+    """Agreement of theory with the device: distance of the measured limits from it, and of the costs on tested walls.
 
-    ``percent`` is the median distance of ``limits`` limits, null where it is no headline (`scores.agreement`);
-    ``percent_with_friction`` that from the device with its friction, null where they lie on both sides of it. Of
-    ``bounded`` limits with an interval, ``above`` and ``below`` lie outside of theory by more than that.
-    ``safe`` where all walls that theory calls stable are. ``reason`` says why it is unknown.
+    ``percent`` is the median distance of ``limits`` limits, null if it is not a headline (`scores.agreement`);
+    ``percent_with_friction`` that from the device with its friction, null if they lie on both sides of it. Of
+    ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than that. ``safe`` is true
+    if all walls that are stable in theory are stable. ``reason`` states why it is unknown.
 
-    ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted where at most one limit in
-    twenty lies outside, and partly where the regions overlap well all the same; costs where their median
-    deviation is at most 10 %, and partly up to 30 %.
+    ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted if at most one limit in
+    twenty lies outside, and partly if the regions overlap well nevertheless; costs if their median deviation is at most
+    10 %, and partly up to 30 %.
     """
 
     code: Literal["yes", "with_friction", "no", "unknown"]
@@ -510,7 +511,7 @@ class Prediction(Record):
 
 
 class NextWall(Record):
-    """The wall that the planner asks for next, why, and the command that plans on from it."""
+    """Next wall requested by the planner, the reason, and the command that continues the plan."""
 
     stiffness: float
     damping: float
@@ -519,7 +520,7 @@ class NextWall(Record):
 
 
 class TestedWall(Record):
-    """A tested wall, and how fast the motion behind it decayed."""
+    """Tested wall, and decay rate of the motion at it."""
 
     stiffness: float
     damping: float
@@ -527,12 +528,12 @@ class TestedWall(Record):
 
 
 class Answer(Record):
-    """The first screen: which wall to use, how sure that is, whether theory predicts it, why not, what to do next.
+    """First screen: recommended wall, its certainty, whether theory predicts it, the reason if not, and the next step.
 
-    ``experiment`` is the one that is spoken of. Where no wall is recommended, ``safest`` is the stable tested one whose
-    motion decays fastest. ``spacing_percent`` is the distance of the tested
-    walls where theory's optimum lies between them. Where ``next`` is null without ``next_reason``, verdicts bracket the
-    limits at ``limits_told`` of the ``limits_wanted`` dampings, and cannot at the others.
+    ``experiment`` is the one described. If no wall is recommended, ``safest`` is the stable tested one whose motion
+    decays fastest. ``spacing_percent`` is the spacing of the tested walls if theory's optimum lies between them. If
+    ``next`` is null without ``next_reason``, verdicts bracket the limits at ``limits_told`` of the ``limits_wanted``
+    dampings, and cannot at the others.
     """
 
     experiment: str
@@ -552,9 +553,10 @@ class Answer(Record):
 
 
 class HeaderLine(Record):
-    """A header line that only the lab knows, such as firmware or grease: in how many trials, and with which values.
+    """Header line known only to the lab, such as firmware or grease: number of trials, and values.
 
-    ``values`` has at most a few of them with their trials, the commonest first; ``different`` counts all.
+    ``values`` contains at most a few of them with their numbers of trials, most frequent first; ``different`` counts
+    all.
     """
 
     key: str
@@ -564,10 +566,10 @@ class HeaderLine(Record):
 
 
 class ExperimentResult(Record):
-    """All that was found for one experiment.
+    """All results for one experiment.
 
-    ``use_reason`` says why there is no region to use, or why none was chosen by a cost; ``sampling_period_s`` is null
-    where the trials have several.
+    ``use_reason`` states why there is no recommended region, or why none was chosen by a cost; ``sampling_period_s`` is
+    null if the trials have several.
     """
 
     experiment: str
@@ -603,13 +605,13 @@ class ExperimentResult(Record):
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
-        """The limit with the largest stable stiffness, None where no trial is stable."""
+        """Limit with the largest stable stiffness, None if no trial is stable."""
         known = [point for point in self.boundary if point.stable is not None]
         return max(known, key=lambda point: (point.stable, point.damping), default=None)
 
     @property
     def delay(self) -> Estimate:
-        """The delay by the logs: as fitted unless the walls contradict the loop, else the integer factor (6.3)."""
+        """Delay from the logs: as fitted unless the walls contradict the loop, else the integer factor (6.3)."""
         factor = self.estimates["delay_samples"]
         fitted = factor.by_method.get("model")
         if fitted is None or fitted.value is None or self.loop is None:
@@ -620,10 +622,10 @@ class ExperimentResult(Record):
 
 
 class LogList(Record):
-    """The logs behind an experiment.
+    """Logs of an experiment.
 
     ``files`` is the SHA-256 of each by its path below ``folder``, ``sha256`` that of all of them together (sorted, one
-    a line), ``samples`` a hash of what was stored of them.
+    a line), ``samples`` a hash of their stored samples.
     """
 
     experiment: str
@@ -634,7 +636,7 @@ class LogList(Record):
 
 
 class ComparisonResult(Record):
-    """The document that `pipeline compare --json` prints."""
+    """Document that `pipeline compare --json` prints."""
 
     device: str
     title: str
@@ -656,7 +658,7 @@ class ComparisonResult(Record):
 
     @property
     def told(self) -> ExperimentResult | None:
-        """The experiment that the document's own answer is about, which a report unfolds."""
+        """Experiment to which the document's answer applies, and which a report shows unfolded."""
         name = self.answer.experiment if self.answer else None
         return next((each for each in self.experiments if each.experiment == name), None)
 
@@ -669,7 +671,7 @@ Plane = Literal["physical", "normalised"]
 
 
 class Side(Record):
-    """One of the two: device, experiment, version and hash of the code of its numbers, trials left out, notes."""
+    """One of the two sides: device, experiment, version and hash of its code, excluded trials, notes."""
 
     device: str
     experiment: str
@@ -686,10 +688,10 @@ class Side(Record):
 
 
 class ValueDifference(Record):
-    """A quantity with its 95 % intervals on both sides.
+    """Quantity with its 95 % intervals on both sides.
 
-    ``difference`` is second minus first with its interval. ``significant`` is true where that interval excludes zero;
-    None with a ``reason`` where it is unknown.
+    ``difference`` is second minus first with its interval. ``significant`` is true if that interval excludes zero; None
+    with a ``reason`` if it is unknown.
     """
 
     part: Literal["estimates", "optima", "scores"]
@@ -705,7 +707,7 @@ class ValueDifference(Record):
 
 
 class LimitDifference(Record):
-    """Stability limit at one damping: stiffness of both sides (of the plane that the pair is compared in)."""
+    """Stability limit at one damping: stiffness of both sides, in the plane of the comparison."""
 
     damping: float
     first: float
@@ -715,7 +717,7 @@ class LimitDifference(Record):
 
 
 class BoundaryDifference(Record):
-    """Boundaries over the dampings that both cover; ``interpolated`` where the second was tested at others.
+    """Boundaries over the dampings common to both; ``interpolated`` if the second was tested at others.
 
     ``median_percent`` and ``largest_percent`` are (second - first)/first. ``significant`` of the ``judged`` dampings,
     those with intervals on both sides, differ.
@@ -733,7 +735,7 @@ class BoundaryDifference(Record):
 class CostDifference(Record):
     """Costs of the trials at the same (K, B): median of second over first, with its 95 % interval, and how many points.
 
-    For the overshoot, which may be zero, ``median`` is the difference in place of the ratio (``kind``).
+    For the overshoot, which may be zero, ``median`` is the difference instead of the ratio (``kind``).
     """
 
     criterion: str
@@ -747,7 +749,7 @@ class CostDifference(Record):
 
 
 class PairDifference(Record):
-    """All that two experiments differ in."""
+    """Differences between two experiments."""
 
     first: Side
     second: Side
@@ -762,7 +764,7 @@ class PairDifference(Record):
 
     @property
     def labels(self) -> tuple[str, str]:
-        """Names of both sides, also where they are one experiment before and now."""
+        """Names of both sides, even if they are one experiment before and now."""
         a, b = self.first.label, self.second.label
         return (a, b) if a != b else (f"{a} before", f"{a} now")
 
@@ -773,7 +775,7 @@ class PairDifference(Record):
 
 
 class AgainstResult(Record):
-    """The document that `pipeline compare --against ... --json` prints: one entry a pair of experiments."""
+    """Document that `pipeline compare --against ... --json` prints: one entry per pair of experiments."""
 
     title: str
     pairs: tuple[PairDifference, ...]

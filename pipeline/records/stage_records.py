@@ -1,7 +1,7 @@
 """Stored rows of the stages of the measured branch: the fields of a record are the columns of its table, in order.
 
-Units and meanings of the columns are in `tables.COLUMNS`. What is missing is NaN, a negative number of rows or an empty
-text, and stored as null.
+Units and meanings of the columns are in `tables.COLUMNS`. A missing value is NaN, a negative row number or an empty
+text, and is stored as null.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 OF_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
-"""Columns by which a row is known in all stages with a row a trial."""
+"""Columns that identify a row in all stages with one row per trial."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ResponseRow:
 
 @dataclass(frozen=True)
 class WallLawRow:
-    """Whether the command of a trial obeys the wall law, and which wall it obeys where it is another."""
+    """Comparison of the command of a trial with the wall law, and the wall that it obeys if it is another."""
 
     law_residual: float
     law_rounding: float
@@ -46,7 +46,7 @@ class WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeRow:
-    """How a trial ended, and what shows it."""
+    """Outcome of a trial with its evidence."""
 
     outcome: str
     evidence: str
@@ -57,7 +57,8 @@ class OutcomeRow:
 
 @dataclass(frozen=True)
 class PartsRow:
-    """Parts of the device by some of the trials, and where its fit to all begins; None but for ``reason`` if none."""
+    """Parts of the device from some of the trials, and starting point of its fit to all; only ``reason`` if there is
+    none."""
 
     start_names: Sequence[str] | None = None
     start_values: Sequence[float] | None = None
@@ -80,7 +81,7 @@ class PartsRow:
 
 @dataclass(frozen=True)
 class DeviceRow:
-    """The device that all trials of an experiment identify; None in all fields but ``reason`` where there is none."""
+    """Device identified from all trials of an experiment; all fields except ``reason`` are None if there is none."""
 
     parameter_names: Sequence[str] | None = None
     parameter_values: Sequence[float] | None = None
@@ -113,7 +114,7 @@ class DeviceRow:
 
 @dataclass(frozen=True)
 class ModelRow:
-    """What a trial says alone of mass, damping and delay; None, with a reason, where it says nothing."""
+    """Mass, damping and delay from a single trial; None, with a reason, if it does not identify them."""
 
     trial_id: str
     samples_sha256: str
@@ -130,7 +131,7 @@ class ModelRow:
 
 @dataclass(frozen=True)
 class DelayRow:
-    """Delay of a trial by the first change of its position."""
+    """Delay of a trial from the first change of its position."""
 
     first_change_samples: int
     reason: str
@@ -138,7 +139,7 @@ class DelayRow:
 
 @dataclass(frozen=True)
 class MassRow:
-    """Mass of a trial by the momentum balance: over its window, twice that window, and the second half of it."""
+    """Mass of a trial from the momentum balance: over its window, twice that window, and the second half of it."""
 
     mass_momentum: float
     mass_momentum_longer: float
@@ -148,7 +149,7 @@ class MassRow:
 
 @dataclass(frozen=True)
 class OvershootRow:
-    """Overshoot of a trial with its interval, and that which its sensor alone can cause."""
+    """Overshoot of a trial with its interval, and the apparent overshoot due to its sensor alone."""
 
     overshoot: float
     overshoot_low: float
@@ -159,7 +160,7 @@ class OvershootRow:
 
 @dataclass(frozen=True)
 class SettlingRow:
-    """Settling times of a trial with their intervals, by the bands of 1, 2 and 5 %."""
+    """Settling times of a trial with their intervals, for the bands of 1, 2 and 5 %."""
 
     settle_1pct: float
     settle_1pct_low: float
@@ -185,7 +186,7 @@ class RiseRow:
 
 @dataclass(frozen=True)
 class EnergyRow:
-    """Energies of a trial by weight with their intervals, what noise adds to them, and their part behind the log."""
+    """Energies of a trial by weight with their intervals, the contribution of noise, and the part after the log."""
 
     energy_w0: float
     energy_w0_low: float
@@ -218,7 +219,7 @@ class OtherCostRow:
 
 @dataclass(frozen=True)
 class BoundaryRow:
-    """The measured limit at one damping; a `BoundaryPoint` as it is stored."""
+    """Measured limit at one damping; a `BoundaryPoint` in stored form."""
 
     damping: float
     stable: float | None

@@ -1,8 +1,8 @@
 """Parquet files of the stored tables, checked against the dictionary of columns (`tables`).
 
-Writing stamps units and meanings into the file's metadata; reading refuses a file that is damaged or whose columns or
-types differ. The name of a file contains the SHA-256 of its content, which is checked when the file is read as a whole.
-When it is read in part, Parquet's checksums of the pages are checked.
+Writing adds units and meanings to the file's metadata; reading refuses a file that is damaged or whose columns or types
+differ. The name of a file contains the SHA-256 of its content, which is checked when the file is read as a whole. When
+it is read in part, Parquet's checksums of the pages are checked.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.tables import COLUMNS, TABLES
 
 WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
-"""How Parquet is written. The compression alone does not notice a flipped byte, which would then be read as another
-number; checksums do."""
+"""Options for writing Parquet. Compression alone does not detect a flipped byte, which would be read as another number;
+checksums do."""
 
 
 def parquet_bytes(data: pa.Table) -> bytes:
@@ -59,7 +59,7 @@ def read_table(path: Path) -> pa.Table:
 
 @contextmanager
 def open_table(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a stored table of which some columns or rows are read; errors as those of `read_table`."""
+    """Open a stored table of which some columns or rows are read; errors as in `read_table`."""
     with _told(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
         _check(path, file.schema_arrow)
         yield file
@@ -70,7 +70,7 @@ def _told(path: Path) -> Iterator[None]:
     try:
         yield
     except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError of foreign bytes included
-        if isinstance(error, FileNotFoundError):  # who reads looks again: it may have been merged meanwhile
+        if isinstance(error, FileNotFoundError):  # the reader looks again: the file may have been merged
             raise
         raise damaged_file(path, error) from error
 
@@ -81,13 +81,13 @@ def damaged_file(path: Path, error: object) -> StoreError:
 
 
 def metadata_of(schema: pa.Schema) -> dict[str, str]:
-    """Return the metadata that were stamped into a file."""
+    """Return the metadata written into a file."""
     metadata = schema.metadata or {}
     return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Return the metadata stamped into a stored file, or an empty dictionary where there is no readable one."""
+    """Return the metadata of a stored file, or an empty dictionary if there is no readable one."""
     try:
         return metadata_of(pq.read_schema(path))
     except (pa.ArrowException, OSError, UnicodeDecodeError):

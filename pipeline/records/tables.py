@@ -1,4 +1,4 @@
-"""The one dictionary of stored columns: each has one Arrow type, unit and meaning wherever it occurs.
+"""Dictionary of stored columns: each has one Arrow type, unit and meaning wherever it occurs.
 
 Each table is a tuple of column names; files of them are written and read by `table_files`.
 """
@@ -23,9 +23,9 @@ Metadata = Mapping[str, str]
 
 @dataclass(frozen=True)
 class Column:
-    """A stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null.
+    """Stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null.
 
-    A column that is ``sensed`` is in SI also where the commands are those of a drive.
+    A ``sensed`` column is in SI even if the commands are those of a drive.
     """
 
     dtype: pa.DataType
@@ -41,14 +41,14 @@ def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -
 
 
 _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
-# the name that Parquet gives it
+# name assigned by Parquet
 _L = pa.list_(pa.field("element", _F))
 _LI = pa.list_(pa.field("element", _I))
 _LS = pa.list_(pa.field("element", _S))
 
 
 def _cost(criterion: Criterion) -> dict[str, Column]:
-    """Columns of the measured cost by a criterion and of its interval."""
+    """Return the columns of the measured cost by a criterion and of its interval."""
     family, name = criterion.family, criterion.column
     dtype = _I if family.whole else _F
     return {
@@ -77,7 +77,7 @@ COLUMNS: dict[str, Column] = {
     "rows": _same(_I, "", "number of samples"),
     "extra": _same(_S, "", "metadata of the log without a dedicated column, as JSON"),
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
-    # where it came from
+    # origin of the trial
     "source_path": _same(_S, "", "source log as found"),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials in the source"),
@@ -104,7 +104,7 @@ COLUMNS: dict[str, Column] = {
     "velocity": Column(_L, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
     "raw_time": _same(_L, "", "time stamp in the source, where it is no whole number and not time_s", True),
     "raw_count": _same(_LI, "", "whole time stamp in the source (a date: without its decimal sign)", True),
-    # stages with a row a trial
+    # stages with one row per trial
     "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of the conditions and samples behind the row"),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
@@ -225,10 +225,10 @@ TABLES: dict[str, tuple[str, ...]] = {
 """Columns of each table; those of a stage are the fields of its record."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity", "raw_time", "raw_count")
-"""Columns of the trials table with a list of samples in each row."""
+"""Columns of the trials table that contain a list of samples in each row."""
 
 LOCATION = ("sample_file", "sample_row")
-"""Where a trial is stored; added by who reads it."""
+"""Location at which a trial is stored; added by the reader."""
 
 OF_TRIALS = (*(name for name in TABLES["trials"] if name not in SAMPLES), *LOCATION)
 """Columns of a trial without its samples."""
@@ -251,11 +251,11 @@ def arrow_schema(
     table : str
         A key of `TABLES`.
     motion : Motion
-        Decides the units.
+        Kind of motion, which determines the units.
     metadata : mapping of str to str, optional
-        Provenance that is stamped into the file.
+        Provenance that is written into the file.
     also : tuple of str
-        Columns that stand behind those of the table.
+        Columns that follow those of the table.
     """
     fields = []
     for name in (*TABLES[table], *also):
@@ -268,7 +268,8 @@ def arrow_schema(
 def to_arrow(
     table: str, columns: Mapping[str, Any], *, motion: Motion = "translation", metadata: Metadata | None = None
 ) -> pa.Table:
-    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column is null."""
+    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column becomes
+    null."""
     schema = arrow_schema(table, motion=motion, metadata=metadata)
     arrays = []
     for field in schema:

@@ -1,6 +1,6 @@
 """Trials of an experiment: conditions of each trial, and the rows of all trials in flat arrays.
 
-Nothing is padded. A trial is a view of its rows; a measurement is a function of one trial.
+There is no padding. A trial is a view of its rows; a measurement is a function of one trial.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 NO_STEP_ROW = -1
-"""Stored row of the command edge of a trial that declares none."""
+"""Stored row of the command edge of a trial that does not declare one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,12 @@ class Trial:
     time, command, position : float64, shape (rows,)
         Time stamps [s], total commanded force before any delay [N, Nm], measured position [m, rad].
     force, velocity : float64, shape (rows,), optional
-        Measured force [N, Nm] and velocity as logged [m/s, rad/s]. Nothing is computed from a logged velocity: how it
-        was made is not known (filters, lags).
+        Measured force [N, Nm] and velocity as logged [m/s, rad/s]. Nothing is computed from a logged velocity, because
+        its filters and lags are unknown.
     step_row : int, optional
-        Declared row of the command edge; None for a trial whose log shows it.
+        Declared row of the command edge; None if it is detected from the log.
     integrated : bool
-        Whether positions are integrals of a sensor's velocity, so that their grid is none of a sensor.
+        Whether positions are integrals of a sensor's velocity, so that their grid is not that of a sensor.
 
     Examples
     --------
@@ -75,19 +75,19 @@ class Trial:
 
     @property
     def displacement(self) -> Floats:
-        """Position relative to the first one, where the wall rests, shape (rows,) [m, rad]."""
+        """Position relative to the first one, the rest position of the wall, shape (rows,) [m, rad]."""
         return self.position - self.position[:1]
 
     @property
     def samples(self) -> dict[str, Floats]:
-        """Its arrays by name; measured force and velocity only where it has them."""
+        """Arrays of the trial by name; measured force and velocity only if available."""
         named = {"time": self.time, "command": self.command, "position": self.position}
         optional = {"force": self.force, "velocity": self.velocity}
         return named | {name: values for name, values in optional.items() if values is not None}
 
     @cached_property
     def digest(self) -> str:
-        """Hash of name, conditions and samples: the same for equal values, however they are stored."""
+        """Hash of name, conditions and samples: equal for equal values, however they are stored."""
         conditions = [self.stiffness, self.damping, self.step, self.sampling_period_s]
         declared = NO_STEP_ROW if self.step_row is None else self.step_row
         result = sha256(self.trial_id.encode())
@@ -102,14 +102,14 @@ class Trial:
         return result.hexdigest()[:16]
 
     def window(self, first: int, rows: int) -> Trial:
-        """Return some of its rows, from one on; a declared step row counts from there."""
+        """Return ``rows`` rows, starting at ``first``; a declared step row is counted from there."""
         inside = slice(first, first + rows)
         step_row = None if self.step_row is None else self.step_row - first
         samples: dict[str, Any] = {name: values[inside] for name, values in self.samples.items()}
         return replace(self, step_row=step_row, **samples)
 
     def relative_to(self, level: float) -> Trial:
-        """Return the trial with command, and measured force, that count from a level [N, Nm]."""
+        """Return the trial with command and measured force relative to a level [N, Nm]."""
         force = None if self.force is None else self.force - level
         return replace(self, command=self.command - level, force=force)
 
@@ -122,16 +122,16 @@ class Trials:
     ----------
     trial_id : tuple of str, length n
     stiffness, damping, step, sampling_period_s : float64, shape (n,)
-        As those of `Trial`.
+        As in `Trial`.
     offsets : int64, shape (n + 1,)
         Rows of trial i are ``offsets[i]`` to ``offsets[i + 1]`` of the flat arrays.
     time, command, position : float64, shape (rows of all trials,)
     force, velocity : float64, shape (rows of all trials,), optional
-        NaN in the rows of trials without; None where no trial has it.
+        NaN in the rows of trials without it; None if no trial has it.
     step_row : int64, shape (n,), optional
-        -1 for trials that declare none; None where no trial does.
+        -1 for trials that do not declare one; None if no trial does.
     integrated : bool, shape (n,), optional
-        None where no trial has integrated positions.
+        None if no trial has integrated positions.
 
     Examples
     --------
@@ -196,7 +196,7 @@ class Trials:
         return digest_all(self.digests)
 
     def select(self, places: Sequence[int] | Integers | Booleans) -> Trials:
-        """Return the trials at some places, in that order, or where a mask is true."""
+        """Return the trials at given places, in that order, or those for which a mask is true."""
         return Trials.of([self[place] for place in np.arange(len(self))[np.asarray(places)].tolist()])
 
     @classmethod
@@ -223,7 +223,7 @@ class Trials:
 
 
 def _present(values: Floats) -> Floats | None:
-    """Return optional samples of a trial; None where it has none."""
+    """Return optional samples of a trial; None if it has none."""
     return None if np.isnan(values).all() else values
 
 
@@ -232,7 +232,7 @@ def _joined(parts: Sequence[Floats]) -> Floats:
 
 
 def _joined_where_present(parts: Sequence[Floats | None], trials: Sequence[Trial]) -> Floats | None:
-    """Return optional samples of all trials, NaN for those without; None where no trial has any."""
+    """Return optional samples of all trials, NaN for those without; None if no trial has any."""
     if all(values is None for values in parts):
         return None
     return _joined(
