@@ -1,1 +1,1 @@
-"""Estimates, verdicts and costs from logs alone; it knows nothing of theory."""
+"""Estimates, verdicts and costs from logs alone, independent of theory."""

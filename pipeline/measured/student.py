@@ -1,4 +1,4 @@
-"""Factors of 95 % intervals: of a normal distribution, and of Student's for few degrees of freedom."""
+"""Factors of 95 % intervals: of a normal distribution, and of Student's t for few degrees of freedom."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ CONFIDENCE = 0.95
 """Coverage of every interval."""
 
 SIGMAS = 3.0
-"""Standard deviations by which a value differs from another for sure: by chance 0.3 % of normal values do."""
+"""Number of standard deviations for a certain difference of two values: 0.3 % of normal values exceed it by chance."""
 
 NORMAL_95 = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
-"""Half width of the 95 % interval of a normal distribution in standard deviations."""
+"""Half-width of the 95 % interval of a normal distribution in standard deviations."""
 
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
 
 ROUNDING = 1e-12
-"""Relative difference that computing in doubles leaves between equal values: the smallest standard error, too."""
+"""Relative rounding error between equal values in double precision; also the smallest standard error."""
 
 SMALLEST = float(np.sqrt(np.finfo(np.float64).tiny))
-"""Smallest standard error of a value that is zero: its square is still a number."""
+"""Smallest standard error of a value that is zero: its square does not underflow."""
 
 
 def student_95(freedom: object) -> Floats:

@@ -1,6 +1,6 @@
-"""The methods of the thesis: delay by the first change, mass by a momentum balance, damping by the limit at K = 0.
+"""Methods of the thesis: delay from the first change, mass from a momentum balance, damping from the limit at K = 0.
 
-They are reported with the estimates of the model, as `by_method`: each estimates a part of the device.
+They are reported with the estimates of the model, as `by_method`: each estimates one parameter of the device.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from pipeline.records.models import MOMENTUM_WINDOW_S
 from pipeline.records.trials import Floats, Integers, Trial
 
 QUANTA = 1.5
-"""Threshold in quanta, plus `SIGMAS` of the noise: rounding flickers by one quantum."""
+"""Threshold in quanta, plus `SIGMAS` standard deviations of the noise: rounding flickers by one quantum."""
 
 QUANTA_AT_REST = 0.5
-"""Threshold in quanta where the baseline is constant: there one quantum is a change."""
+"""Threshold in quanta for a constant baseline, where one quantum is a change."""
 
 RISE_ROWS, RISE = 2, 3.0
-"""Rows after the first change, and the multiple of the threshold passed by then: more than a flicker of one
-quantum, and what constant acceleration does unless it needs more than 2.7 rows for the threshold."""
+"""Number of rows after the first change, and multiple of the threshold that must be exceeded by then: more than a
+flicker of one quantum, and satisfied by constant acceleration unless it needs more than 2.7 rows for the threshold."""
 
 SMALLEST_SIGNAL = 20.0
-"""Velocity change in standard errors of the sensor: at 20 the sensor alone makes an error of 5 %."""
+"""Smallest velocity change in standard errors of the sensor: at 20 the sensor alone causes an error of 5 %."""
 
 ZERO_RATE = 1e-6
-"""Growth rate, relative to the range of the rates, that is zero but for rounding."""
+"""Growth rate, relative to the range of the rates, below which it is zero up to rounding."""
 
 ZERO_RATE_AT_END = 0.01
-"""As `ZERO_RATE` for the largest B tested, with noise: an error of 1 % of the tested range of B."""
+"""Like `ZERO_RATE` for the largest B tested, with noise: an error of 1 % of the tested range of B."""
 
 
 @dataclass(frozen=True)
 class FirstChange:
-    """Delay of a trial by its first position change.
+    """Delay of a trial from its first position change.
 
     Parameters
     ----------
     delay_samples : int
-        Integer factor d = d_obs - 1 (6.2); -1 where there is a reason.
+        Integer factor d = d_obs - 1 (6.2); -1 if a reason is given.
     first_row : int
-        Row of the first change, counted from 0; -1 where there is a reason.
+        Row of the first change, counted from 0; -1 if a reason is given.
     reason : str
     """
 
@@ -63,19 +63,19 @@ def first_change(trial: Trial, response: Response) -> FirstChange:
     ----------
     trial : Trial
     response : Response
-        Of this trial; one from `response.declare_edge` where the log has no baseline.
+        Response of this trial; one from `response.declare_edge` if the log has no baseline.
 
     Notes
     -----
-    The position has changed where it lies 1.5 quanta plus three standard deviations of the noise from that at the
-    command edge, half a quantum where the baseline is constant, 0 for an ideal log. d_obs is the number of rows
-    from the command edge to the first position on the side of the step beyond this threshold, so that t_obs - T <=
-    t_d < t_obs. On an ideal log that is exact. A sensor sees the first change late, by the time that the device
-    needs to move as far as the threshold: 8 N on 0.58 kg need 1.2 ms for 10 um, 3 ms for 60 um.
+    The position has changed if it differs from that at the command edge by 1.5 quanta plus three standard deviations of
+    the noise, by half a quantum for a constant baseline, or by more than 0 for an ideal log. d_obs is the number of
+    rows from the command edge to the first position on the side of the step beyond this threshold, so that t_obs - T <=
+    t_d < t_obs. For an ideal log this is exact. A sensor detects the first change late, by the time that the device
+    needs to reach the threshold: 8 N on 0.58 kg need 1.2 ms for 10 um, 3 ms for 60 um.
 
-    A device that moves before the step by more than the sensor explains (chatter at high B) gives no delay but
-    a reason: its motion cannot be distinguished from the answer to the step. So does one that first moves against the
-    step: a sign is wrong, and its swing back would be taken for the answer.
+    For a device that moves before the step by more than the sensor explains (chatter at high B), there is no delay but
+    a reason: its motion cannot be distinguished from the response to the step. The same applies to a device that first
+    moves against the step: a sign is wrong, and the swing back would be mistaken for the response.
 
     Source: Hulin 2017, eqs. 6.2 and 6.3.
     """
@@ -86,13 +86,13 @@ def first_change(trial: Trial, response: Response) -> FirstChange:
         ratio = f"{motion / response.floor:.3g} times what its sensor shows at rest" if response.floor else ""
         size = f", peak to peak {ratio}" if ratio else ""
         return FirstChange(reason=f"moving before the step{size}; let the device come to rest before the step")
-    # without a baseline of some rows it is not known to be constant
+    # without a baseline of some rows it is unknown whether it is constant
     quanta = QUANTA_AT_REST if response.sensor_noise == 0 else QUANTA
     limit = quanta * response.sensor_quantum + SIGMAS * _noise(response)
     displacement = trial.displacement
     away = np.sign(trial.step) * (displacement[edge + 1 :] - displacement[edge])
     first, opposite = _first_beyond(away, limit), _first_beyond(-away, limit)
-    # with a sign that is wrong the response is taken for rest, and its swing back for the response
+    # with a wrong sign the response is mistaken for rest, and its swing back for the response
     if opposite < min(first, len(away)):
         text = "the position moves against the step at first; check the signs of position, command and step"
         return FirstChange(reason=text)
@@ -102,14 +102,14 @@ def first_change(trial: Trial, response: Response) -> FirstChange:
 
 
 def _noise(response: Response) -> float:
-    """Return the noise of the sensor [m, rad]; 0 where it is not known."""
+    """Return the noise of the sensor [m, rad]; 0 if it is unknown."""
     return response.sensor_noise if response.sensor_noise > 0 else 0.0
 
 
 def _first_beyond(away: Floats, limit: float) -> int:
-    """Return the index from which on the position stays beyond a limit, the number of rows where it does not.
+    """Return the index from which on the position stays beyond a limit, or the number of rows if it does not.
 
-    Noise passes it now and then, but only a response stays beyond it and goes on to rise.
+    Noise exceeds it occasionally, but only a response stays beyond it and continues to rise.
     """
     beyond = away > limit
     rises = beyond[:-RISE_ROWS] & beyond[1 : len(away) - RISE_ROWS + 1] & (away[RISE_ROWS:] > RISE * limit)
@@ -122,13 +122,13 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
     Parameters
     ----------
     delay_samples : int64, shape (n,)
-        Integer factor of each trial; negative where there is none.
+        Integer factor of each trial; negative if there is none.
 
     Notes
     -----
-    The interval is the range of 95 % of the trials (jitter), its upper end one sample more by (6.3):
-    a factor d stands for delays d T <= t_d < (d + 1) T. An even number of trials takes the lower median, so
-    that the value is a factor that occurred.
+    The interval is the range of 95 % of the trials (jitter), its upper end one sample more by (6.3): a factor d
+    represents delays d T <= t_d < (d + 1) T. An even number of trials takes the lower median, so that the value is a
+    factor that occurred.
 
     Source: Hulin 2017, eqs. 6.2 and 6.3.
     """
@@ -144,7 +144,7 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
 
 @dataclass(frozen=True)
 class MomentumMass:
-    """Mass of a trial by the momentum balance (6.4) [kg, kg m^2], NaN where there is a reason."""
+    """Mass of a trial from the momentum balance (6.4) [kg, kg m^2], NaN if a reason is given."""
 
     mass_momentum: float = np.nan
     reason: str = ""
@@ -153,7 +153,7 @@ class MomentumMass:
 def by_momentum(
     trial: Trial, response: Response, delay_samples: int, *, window_s: float = MOMENTUM_WINDOW_S, after_s: float = 0.0
 ) -> MomentumMass:
-    """Return the mass of a trial from impulse over change of velocity, over a window behind the command edge.
+    """Return the mass of a trial from impulse over change of velocity, over a window after the command edge.
 
     Parameters
     ----------
@@ -165,14 +165,13 @@ def by_momentum(
     window_s : float
         Time from the command edge to t_2 [s].
     after_s : float
-        Time from the command edge to t_1 [s]; where the device has not moved by then, t_1 is its rest.
+        Time from the command edge to t_1 [s]; if the device has not moved by then, t_1 is a time at rest.
 
     Notes
     -----
-    With a zero-order hold of the command, the mean velocity of an interval is v + F T/2m, so that interval means
-    differ by exactly T (F_{k-1} + F_k)/2m: the trapezoid of the command, a zero-order hold, makes no error. Exact for
-    b = 0 whatever K and B; else too large by b (x_2 - x_1)/(v_2 - v_1). A delay that is wrong by one sample shifts it
-    by some 10 %.
+    With a zero-order hold of the command, the mean velocity of an interval is v + F T/2m, so that interval means differ
+    by exactly T (F_{k-1} + F_k)/2m: the trapezoid of the command, a zero-order hold, makes no error. Exact for b = 0
+    whatever K and B; else too large by b (x_2 - x_1)/(v_2 - v_1). A delay error of one sample shifts it by about 10 %.
 
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
@@ -211,13 +210,14 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats, unit: str
     damping, stiffness : float64, shape (n,)
         Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; only those with K = 0 are used.
     growth_per_s : float64, shape (n,)
-        Growth rate of the acceleration, as `verdict.judge` returns it [1/s]; NaN where it is not known.
+        Growth rate of the acceleration, as returned by `verdict.judge` [1/s]; NaN if it is unknown.
     unit : str
 
     Returns
     -------
     Estimate
-        Value where the growth rate crosses zero; its interval is -B of the last stable and of the first unstable trial.
+        Value at the zero crossing of the growth rate; its interval is -B of the last stable and of the first unstable
+        trial.
 
     Notes
     -----
@@ -237,7 +237,8 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats, unit: str
 
 
 def _limit(levels: Floats, rate: Floats, trials: int) -> tuple[float, float, float] | str:
-    """Return where rates at levels of B cross zero, the last stable and the first unstable level; else why not."""
+    """Return the zero crossing of rates over levels of B, the last stable and the first unstable level; else a
+    reason."""
     if not trials:
         return "no usable trial at K = 0: record some with B <= 0"
     size = np.abs(rate) / (np.ptp(rate) or 1.0)
@@ -263,17 +264,16 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     Parameters
     ----------
     values : float64, shape (n,)
-        One value per trial; NaN where there is none.
+        One value per trial; NaN if there is none.
     unit, method : str
     reason : str
-        What to say where no trial has a value.
+        Reason to report if no trial has a value.
 
     Notes
     -----
-    The interval lies between the order statistics l and n + 1 - l, where l is the largest for which a
-    binomial (n, 1/2) count falls below l with a chance of at most 2.5 %. Fewer than six trials cannot give
-    95 %: then it is the range, and the method states this. It is the scatter of the trials, without a bias that
-    they share.
+    The interval lies between the order statistics l and n + 1 - l, where l is the largest for which a binomial (n, 1/2)
+    count falls below l with a probability of at most 2.5 %. Fewer than six trials cannot give 95 %: then it is the
+    range, and the method states this. It is the scatter of the trials, without a bias that they share.
     """
     known = np.sort(values[np.isfinite(values)])
     n, rank = len(known), _median_rank(len(known))
@@ -286,7 +286,7 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
 
 
 def _median_rank(n: int) -> int:
-    """Largest l with P(binomial(n, 1/2) < l) <= 2.5 %, 0 where there is none."""
+    """Return the largest l with P(binomial(n, 1/2) < l) <= 2.5 %, 0 if there is none."""
     from scipy.special import bdtr
 
     return int((bdtr(np.arange(n), n, 0.5) <= 0.5 * (1 - CONFIDENCE)).sum())

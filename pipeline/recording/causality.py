@@ -1,5 +1,4 @@
-"""Check of whether the position responds before its command. If so, the log shows neither a delay nor the limit of a
-wall."""
+"""Check of whether the position responds before its command; if so, the log shows neither delay nor wall limit."""
 
 from __future__ import annotations
 

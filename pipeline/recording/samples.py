@@ -135,8 +135,7 @@ class Samples:
 
     @cached_property
     def least_change(self) -> float:
-        """Smallest position change that is not a rounding error, at least the sensor step; 0 if the position is
-        constant."""
+        """Smallest position change above rounding, at least the sensor step; 0 if the position is constant."""
         if self.fastest == 0:
             return 0.0
         seen = self.size[self.moves] if self.resting else self.size

@@ -156,8 +156,7 @@ class BoundaryPoint(Record):
 
     @property
     def limit(self) -> Limit | None:
-        """Limit from the growth rates, else in the middle between stable and unstable trials; None if there is
-        neither."""
+        """Limit from the growth rates, else midway between stable and unstable trials; None if there is neither."""
         stable, unstable, ends = self.stable, self.unstable, (self.estimate, self.low, self.high)
         if self.censored:
             ends = (stable, stable, stable)
@@ -170,8 +169,7 @@ class BoundaryPoint(Record):
 
 
 class NearOptimum(Record):
-    """Bounding box of the ``trials`` that are nearly as good as the best: at most 5 % more cost, or 5 % less
-    stiffness."""
+    """Box around the ``trials`` that are nearly as good as the best: at most 5 % more cost or 5 % less stiffness."""
 
     stiffness_low: float
     stiffness_high: float

@@ -154,8 +154,7 @@ class DampingScore(Record):
 
 
 class Scores(Record):
-    """Scores of one experiment compared with one theory; an unavailable score is None, with its reason in
-    ``missing``."""
+    """Scores of one experiment compared with one theory; a missing score is None, with its reason in ``missing``."""
 
     parameters: SourcedLoop
     basis: Literal["device file", "estimates"]

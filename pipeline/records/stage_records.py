@@ -57,8 +57,7 @@ class OutcomeRow:
 
 @dataclass(frozen=True)
 class PartsRow:
-    """Parts of the device from some of the trials, and starting point of its fit to all; only ``reason`` if there is
-    none."""
+    """Parts of the device from some trials, and starting point of its fit to all; only ``reason`` if there is none."""
 
     start_names: Sequence[str] | None = None
     start_values: Sequence[float] | None = None

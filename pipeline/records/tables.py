@@ -268,8 +268,7 @@ def arrow_schema(
 def to_arrow(
     table: str, columns: Mapping[str, Any], *, motion: Motion = "translation", metadata: Metadata | None = None
 ) -> pa.Table:
-    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column becomes
-    null."""
+    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN becomes null if nullable."""
     schema = arrow_schema(table, motion=motion, metadata=metadata)
     arrays = []
     for field in schema:

@@ -1,2 +1,1 @@
-"""Joint evaluation of an experiment's trials: values with intervals, boundary, optima, and the stages that store
-them."""
+"""Joint evaluation of an experiment's trials: values with intervals, boundary, optima, and stages that store them."""

@@ -61,8 +61,7 @@ for a lag; less changes no limit by a thousandth."""
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedLoop:
-    """Maximum-likelihood loop of all trials of an experiment, per unit of command, with the covariance of its
-    parameters.
+    """Maximum-likelihood loop of all trials, per unit of command, with the covariance of its parameters.
 
     Parameters
     ----------
@@ -173,8 +172,8 @@ class IdentifiedLoop:
 
     @cached_property
     def ends(self) -> tuple[tuple[Loop, Loop], ...]:
-        """Loops at both ends of each principal axis of the 95 % range of the numbers, and that with the longest lag
-        that the delay may have as a part; none where the numbers are exact."""
+        """Loops at both ends of each principal axis of the 95 % region of the parameters, and that with the longest lag
+        that the delay may include; none if the parameters are exact."""
         if not self.covariance.any():
             return ()
         ends = [(self.shifted(-axis), self.shifted(axis)) for axis in self.axes]

@@ -1,2 +1,1 @@
-"""Identification of an experiment: one model, one likelihood, one interval; from arrays of logs to an identified
-device."""
+"""Identification of an experiment by one model, one likelihood and one interval: from logs to a device."""

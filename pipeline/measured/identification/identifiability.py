@@ -57,8 +57,7 @@ class IdentifiableCombination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Content of the recordings: largest number of command sizes in one direction, directions of command and motion,
-    trials."""
+    """Content of the recordings: largest number of command sizes in one direction, directions, trials."""
 
     sizes: int
     signs: int

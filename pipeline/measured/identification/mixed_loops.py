@@ -221,8 +221,7 @@ def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Fl
 
 @part
 def score_variances(columns: Floats, step: Floats, inverse: Floats, random: Integers, outputs: Any) -> None:
-    """Write the slope (r,) and information (r, r) of the restricted likelihood along the variances of random
-    numbers."""
+    """Write slope (r,) and information (r, r) of the restricted likelihood along the variances of random numbers."""
     slope, information, of_unit, rows = outputs
     p, r = len(step), len(random)
     slope[:] = 0.0

@@ -30,8 +30,7 @@ LEAST_NOISE = 1e-100
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1), and its degrees of freedom
-    (T,).
+    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1); its degrees of freedom (T,).
 
     R'R are the sums of their products; R avoids the loss of digits by squaring.
 

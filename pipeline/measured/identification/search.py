@@ -1,5 +1,4 @@
-"""Maximum-likelihood estimate of the device near a starting value, by Newton steps on the likelihood of all trials, and
-of its noise."""
+"""Maximum-likelihood device near a starting value, by Newton steps on the likelihood of all trials, and its noise."""
 
 from __future__ import annotations
 

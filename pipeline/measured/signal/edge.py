@@ -66,7 +66,7 @@ AGAINST = (
 
 @dataclass(frozen=True)
 class Edge:
-    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and the reason if there is no
+    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and reason if there is no
     edge."""
 
     row: int

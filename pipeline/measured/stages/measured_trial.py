@@ -91,8 +91,7 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Reason why the trial gives no information on its wall: its recording, or another wall than stated; empty if
-        it does."""
+        """Reason why the trial gives no information on its wall (its recording, or another wall); empty if it does."""
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
         return next(sentences, "") or self.other_walls.reason
 

@@ -1,5 +1,4 @@
-"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and the estimates of single
-trials."""
+"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and estimates of each trial."""
 
 from __future__ import annotations
 

@@ -45,8 +45,7 @@ SCALE_TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class Departure:
-    """Departure of a log from the wall law; ``obeyed`` contains K, B and step of another wall that the command
-    obeys."""
+    """Departure of a log from the wall law; ``obeyed`` contains K, B and step of another wall, if obeyed."""
 
     code: str
     evidence: str
@@ -172,8 +171,7 @@ def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
 
 
 def _other_step(log: LogRows) -> Departures | None:
-    """Explain a command by an external force that rises over several rows; several steps have no single edge
-    (`edge`)."""
+    """Explain a command by an external force that rises over several rows, from level to level (one `edge`)."""
     rows = len(log.external)
     turns = np.flatnonzero(np.abs(np.diff(log.external)) > log.rounding[1:] + log.rounding[:-1]) + 1
     if len(turns) < 2 or turns[0] < SETTLED_SAMPLES:
@@ -261,8 +259,7 @@ def _position_filter(log: LogRows) -> VelocityFilterFound | None:
 
 
 def _velocity_or_position_filter(log: LogRows) -> Departures | None:
-    """Explain a command by the velocity or position filter with fewer parameters: either is one of higher order of the
-    other."""
+    """Explain a command by a velocity or position filter, whichever has fewer parameters."""
     velocity = _velocity_filter(log)
     free = np.inf if velocity is None or velocity[0].filter is None else velocity[0].filter.free
     position = _position_filter(log) if free > 1 else None
