@@ -63,7 +63,7 @@ class FreeResponse:
         The same for the best non-negative delay.
     residual_with, residual_against : float
         The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the
-        command in its direction, or against it; infinite where there is none.
+        command in its direction, or against it; infinite if there is none.
     residual_undriven : float
         The same without any command, for a motion driven by its initial state alone.
     largest_jump : float

@@ -16,11 +16,11 @@ time, command, position : float64, shape (R,)
     Rows of all trials.
 first, behind : int64, shape (S,)
     Rows of segment s are ``first[s]`` to ``behind[s]``; ``begin`` is the first row of its trial, ``edge`` the row from
-    which on forces act on a device that friction fixes before, `ALWAYS` where they act in all rows.
+    which on forces act on a device that is fixed by friction before, `ALWAYS` if they act in all rows.
 kind : int64, shape (1,) or (R,)
-    Which of m transitions F (m, n, n) the interval behind a row has; one value where all intervals are equal.
+    Index of the transition among F (m, n, n) for the interval after a row; one value if all intervals are equal.
 offset : int64, shape (2,) or (R + 1,)
-    Pieces of the interval behind row r are ``offset[r]`` to ``offset[r + 1]``. In each of them one command is in force:
+    Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``. In each of them one command is applied:
     that ``back`` rows before, of age ``age``, for the part ``width`` of the interval; G (Q, n, 2) is the motion by a
     unit command and by a unit force on the motor in it.
 

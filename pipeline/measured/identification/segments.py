@@ -54,8 +54,8 @@ class Segments:
         Rows of each segment.
     trial : int64, shape (S,)
     edge : int64, shape (S,)
-        Row from which on forces act on a device that friction fixes at rest before; `ALWAYS` for a segment that does
-        not start at rest.
+        First row in which forces act on a device kept at rest by friction before; `ALWAYS` for a segment that does not
+        start at rest.
     direction : float64, shape (S,)
         Direction of motion; 0 if it is not required.
     distinct, least : float64, shape (S,)

@@ -53,8 +53,8 @@ class Outcome:
     outcome : str
         One of `OUTCOMES`.
     first_row : int
-        First row of the evidence: in the band for good, first clipped, first at the stop or outside the travel,
-        first disturbed; -1 where there is none.
+        First row of the evidence: in the band for good, first clipped, first at the stop or outside the travel, first
+        disturbed; -1 if there is none.
     evidence : str
         One sentence with its numbers in SI units.
     band : float
