@@ -1,1 +1,1 @@
-"""From files to stored trials: what is found, read, refused, stored, and what a second run need not do."""
+"""From files to stored trials: finding, reading, refusing and storing logs, and skipping known ones."""

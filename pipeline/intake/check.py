@@ -1,7 +1,7 @@
 """Check of every stored file against the hash in its name, and recovery of damaged ones.
 
-Results and theory are computed again when they are needed. Of a damaged file of trials the logs are read again where
-they are; of the others those trials are kept whose group of rows can still be read. What is lost is named.
+Results and theory are recomputed when they are needed. For a damaged file of trials, the logs are read again if they
+exist; otherwise trials in readable row groups are kept. Lost trials are named.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from pipeline.store.batch_files import GROUP_TRIALS, ExperimentKey, write_batch
 from pipeline.store.storage import TABLE, missing_inputs, read_rows
 
 DAMAGED_FOLDER = "damaged"
-"""Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
+"""Folder below `processed` for damaged files that cannot be recomputed; nothing there is ever removed."""
 
 _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 
 Remedy = Literal["save", "remove", "set aside"]
-"""Remedy of a damaged file. save: its trials are read again or copied, and the file is set aside. remove: its content
-is computed again. set aside: its content is lost."""
+"""Remedy for a damaged file. save: its trials are read again or copied, and the file is set aside. remove: its content
+is recomputed. set aside: its content is lost."""
 
 
 class Damage(Record):
@@ -71,7 +71,7 @@ class Damage(Record):
 
     @property
     def mended(self) -> bool:
-        """Whether its whole content is available again, or will be computed again."""
+        """Whether its whole content is available again, or will be recomputed."""
         return self.remedy == "remove" or (self.remedy == "save" and not self.lost)
 
 
@@ -113,7 +113,7 @@ def check(
     faults: dict[Path, str] = {}
     size = 0
     for done, file in enumerate(files, 1):
-        with suppress(FileNotFoundError):  # merged meanwhile
+        with suppress(FileNotFoundError):  # merged in the meantime
             try:
                 size += file.stat().st_size
                 if file_hash(file) != hash_in_name(file.name):
@@ -133,7 +133,7 @@ def check(
 
 
 def _files(processed: Path) -> Iterator[Path]:
-    """Yield every file that is named by its content, or should be."""
+    """Yield every file whose name contains the hash of its content, or should."""
     for tree in ("trials", "stages", "theory", "corrections"):
         yield from sorted(f for f in (processed / tree).rglob("*") if f.is_file() and not f.name.startswith("."))
     yield from sorted((processed / FOLDER).glob(f"*/{RECORD}-*"))
@@ -169,7 +169,7 @@ def _groups(file: Path) -> Iterator[pa.Table]:
 
 
 def _rows_of(file: Path) -> list[dict[str, str]]:
-    """Return id, log and profile of each trial of a damaged file, empty where they cannot be read."""
+    """Return id, log and profile of each trial of a damaged file; empty if unreadable."""
     columns: dict[str, list[str]] = {name: [] for name in ("trial_id", "source_path", "profile")}
     with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
@@ -184,10 +184,10 @@ def _rows_of(file: Path) -> list[dict[str, str]]:
 def _read_again(
     processed: Path, rows: list[dict[str, str]], faults: dict[Path, str], say: Callable[[str], None] | None
 ) -> None:
-    """Ingest the logs of damaged files where they are, by the profiles that read them."""
+    """Ingest the logs of damaged files from their places, with the profiles that read them."""
     for profile in sorted({row["profile"] for row in rows}):
         logs = {path_of_text(row["source_path"]) for row in rows if row["profile"] == profile}
-        with suppress(ProfileError):  # that of a lab
+        with suppress(ProfileError):  # a profile of a lab
             ingest(sorted(logs), processed, profile or None, say=say, damaged=faults)
 
 
@@ -202,7 +202,7 @@ def _of_trials(
 
     Without `repair` this is only reported.
     """
-    # the same logs make the same file, which is whole again where all of them were read
+    # the same logs give the same file, which is complete again if all of them were read
     there = {other: text for other, text in faults.items() if other.exists()}
     damaged = {other: text for other, text in there.items() if file_hash(other) != hash_in_name(other.name)}
     stored = set(read_rows(processed, ["source_path"], damaged).column("source_path"))

@@ -1,4 +1,5 @@
-"""Decisions of an ingest: what becomes of a source, from what it is and what is stored. Nothing here reads or writes.
+"""Decisions of an ingest: the action for a source, based on the source and the stored data. Nothing here reads or
+writes files.
 
 `decide_unread` judges a source by its size and time, before it is opened; `decide` judges one whose content is known.
 Each rule has a name; the first that applies decides.
@@ -19,8 +20,8 @@ from pipeline.intake.stored_sources import StoredSource
 Rule = Literal[
     "unchanged", "copy", "renamed copy", "new", "renamed", "changed", "profile changed", "completed", "refused before"
 ]
-"""Names of the rules. A copy has the content of another stored source; a renamed copy in addition another name, from
-which its profile reads conditions. Completed: an interrupted run had stored only some of its trials."""
+"""Names of the rules. A copy has the content of another stored source; a renamed copy also has other conditions in its
+name. Completed: an interrupted run had stored only some of its trials."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,13 @@ class Evidence:
     sha256 : str
         Of its content.
     devices : tuple of str or None
-        Devices of its trials; None where it was not parsed, because its content is stored already.
+        Devices of its trials; None if it was not parsed because its content is already stored.
     former : StoredSource or None
-        What is stored under its path.
+        Source stored under its path.
     twin : Twin or None
     lost : tuple of (str, StoredSource) or None
-        Path and contents of a stored source with this content and profile whose file no longer exists; only where the
-        profile reads conditions from names, so that a corrected name is no copy.
+        Path and contents of a stored source with this content and profile whose file no longer exists; only if the
+        profile reads conditions from names, so that a corrected name does not count as a copy.
     """
 
     source: Source
@@ -65,15 +66,16 @@ class Evidence:
 
     @property
     def is_same(self) -> bool:
-        """Whether its path was stored with the same content."""
+        """Whether the same content is stored under its path."""
         return self.former is not None and self.former.sha256 == self.sha256
 
 
 @dataclass(frozen=True)
 class Drop:
-    """Stored trials that are removed, of a source stored under ``path``.
+    """Removal of stored trials of a source stored under ``path``.
 
-    ``outcome`` is reported of the source ``shown``, None where nothing is. ``late``: only after new trials are stored.
+    ``outcome`` is reported for the source ``shown``; None if nothing is reported. ``late``: only after new trials are
+    stored.
     """
 
     shown: str
@@ -85,7 +87,7 @@ class Drop:
 
 @dataclass(frozen=True)
 class Decision:
-    """What becomes of a source: the rule, the reason for the report, what is removed, and a warning."""
+    """Decision on a source: the rule, the reason for the report, removals, and a warning."""
 
     rule: Rule
     reason: str
@@ -101,16 +103,16 @@ class Decision:
 def decide_unread(
     source: Source, stored: StoredSource | None, refused: QuarantineRecord | None, *, replace: bool
 ) -> Decision | None:
-    """Return the decision on a source by size, time and profile, or None where its content has to be read.
+    """Return the decision on a source by size, time and profile, or None if its content has to be read.
 
-    A refused source without a hash could not be read, and is tried again: new permissions leave size and time as they
-    are. With ``replace`` a refused one is tried again, too.
+    A refused source without a hash could not be read, and is tried again: new permissions change neither size nor time.
+    With ``replace`` other refused sources are tried again, too.
 
     Parameters
     ----------
     source : Source
     stored : StoredSource or None
-        What is stored under its path.
+        Source stored under its path.
     refused : QuarantineRecord or None
         Its record in quarantine.
     replace : bool
@@ -126,13 +128,13 @@ def decide_unread(
 
 
 def decide(evidence: Evidence, *, replace: bool) -> Decision:
-    """Return what becomes of a source whose content is known.
+    """Return the decision on a source whose content is known.
 
     Parameters
     ----------
     evidence : Evidence
     replace : bool
-        Whether trials of the same content are replaced where another profile or device has them.
+        Whether to replace trials of the same content that belong to another profile or device.
 
     Raises
     ------
@@ -188,7 +190,7 @@ def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
 
 
 def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: bool) -> str | None:
-    """Return the report on replaced trials of the same content by another profile or device, or None.
+    """Return the report on replaced trials with the same content but another profile or device, or None.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
+"""Logs to Parquet: find, recognise known logs, read in batches, validate, store, and refuse with a reason.
 
-A log is known by its content; a source whose size and modification time are unchanged is not even opened. One ingest
-writes at a time; what it stores becomes visible batch by batch; the next one finishes an interrupted one.
+A log is identified by its content; a source whose size and modification time are unchanged is not even opened. One
+ingest writes at a time; what it stores becomes visible batch by batch; the next one finishes an interrupted one.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ Action = Literal["ingest", "skip", "refuse", "wait"]
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A source in quarantine: path as found, why, the row at fault, counted from 1, and what `errors.LogError` adds."""
+    """A source in quarantine: path, reason, faulty row (counted from 1), and further fields of `errors.LogError`."""
 
     path: str
     reason: str
@@ -73,7 +73,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class LogWarning:
-    """What was accepted in a source and should be known; of a fault of its recording also its code and severity."""
+    """An irregularity that was accepted in a source; for a fault of its recording also code and severity."""
 
     path: str
     warning: str
@@ -83,7 +83,7 @@ class LogWarning:
 
 @dataclass(frozen=True, slots=True)
 class ChangedSource:
-    """A source whose content is not the one that is stored, and what became of the stored trials."""
+    """A source whose content differs from the stored one, and the fate of the stored trials."""
 
     path: str
     outcome: str
@@ -91,7 +91,7 @@ class ChangedSource:
 
 @dataclass(frozen=True, slots=True)
 class PlannedSource:
-    """What is done with a source, or would be by a dry run, and why."""
+    """Action for a source, done or planned by a dry run, and its reason."""
 
     path: str
     action: Action
@@ -108,7 +108,7 @@ class IngestReport(Record):
     found, ingested, skipped : int
     quarantined : tuple of Refusal
     warnings : tuple of LogWarning
-        Logs that were ingested although something in them is unusual.
+        Irregularities of ingested logs.
     removed : tuple of str
         Stored sources that no longer exist below the searched folders; their trials stay stored.
     changed : tuple of ChangedSource
@@ -116,7 +116,7 @@ class IngestReport(Record):
     waiting : tuple of str
         Sources that changed a moment ago and were left for later; they do not count as found.
     plan : tuple of PlannedSource or None
-        With a dry run: what would be done with each source, waiting ones included.
+        With a dry run: the planned action for each source, including waiting ones.
     damaged : tuple of str
         Damaged stored files with their remedy; their logs count as new, others are not affected.
     ignored : tuple of str
@@ -137,8 +137,8 @@ class IngestReport(Record):
 
 
 PENDING_BYTES = 64 << 20
-"""Memory of logs collected before they are stored: 2,300 logs of 1,000 rows make one file, and an interruption loses
-about a second's work."""
+"""Memory of logs collected before they are stored [byte]: 2,300 logs of 1,000 rows per file; an interruption loses the
+work of about a second."""
 
 
 def ingest(
@@ -173,16 +173,17 @@ def ingest(
     dry_run : bool
         Read and validate, write nothing, and report for each source what would be done.
     rehash : bool
-        Compare the content even where size and modification time are unchanged.
+        Compare the content even if size and modification time are unchanged.
     replace : bool
-        Whether to replace trials whose log is now claimed by another profile or device; by default that is refused.
+        Whether to replace trials whose log is now claimed by another profile or device; by default such logs are
+        refused.
     progress : callable, optional
         Called with (logs done, logs found).
     settle_s : float
-        Leave sources alone that were modified less than this time ago [s]: they may still be recorded. A source that
+        Skip sources modified less than this time ago [s]: they may still be recording. A source that
         changes while it is read is refused in any case.
     growing : collection of str
-        Absolute paths of files that are known to be growing, whatever their times; left alone, too.
+        Absolute paths of files known to be growing, regardless of their time stamps; also skipped.
     wait_s : float
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
@@ -199,7 +200,8 @@ def ingest(
     ProfileError
         If the profile is wrong, or two profiles claim one file.
     StoreError
-        If `processed` is damaged, cannot be written, or another command writes there; what was stored stays valid.
+        If `processed` is damaged or cannot be written, or if another command is writing to it; data already stored
+        remain valid.
     """
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
@@ -247,7 +249,7 @@ class _Run:
         self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
-        """Number of sources skipped by their size and time, without reading them."""
+        """Number of sources skipped because of their size and time, without reading them."""
         self.missing = set[str]()
         """Paths of stored sources that were not found, or not searched for."""
         self.places = dict[str, str]()
@@ -265,7 +267,9 @@ class _Run:
 
     @cached_property
     def _motions(self) -> dict[str, Motion]:
-        from pipeline.device_data.devices import known_devices  # whose models take longer than an ingest without news
+        from pipeline.device_data.devices import (
+            known_devices,
+        )  # slower than an ingest without new logs
 
         return {name: device.motion for name, device in known_devices().items()}
 
@@ -309,12 +313,12 @@ class _Run:
                 self.waiting.append(PlannedSource(source.shown, "wait", f"modified less than {settle_s:g} s ago"))
 
     def work(self, jobs: int) -> None:
-        """Decide on every source and store what is new."""
+        """Decide on every source and store the new ones."""
         unsettled = [source for source in self.sources if not self._settled_unread(source)]
         if unsettled:
-            # a source that is looked at again enters after that
+            # a source that is checked again is added after that
             self.places = self.stored.places({source.key for source in unsettled})
-        # stored sources come first: a log that was copied and touched is recognised at its old place
+        # stored sources come first: a log that was copied and touched is recognised at its original path
         unsettled.sort(key=lambda source: (source.key not in self.stored.paths, source.key))
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
@@ -330,14 +334,14 @@ class _Run:
         for folder in sorted(self.folders):
             try:
                 merge_small(self.processed, folder)
-            except StoreError as error:  # a damaged file stays with its experiment
+            except StoreError as error:  # a damaged file affects only its experiment
                 self.damaged[folder] = str(error)
 
     def report(self, folders: Sequence[Path]) -> IngestReport:
-        """Return what became of all sources, and which are stored and stand no more below some folders."""
+        """Return the outcome for all sources, and the stored ones that no longer exist below the searched folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
         missing = [key for key in self.missing if key.startswith(roots)]
-        # unreadable files are reported elsewhere; a folder with the path of a log is no log
+        # unreadable files are reported elsewhere; a folder at the path of a log is no log
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
         counts = Counter(one.action for one in self.plan)
         return IngestReport(
@@ -355,7 +359,7 @@ class _Run:
         )
 
     def _note(self, source: Source, action: Action, reason: str) -> None:
-        """Note what becomes of a source."""
+        """Record the action for a source."""
         self.plan.append(PlannedSource(source.shown, action, reason))
         if self.progress:
             self.progress(len(self.plan) + self.unread, len(self.sources) + self.unread)
@@ -377,7 +381,7 @@ class _Run:
         return True
 
     def _is_known(self, source: Source, sha256: str) -> bool:
-        """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""
+        """Return whether a content was read with the same profile and is stored completely, under any path."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
             return former.profile_sha256 == source.profile_sha256
@@ -389,7 +393,7 @@ class _Run:
         return self.places.get(trial_id(sha256, None, source.named_conditions))
 
     def _settle(self, read: Read) -> Refused | None:
-        """Decide on a source that was read; return what is to be put into quarantine."""
+        """Decide on a source that was read; return the refusal to quarantine, if any."""
         source = read.source
         try:
             if isinstance(read.result, LogError):
@@ -434,12 +438,12 @@ class _Run:
             self._queue(accepted, evidence.former.trials if decision.rule == "completed" and evidence.former else ())
 
     def _noted(self, source: Source, log: Log) -> Log:
-        """Return a log, noted where its samples are those of a source before."""
+        """Return a log, with a finding if an earlier source has the same samples."""
         other = self.seen.setdefault(log.samples_sha256, source.shown)
         return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
     def _evidence(self, source: Source, sha256: str, accepted: Sequence[Accepted] | None) -> Evidence:
-        """Return what a decision needs: stored sources with the path, or with the content, of a source."""
+        """Return the input of a decision: stored sources with the same path or content as a source."""
         former, path = self.stored.get(source.key), self._find(source, sha256)
         if accepted:
             paths = {self.places.get(one.trial) for one in accepted}
@@ -454,7 +458,7 @@ class _Run:
         return Evidence(source, sha256, devices, former, twin, lost)
 
     def _take(self, evidence: Evidence, decision: Decision, accepted: Sequence[Accepted]) -> None:
-        """Note the trials of a log that is stored, with their warnings."""
+        """Record the trials of a log that is stored, with their warnings."""
         source, row, ids = evidence.source, accepted[0].row, tuple(one.trial for one in accepted)
         read_by = (row["source_sha256"], row["profile_sha256"], row["profile"])
         self.stored.taken[source.key] = StoredSource(
@@ -477,7 +481,7 @@ class _Run:
         self._note(source, "ingest", decision.reason)
 
     def _queue(self, accepted: Sequence[Accepted], present: Collection[str]) -> None:
-        """Let trials wait to be stored together, except those that are stored already."""
+        """Queue trials to be stored together, except those already stored."""
         if self.dry_run:
             return
         new = [one for one in accepted if one.trial not in present]
@@ -487,7 +491,7 @@ class _Run:
             self._flush()
 
     def _flush(self) -> None:
-        """Make all that is pending visible, and drop what it replaces; after an error all that is stored is valid."""
+        """Store all pending trials and drop those that they replace; after an error all stored data are valid."""
         if self.dry_run or not (self.pending or self.dropped):
             return
         self.folders |= store(self.processed, batches_of(self.pending), self.dropped, self.outdated, self.damaged)
@@ -506,7 +510,7 @@ class _Run:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
         self.refusals.append(refusal)
         former = self.stored.get(source.key)
-        # without a hash no changed bytes were read, except where a file has become too long to be read
+        # without a hash no changed bytes were read, except for a file that has become too long to read
         seen = record.sha256 is not None or record.code == "too-large"
         if former is not None and former.sha256 != record.sha256 and seen:
             outcome = "its new content is refused; the trials of the former one stay stored"

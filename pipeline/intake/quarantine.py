@@ -19,11 +19,11 @@ from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 
 RECORD = "reason"
-"""Begin of the name of a record."""
+"""Prefix of the file name of a record."""
 
 
 class QuarantineRecord(Record):
-    """Why a source was refused, and how to see whether it has changed since.
+    """Reason why a source was refused, and properties that show whether it has changed since.
 
     Parameters
     ----------
@@ -32,16 +32,16 @@ class QuarantineRecord(Record):
     size, mtime_ns : int
         Of all its files together [byte], and the newest modification [ns].
     sha256 : str or None
-        Of its content; None where it could not be read or was too large to be a log.
+        Of its content; None if it could not be read or was too large to be a log.
     row : int or None
-        Row at fault, counted from 1: the line of a text file, else record, sample or message.
+        Faulty row, counted from 1: line of a text file, otherwise record, sample or message.
     reason : str
     profile, profile_sha256 : str or None
-        Profile that claimed it; None where none did.
+        Profile that claimed it, if any.
     code : str or None
-        The reason for programs, one of `errors.CURES`; None in records of earlier versions.
+        Machine-readable reason, one of `errors.CURES`; None in records of earlier versions.
     profile_line : str or None
-        Line of a profile by which it might be read.
+        Profile line with which it might be readable.
     """
 
     path: str
@@ -56,7 +56,7 @@ class QuarantineRecord(Record):
     profile_line: str | None = None
 
     def knows_less(self, other: QuarantineRecord | None) -> bool:
-        """Return whether its profile does not fit the file, while another record's profile fitted and found a fault."""
+        """Return whether its profile does not fit the file, while that of the other record fitted and found a fault."""
         if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
             return False
         return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
@@ -73,7 +73,7 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     ----------
     processed : Path
     damaged : dict of Path to str, optional
-        Gets the damaged records, and why; without it they are an error.
+        Receives the damaged records with their faults; without it they raise an error.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
         if (data := read_result(folder, RECORD, ".json")) is not None:
             records.append(QuarantineRecord.model_validate_json(data))
             continue
-        for file in result_files(folder, RECORD, ".json")[:1]:  # none where its log was accepted meanwhile
+        for file in result_files(folder, RECORD, ".json")[:1]:  # none if its log was accepted in the meantime
             fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
             if damaged is None:
                 raise StoreError(fault)
@@ -111,12 +111,12 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
     ----------
     processed : Path
     wanted : str
-        Id, or path of the source: absolute, or from the current folder.
+        Id or path of the source, absolute or relative to the current folder.
 
     Raises
     ------
     UsageError
-        If nothing of this id or path is in quarantine.
+        If no log with this id or path is in quarantine.
     """
     path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
     for record in list_quarantine(processed):
@@ -145,9 +145,9 @@ Refused = tuple[Source, QuarantineRecord]
 
 
 def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
-    """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
+    """Put refused sources into quarantine; syncing files together is twenty times faster.
 
-    A record quotes the log, and may be read by whom that may be read by.
+    A record quotes the log, so it has the same read permissions.
     """
 
     def write(one: Refused) -> None:

@@ -1,4 +1,4 @@
-"""From folders to checked logs, nothing is changed: which files are logs, what profile claims each, reading in batches.
+"""From folders to checked logs, read-only: find logs, find the profile that claims each, read in batches.
 
 ``ros2 bag record`` makes a folder with ``metadata.yaml`` and one or more ``.db3`` or ``.mcap`` files: a long recording
 is split over several. Together they are one log.
@@ -35,28 +35,28 @@ from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 MANY = 400
-"""Sources from which on to check their recordings together saves more time than it takes to load machine code."""
+"""Number of sources above which checking their recordings together saves more time than loading machine code takes."""
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20
-"""Logs and bytes of text parsed at once: enough to hide the cost per call, little memory."""
+"""Number of logs and bytes of text parsed at once: enough to make the cost per call negligible, with little memory."""
 
 LONGEST_FOLDER = 200
-"""Longest folder name made of a device or experiment; file systems allow 255 bytes."""
+"""Longest folder name [byte] of a device or experiment; file systems allow 255 bytes."""
 
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
 
 LARGEST_METADATA = 1 << 20
-"""Bytes of ``metadata.yaml`` that are read; it has some hundred for each file and topic."""
+"""Number of bytes of ``metadata.yaml`` that are read; it has a few hundred per file and topic."""
 
 _LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
-"""List of the files in the metadata, and the name of one in it, without its folder."""
+"""Patterns of the list of files in the metadata, and of a file name in it, without its folder."""
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
-    """Return the files of the bag that a file belongs to, as listed in its folder's ``metadata.yaml``, else none."""
+    """Return the files of the bag that a file belongs to, listed in its folder's ``metadata.yaml``, if any."""
     if file.name != METADATA and file.suffix.lower() not in ENDINGS:
         return ()
     try:
@@ -66,13 +66,13 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
         return ()
     section = _LISTED.search(text)
     found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
-    # one that was unpacked by hand has lost its second ending
+    # a file unpacked by hand has lost its second extension
     names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
 
 UNCOUNTED = frozenset({"truth.json"})
-"""Files of the simulator in folders of logs that are no logs, in small letters; they are not reported."""
+"""Files that the simulator writes next to logs, in lower case; they are not reported."""
 
 _PAPERS = ("readme", "license", "licence", "copying", "changelog", "citation", "makefile", "dockerfile", "thumbs.db")
 _NO_LOGS = {
@@ -81,13 +81,13 @@ _NO_LOGS = {
     "settings": "toml yaml yml ini cfg conf lock",
     "pictures": "png jpg jpeg gif svg bmp tif tiff webp eps mp4 avi mov mkv",
 }
-"""Beginnings and endings of the names of files without samples."""
+"""Prefixes and suffixes of names of files without samples."""
 
 _ENDINGS = frozenset(" ".join(_NO_LOGS.values()).split())
 
 
 def is_no_log(name: str) -> bool:
-    """Return whether a file by its name is a paper, script, setting or picture.
+    """Return whether a file is a paper, script, setting or picture according to its name.
 
     >>> [is_no_log(name) for name in ("README.txt", "lab.toml", "look.html", "run_1.csv", "run.txt")]
     [True, True, True, False, False]
@@ -98,12 +98,12 @@ def is_no_log(name: str) -> bool:
 
 @dataclass
 class Notices:
-    """What a search passes over.
+    """Folders and files that a search skips.
 
     Parameters
     ----------
     folders : list of (Path, str)
-        Folders that are not searched, each with the reason: it is a link, or may not be read.
+        Folders that are not searched, each with the reason: a link, or no read permission.
     ignored : list of Path
         Files in searched folders that are no logs, by their names or by the caller's patterns.
     """
@@ -114,25 +114,25 @@ class Notices:
 
 @dataclass(frozen=True)
 class Source:
-    """One log before it is read.
+    """A log before it is read.
 
     Parameters
     ----------
     path : Path
         First file, as found; the folder of a ROS 2 bag, which is one log.
     key : str
-        Its absolute path as `file_names.path_text` has it: what `processed/` knows the log by, whatever folder the
-        command is called from.
+        Its absolute path in the form of `file_names.path_text`: the key of the log in `processed/`, independent of the
+        current folder.
     files : tuple of Path
         All files of the log.
     size, mtime_ns : int
         Size of all files together [byte] and newest modification time [ns].
     profile : Profile or None
-        What reads it.
+        Profile that reads it.
     problem : LogError or None
         Why it cannot be read at all.
     mode : int
-        Who may read all of its files.
+        Permission bits common to all of its files.
     """
 
     path: Path
@@ -156,7 +156,7 @@ class Source:
 
     @cached_property
     def named_conditions(self) -> str | None:
-        """Conditions that the profile reads from the name of the log, as text; None where it does not read names.
+        """Conditions that the profile reads from the name of the log, as text; None if it does not read names.
 
         Names with the same meaning, such as 2 and 2.0, give the same text.
         """
@@ -165,7 +165,7 @@ class Source:
             return None
         try:
             found = (conditions_in_name(profile.name_pattern, name) if profile.name_pattern else None) or {}
-        except ParameterError:  # it is refused where it is read
+        except ParameterError:  # the log is refused when it is read
             found = {}
         for key in found.keys() & CONDITION_QUANTITIES:
             with suppress(ValueError):
@@ -182,9 +182,9 @@ class AskedProfiles:
     ----------
     profiles : tuple of Profile
     ignore : tuple of str
-        Patterns of files that are no logs: the sheet that conditions came from.
+        Patterns of files that are no logs, such as the sheet of conditions.
     notices : tuple of (Path, str)
-        What does not fit together in that sheet.
+        Mismatches between the sheet and the logs.
     """
 
     profiles: tuple[Profile, ...]
@@ -193,7 +193,7 @@ class AskedProfiles:
 
 
 def asked_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) -> AskedProfiles:
-    """Return the profile that is named, its sheet read, or the shipped ones where none is.
+    """Return the named profile with its sheet read, or the shipped profiles if none is named.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def asked_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) 
     sheet = Path(loaded.sheet.file)
     names = {file.name for path in paths for file in (_files(path, None, [], {}) if path.is_dir() else [path])}
     read = with_sheet(loaded, names)
-    # of one log that is given, the others are elsewhere
+    # if a single log is given, the other logs of the sheet are elsewhere
     notices = tuple((sheet, text) for text in read.notices) if any(path.is_dir() for path in paths) else ()
     return AskedProfiles((read.profile,), (escape(os.path.abspath(sheet)),), notices)
 
@@ -223,29 +223,30 @@ def find_sources(
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
-    Links to files are followed. Links to folders inside a searched folder are not, since they may lead in a circle:
-    `notices` gets them. A file in a searched folder that is a paper, script, setting or picture by its name is no log,
-    unless a profile names its ending; one that is given itself always is.
+    Links to files are followed. Links to folders inside a searched folder are not, since they may be circular; they are
+    added to `notices`. A file in a searched folder that is a paper, script, setting or picture by its name is no log,
+    unless a profile names its extension; an explicitly given file always is.
 
     Parameters
     ----------
     paths : sequence of Path
-        Folders, searched with all folders below, and files.
+        Files, and folders searched with all subfolders.
     profiles : tuple of Profile
         Profiles that may claim a file.
     exclude : Path, optional
-        Folder that is left out (`processed/`, which may lie inside a searched folder).
+        Folder to skip (`processed/`, which may be inside a searched folder).
     notices : Notices, optional
-        Gets what is passed over.
+        Receives the skipped folders and files.
     unchanged : dict of str to (int, int), optional
-        Size [byte] and time [ns] of files, by absolute path; it loses those that have them, which are left out.
+        Size [byte] and time [ns] of files, by absolute path. Files that still match are skipped and removed from this
+        mapping.
     ignore : sequence of str
-        Patterns of files in searched folders that are no logs: of their names, or of their absolute paths.
+        Patterns of files in searched folders that are no logs: matched with names or absolute paths.
 
     Raises
     ------
     UsageError
-        If a path does not exist, may not be looked at, or lies in the excluded folder.
+        If a path does not exist, is not readable, or is in the excluded folder.
     ProfileError
         If two profiles claim one file.
     """
@@ -276,14 +277,14 @@ def _matches(file: Path, patterns: Sequence[str]) -> bool:
 
 
 def _names_ending(profile: Profile | None, file: Path) -> bool:
-    """Return whether a pattern of a profile names the ending of a file, so that it is one of its logs."""
+    """Return whether a pattern of a profile names the extension of a file, so that the file is a log."""
     ending = file.suffix.lower() or file.name.lower()
     return profile is not None and any(pattern.lower().endswith(ending) for pattern in profile.files)
 
 
 def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
-    """Return the real path of the excluded folder if logs may be looked for in the others; errors as `find_sources`."""
-    # what a link leads to may be reached by its own name, too
+    """Check that the folders may be searched; return the real path of the excluded one. Errors as `find_sources`."""
+    # the target of a link may also be reached by its real path
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
         if not os.path.exists(path):
@@ -296,7 +297,7 @@ def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
 def _files(
     folder: Path, excluded: str | None, notices: list[tuple[Path, str]], unchanged: dict[str, tuple[int, int]]
 ) -> Iterator[Path]:
-    """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
+    """Yield the files below a folder except hidden ones and `UNCOUNTED`; links to folders are not followed."""
 
     def refused(error: OSError) -> None:
         notices.append((Path(error.filename), f"folder cannot be read ({error.strerror}). Correct its permissions."))
@@ -316,7 +317,7 @@ def _files(
 
 
 def _state(path: str) -> tuple[int, int] | None:
-    """Return size and time of what has a name: of a link those of the link itself."""
+    """Return size and time of a path; for a link, those of the link itself."""
     with suppress(OSError):
         status = os.lstat(path)
         return status.st_size, status.st_mtime_ns
@@ -324,8 +325,8 @@ def _state(path: str) -> tuple[int, int] | None:
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
-    """Return whether a time [ns] is so long ago [s] that a file is not recorded to any more."""
-    # one in the future, by a clock that is wrong, is no reason to wait for ever
+    """Return whether a modification time [ns] is at least `settle_s` ago, so that recording has ended."""
+    # a time in the future, due to a wrong clock, must not cause endless waiting
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
 
@@ -378,7 +379,7 @@ def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None,
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """A source after reading: its logs, a refusal, or neither where its content is stored already.
+    """A source after reading: its logs, a refusal, or neither if its content is already stored.
 
     ``source`` has the size and time that the files had while they were read.
     """
@@ -393,16 +394,16 @@ def read_and_check(
 ) -> list[Read]:
     """Read, hash, parse and check sources of one profile, in the order given.
 
-    It writes and keeps nothing, so that it may run in a thread.
+    It writes nothing and keeps no state, so that it may run in a thread.
 
     Parameters
     ----------
     sources : sequence of Source
-        All claimed by the same profile, or by none; a few MB together at most, since they are kept in memory.
+        All claimed by the same profile, or by none; at most a few MB in total, since they are kept in memory.
     known : callable
-        Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
+        Function that returns whether a source with a given SHA-256 is already stored; such a source is not parsed.
     together : bool, optional
-        Whether their recordings are checked together, as is worth it for `MANY`.
+        Whether their recordings are checked together, which is faster for more than `MANY`.
     """
     reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
@@ -419,7 +420,7 @@ def read_and_check(
             reads[index] = replace(reads[index], result=outcome)
     for read in reads:
         if isinstance(why := read.result, LogError):
-            # the frames of the traceback would keep the bytes of logs in memory
+            # the traceback would keep the bytes of logs in memory
             why.__traceback__ = why.__cause__ = why.__context__ = None
     if together:
         find_together([log for read in reads if isinstance(read.result, tuple) for log in read.result])
@@ -427,7 +428,7 @@ def read_and_check(
 
 
 def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
-    """Read one source: the profile that claims it, the log as it stands, and the logs that the profile makes of it.
+    """Read one source: the profile that claims it, the raw log, and the logs that the profile reads from it.
 
     Raises
     ------
@@ -443,7 +444,7 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
 
 
 def load_source(source: Source) -> tuple[RawLog, str, Source]:
-    """Return the bytes and the SHA-256 of a source, and the source with the size and time that it had meanwhile.
+    """Return the bytes and the SHA-256 of a source, and the source with its size and time during reading.
 
     Raises
     ------
@@ -481,7 +482,7 @@ def content_hash(hashes: Sequence[str]) -> str:
 
 
 def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
-    """Return the motion of a log whose names can be stored.
+    """Return the type of motion of a log, and check that its names can be stored.
 
     Parameters
     ----------
@@ -511,7 +512,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
 
 
 def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
-    """Cut sources into runs of one profile, at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
+    """Split sources into batches of one profile with at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
     batch: list[Source] = []
     size = 0
     for source in sources:
@@ -526,9 +527,9 @@ def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
 
 
 def reads_of(sources: Sequence[Source], known: Callable[[Source, str], bool], jobs: int) -> Iterator[list[Read]]:
-    """Read sources in batches, in so many threads, and yield the results in order.
+    """Read sources in batches in `jobs` threads, and yield the results in order.
 
-    At most so many batches are ahead, so that memory is bounded. Parameters as for `read_and_check`.
+    At most `jobs` batches are read ahead, so that memory is bounded. Parameters as for `read_and_check`.
     """
     batches, running = batches_of(sources), list[Future[list[Read]]]()
     read = partial(read_and_check, known=known, together=len(sources) >= MANY)

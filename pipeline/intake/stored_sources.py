@@ -1,4 +1,4 @@
-"""Stored sources: which trials of each are stored, and the rows of the trials table for new ones."""
+"""Stored sources: the stored trials of each, and the rows of the trials table for new ones."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from pipeline.store.names import name_of_folder
 from pipeline.store.storage import read_rows, same_period, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
-"""Columns that show whether a source is new; with groups of 64 rows each column costs a tenth of the time."""
+"""Columns that show whether a source is new; each further column costs a tenth of the time, with groups of 64 rows."""
 
 MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
-"""Columns that are read when a log that is stored is asked for."""
+"""Columns that are read when a stored log is requested."""
 
 
 class StoredSource(NamedTuple):
-    """What is stored of a source.
+    """Stored data of a source.
 
     Parameters
     ----------
@@ -61,12 +61,12 @@ class StoredSource(NamedTuple):
     whole: bool = True
 
     def keys(self, path: str) -> set[Key]:
-        """Return its trials as they were read."""
+        """Return the keys of its trials as read."""
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
 class StoredSources:
-    """What is stored of each source, by its path; more than whether it is new is read when it is asked for.
+    """Stored data of each source by path; details beyond whether it is new are read on demand.
 
     Parameters
     ----------
@@ -85,14 +85,14 @@ class StoredSources:
         missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
         self.paths, self.partly = trials.keys(), missing.keys()
         self.doubled = min(missing.values(), default=0) < 0
-        """Whether a log stands there with two contents."""
+        """Whether a log is stored with two contents."""
         states = zip(path, size, mtime_ns, by, strict=True)
         self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
-        """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
+        """Size [byte] and time [ns] of each source that is one completely stored file of an unambiguous profile."""
         for name in (*missing, *(name for name in self.states if name.endswith(ENDINGS))):
             self.states.pop(name, None)
         self.taken = dict[str, StoredSource]()
-        """What was stored since."""
+        """Sources stored since."""
 
     @cached_property
     def _former(self) -> dict[str, StoredSource]:
@@ -105,11 +105,11 @@ class StoredSources:
         return found
 
     def get(self, path: str) -> StoredSource | None:
-        """Return what is stored under a path; of a file that is damaged nothing, so that its logs count as new."""
+        """Return the stored data of a path; None if they are in a damaged file, so that its logs count as new."""
         return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
 
     def places(self, but: set[str]) -> dict[str, str]:
-        """Return the path under which each trial is stored, but those of some sources and of such in part."""
+        """Return the path under which each trial is stored, except for given and for incomplete sources."""
         rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
         pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
         return {trial: path for trial, path in pairs if path not in but and path not in self.partly}
@@ -126,18 +126,18 @@ class Periods:
 
     @cached_property
     def known(self) -> dict[tuple[str, str], float]:
-        """What is stored, and what was taken since."""
+        """Stored periods, and those assigned since."""
         found: dict[tuple[str, str], float] = {}
         for file in trials_files(self.processed):
             place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
             if place not in found:
-                # what is damaged is named by who reads more of it
+                # damage is reported by the functions that read more of it
                 with suppress(StoreError, FileNotFoundError), open_table(file) as stored:
                     found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
         return found
 
     def assign(self, log: Log) -> Log:
-        """Return a log with the name of the experiment of its period, and a warning if that differs from the header."""
+        """Return a log with the name of the experiment of its period, with a warning if it differs from the header."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
         if same_period(common, period):
@@ -155,7 +155,7 @@ class Periods:
 
 
 OTHER_GAINS = "other_gains"
-"""Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
+"""Key in ``extra`` of a trial whose command obeys other gains than its header states: the gains and the remedy."""
 
 LOG_BYTES = 2048
 """Memory of a log without its samples [byte]."""
@@ -166,7 +166,7 @@ _CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log, and its row in the trials table but for what is made of many logs at once."""
+    """A checked log and its row in the trials table, without the columns that are computed for many logs at once."""
 
     source: Source
     log: Log
@@ -184,7 +184,7 @@ class Accepted:
 
     @property
     def place(self) -> ExperimentKey:
-        """What it has in common with the trials of its file."""
+        """Key that it shares with all trials of its file."""
         device, experiment, motion = (self.row[name] for name in ("device", "experiment", "motion"))
         return ExperimentKey(device, experiment, motion, readers_of(self.source.mode))
 
@@ -192,7 +192,7 @@ class Accepted:
 def accepted_logs(
     source: Source, sha256: str, logs: Sequence[Log], known: Mapping[str, Motion], claims: str
 ) -> list[Accepted]:
-    """Return the trials of a source; one whose command follows other gains is marked and has a warning.
+    """Return the trials of a source; a trial whose command follows other gains is marked and has a warning.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def accepted_logs(
     found = []
     for log in logs:
         row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
-        # what a wrong recording makes of the command is no other wall
+        # distortion of the command by a faulty recording does not mean another wall
         is_safe = not any(finding.is_unsafe for finding in log.findings)
         if is_safe and (text := gain_mismatch(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
@@ -237,7 +237,7 @@ def accepted_logs(
 
 
 def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.Table]]:
-    """Return the trials of logs for each place, a group of rows at a time."""
+    """Return the trials of logs by place, one group of rows at a time."""
     places = defaultdict[ExperimentKey, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
@@ -245,14 +245,14 @@ def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
-    """Yield the trials of logs, a group of rows at a time."""
+    """Yield the trials of logs, one group of rows at a time."""
     step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
     for first in range(0, len(members), step):
         yield _table(members[first : first + step])
 
 
 def _table(members: Sequence[Accepted]) -> pa.Table:
-    """Return the trials table of some logs."""
+    """Return the trials table of logs."""
     logs = [member.log for member in members]
     period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
     rows = np.array([len(log.time) for log in logs], dtype=np.int64)
@@ -264,7 +264,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     ]
     samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
     samples |= {name: [getattr(log, name) for log in logs] for name in ("command", "position", "force", "velocity")}
-    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # stamps of the file with a fraction, and whole ones
+    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # fractional and integer stamps of the file
         stamps = [log.raw_time for log in logs]
         samples[name] = [None if values is None or values.dtype.kind != kind else values for values in stamps]
     columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
@@ -272,14 +272,14 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
 
 
 def trial_id(sha256: str, label: str | None, conditions: str | None = None) -> str:
-    """Return the id of a trial: of its source, with its label where the source has several.
+    """Return the id of a trial, from its source and, if the source has several trials, its label.
 
     Parameters
     ----------
     sha256 : str
         Of the source, 64 hexadecimal digits.
     label : str or None
-        Which trial of the source it is.
+        Label of the trial in the source.
     conditions : str, optional
         Conditions read from the name of the file: the same samples with other conditions are another trial.
     """
