@@ -1,8 +1,8 @@
-"""Loops that numba compiles when they are first called, and keeps on disk for the next process.
+"""Loops that numba compiles at their first call and stores on disk for later processes.
 
 A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the plain Python functions run:
 slowly, with the same numbers, for a debugger. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default in
-the user's cache folder. Where that is read-only, each process compiles in memory. Several processes that index the
+the user's cache folder. If that is read-only, each process compiles in memory. Several processes that index the
 same folder would damage it (numba issue 4807), so only one compiles or loads at a time.
 """
 
@@ -81,7 +81,7 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
 
 
 def inlined(function: F) -> F:
-    """Let compiled functions of the same module call this function, inlined; elsewhere it is plain Python.
+    """Inline this function into compiled functions of the same module; called from elsewhere it is plain Python.
 
     Numba invalidates cached machine code only when the file of the compiled function changes. Functions that it calls,
     and constants that both use, must therefore be in the same module.
@@ -97,9 +97,9 @@ def part(function: F) -> F:
 
 
 def load_compiled(*modules: str) -> None:
-    """Load, or compile, all compiled functions of the given modules or packages, as far as they are imported.
+    """Load or compile all compiled functions in those of the given modules or packages that are imported.
 
-    By default of all. Called before a pool starts, so that one process compiles and the workers only load.
+    By default in all. Called before a pool starts, so that one process compiles and the workers only load.
     """
     for module, loaders in list(_loaders.items()):
         if not modules or any(f"{module}.".startswith(f"{name}.") for name in modules):
@@ -153,13 +153,13 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocat
             with _one_process(folder), _numba_folder(config, folder):
                 kept: Callable[P, R] = numba.njit(cache=True, **options)(function)
                 return kept
-        except Exception:  # a full disk, a file that is no machine code, a folder of another user: all numba lets pass
+        except Exception:  # a full disk, an invalid file, a folder of another user: numba raises all of them
             made: Callable[P, R] = numba.njit(**options)(function)
             return made
 
 
 def _register_inlined() -> None:
-    """Let numba know the functions that compiled ones may call."""
+    """Register with numba the functions that compiled ones may call."""
     from numba.extending import register_jitable
 
     while _parts:
@@ -188,7 +188,7 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
             with _one_process(folder):
                 code = kept(folder) or made()
                 write_result(folder, name, ".o", key + b"\n" + code)
-    except (OSError, RuntimeError):  # a full disk, a folder of another user, none at all
+    except (OSError, RuntimeError):  # a full disk, a folder of another user, no folder
         code = made()
     return machine_code.loaded_object(code, signature)
 
@@ -199,9 +199,9 @@ def cache_folder() -> Path:
     Raises
     ------
     OSError
-        If it cannot be made.
+        If it cannot be created.
     RuntimeError
-        If the user has no home.
+        If the user has no home directory.
     """
     own = os.environ.get("NUMBA_CACHE_DIR")
     if own:

@@ -33,19 +33,19 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TEMPORARY_ENDING = ".tmp"
-"""Ending of a file that is not complete; readers look for other endings."""
+"""File extension of an incomplete file; readers ignore it."""
 
 _TEMPORARY = f".*.{'[0-9a-f]' * 16}{TEMPORARY_ENDING}"
-"""Pattern of the names of files that are not complete."""
+"""Name pattern of incomplete files."""
 
 _ABANDONED_S = 7 * 86400.0
-"""Age from which a temporary file counts as abandoned [s]: even a large map is written within hours."""
+"""Age above which a temporary file counts as abandoned [s]: even a large map is written within hours."""
 
 _LONGEST_NAME = 200
-"""Bytes of the final name that appear in the temporary one: file systems allow 255."""
+"""Number of bytes of the final name in the temporary one: file systems allow 255."""
 
 _SYNCS = 16
-"""Files that are synced at the same time: 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 at a time."""
+"""Number of files synced at the same time: 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 at a time."""
 
 _OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
 _NEW = _OPEN | os.O_EXCL | getattr(os, "O_BINARY", 0)
@@ -56,14 +56,14 @@ READABLE = 0o666
 """Mode bits of a file that is not executable."""
 
 READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
-"""Error numbers of a read-only place."""
+"""Error numbers of a read-only folder."""
 
 
 def make_folder(folder: Path) -> None:
     """Create a folder and its missing parents, durably."""
     if not folder.is_dir():
         make_folder(folder.parent)
-        with suppress(FileExistsError):  # another process may have made it meanwhile
+        with suppress(FileExistsError):  # another process may have created it in the meantime
             os.mkdir(folder, readable_in(folder.parent, 0o777))
         sync_folder(folder.parent)
 
@@ -130,9 +130,9 @@ def new_file(
     stem, ending : str
         Parts of its name, ``<stem><SHA-256><ending>``.
     name : str, optional
-        Its whole name, if it has no hash.
+        Its full name, if it has no hash.
     mode : int, optional
-        Permissions, limited by the ``umask``; by default those who may read the folder may read the file.
+        Permissions, limited by the ``umask``; by default all users who may read the folder may read the file.
     """
     make_folder(folder)
     remove_temporary(folder, _ABANDONED_S)
@@ -157,7 +157,7 @@ def new_file(
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a new file that becomes ``path`` when the block ends well, and is removed when it does not."""
+    """Open a new file that becomes ``path`` when the block ends without an exception, and is removed otherwise."""
     with new_file(path.parent, name=path.name) as new:
         yield new.stream
 
@@ -186,13 +186,13 @@ def file_hash(file: Path) -> str:
 
 
 def hash_in_name(name: str) -> str | None:
-    """Return the SHA-256 that the name of a file says of its content; None where it says none."""
+    """Return the SHA-256 of the content in the name of a file; None if there is none."""
     found = _CONTENT.fullmatch(name)
     return found[1] if found else None
 
 
 def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
-    """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
+    """Store a result as ``<stem>-<SHA-256><ending>``, replacing former ones with the same stem."""
     with new_file(folder, f"{stem}-", ending, mode=mode) as new:
         new.stream.write(data)
     remove_all(file for file in result_files(folder, stem, ending) if file != new.path)
@@ -200,7 +200,7 @@ def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | 
 
 
 def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
-    """Return the files that keep a result: one, but while another takes its place."""
+    """Return the files that store a result: usually one, two while it is being replaced."""
     try:
         names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):
@@ -210,7 +210,7 @@ def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
 
 
 def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
-    """Return a stored result, or None if it is missing or damaged and has to be computed again."""
+    """Return a stored result, or None if it is missing or damaged and has to be recomputed."""
     for file in result_files(folder, stem, ending):
         with suppress(FileNotFoundError):
             data = file.read_bytes()
@@ -220,9 +220,9 @@ def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
 
 
 def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
-    """Return the mode that files of a folder have in common, for a new one that quotes all of them.
+    """Return the permission mode common to several files, for a new file with data from all of them.
 
-    Who may not read one of them may not read the new one: its group has no rights by a file of another group.
+    A user who may not read one of them may not read the new one: a file of another group gives its group no rights.
     """
     mode = READABLE
     there = os.stat(folder) if like else None
@@ -233,13 +233,13 @@ def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
 
 
 def readers_of(mode: int) -> int:
-    """Return the mode of a file that those may read who may read one of another mode."""
+    """Return the mode of a file with the same readers as a file of another mode."""
     return 0o600 | (0o060 if mode & 0o040 else 0) | (0o006 if mode & 0o004 else 0)
 
 
 @contextmanager
 def if_writable() -> Iterator[None]:
-    """Leave out the writes of a block where the place may only be read: what they would keep can be made again."""
+    """Skip the writes of a block if the folder is read-only: their content can be recomputed."""
     try:
         yield
     except OSError as error:
@@ -248,9 +248,9 @@ def if_writable() -> Iterator[None]:
 
 
 def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> None:
-    """Remove what interrupted writers left in a folder, and below if `deep`, as far as that is possible.
+    """Remove, if possible, the leftovers of interrupted writers from a folder, and its subfolders if `deep`.
 
-    Without an age only for who alone may write there.
+    Use age 0 only if no other process may write there.
     """
     for file in (folder.rglob if deep else folder.glob)(_TEMPORARY):
         with suppress(OSError):
@@ -266,13 +266,13 @@ WAIT_S = 60.0
 that a script starts together both succeed, and a command that hangs is reported within a minute."""
 
 _GRACE_S = 0.05
-"""Wait without a word [s]: most writers are done by then."""
+"""Waiting time without a message [s]: most writers are done by then."""
 
 _LONGEST_NOTE = 4096
-"""Bytes read of a lock file; a holder's note has some 100."""
+"""Number of bytes read from a lock file; the note in it has about 100."""
 
 _LOCKED = 1
-"""Bytes at the beginning of the lock file that Windows lets only the locking process read."""
+"""Number of bytes at the beginning of the lock file that only the locking process can read on Windows."""
 
 _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
 
@@ -287,13 +287,13 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     wait_s : float
         How long to wait for another holder [s]; 0 refuses at once.
     say : callable, optional
-        Gets one line when waiting begins.
+        Called with one line when waiting begins.
 
     Raises
     ------
     StoreError
         If another process still holds the lock after that time, the file system has no locks, or the block fails to
-        write; what was stored stays valid.
+        write; data already stored remain valid.
     """
     file = -1
     try:
@@ -314,12 +314,12 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
         ) from error
     finally:
         if file >= 0:
-            os.close(file)  # lets the lock go
+            os.close(file)  # releases the lock
 
 
 def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] | None) -> None:
-    """Take the lock on a file, which goes when that is closed, or its process ends."""
-    from filelock import lock_descriptor  # 0.07 s that commands which only read need not wait for
+    """Take the lock on a file, which is released when the file is closed or its process ends."""
+    from filelock import lock_descriptor  # saves 0.07 s in commands that only read
 
     began, told = time.monotonic(), False
     try:
@@ -344,6 +344,6 @@ def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] 
 
 
 def _noted(file: int) -> str:
-    """Return who writes, as the holder noted it."""
+    """Return the note in the lock file on the process that writes."""
     os.lseek(file, _LOCKED, os.SEEK_SET)
     return os.read(file, _LONGEST_NOTE).decode("utf-8", "replace").strip() or "another process"

@@ -1,6 +1,6 @@
 """Errors that a user can act on, and the exit status of each.
 
-Every message says what is wrong, where, what was expected and found, and what to do.
+Every message states the fault, its place, the expected and the found value, and the remedy.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ CURES: dict[str, str] = {
     "unsupported": "Correct `format` in the profile, or export the file again.",
     "library-missing": "Install it.",
 }
-"""Why a log is refused, for programs, and what to do where nothing more special is known: a closed list, explained in
-docs/logs.md. The words of reasons may change."""
+"""Machine-readable reasons why a log is refused, and the default remedy of each: a closed list, explained in
+docs/logs.md. The wording of messages may change."""
 
 HELPS = "This might help in the profile:"
-"""Before the line of a profile with which a reason ends."""
+"""Text before the profile line at the end of a reason."""
 
 OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
-"""Codes of a log that is of another form than its profile describes."""
+"""Codes of a log whose form differs from its profile."""
 
 EXIT_OK = 0
 EXIT_ERROR = 1
@@ -52,17 +52,17 @@ EXIT_QUARANTINED = 3
 
 
 REMEDY = "`pipeline check` lists what can be saved, `pipeline check --repair` saves it."
-"""What to do about a damaged file below `processed`."""
+"""Remedy for a damaged file below `processed`."""
 
 
 class PipelineError(Exception):
-    """Base of all errors that `pipeline` raises on purpose; the command line turns it into exit status 1."""
+    """Base class of all errors that `pipeline` raises deliberately; the command line exits with status 1."""
 
     exit_status = EXIT_ERROR
 
 
 class UsageError(PipelineError):
-    """A command was called with values that do not fit together."""
+    """A command was called with inconsistent values."""
 
     exit_status = EXIT_USAGE
 
@@ -73,13 +73,13 @@ class LogError(PipelineError):
     Parameters
     ----------
     reason : str
-        What is wrong, expected, found and what to do.
+        The fault, the expected and the found value, and the remedy.
     row : int, optional
-        Row of the source file, counted from 1: its line, where the format has lines, else record, sample or message.
+        Row of the source file, counted from 1: line of a text file, otherwise record, sample or message.
     code : str
         A key of `CURES`.
     profile_line : str, optional
-        Line (or lines) of a profile by which the log might be read.
+        Profile line (or lines) with which the log might be readable.
     """
 
     def __init__(
@@ -92,25 +92,25 @@ class LogError(PipelineError):
         self.profile_line = profile_line
 
     def reworded(self, reason: str) -> Self:
-        """Return the same refusal in other words, such as with the file in front."""
+        """Return the same refusal with another message, such as with the file name prepended."""
         return type(self)(reason, self.row, code=self.code, profile_line=self.profile_line)
 
 
 def refusal(
     code: str, where: str, found: str, expected: str = "", cure: str = "", row: int | None = None, line: str = ""
 ) -> LogError:
-    """Return the refusal of a log.
+    """Return the error for a refused log.
 
     Parameters
     ----------
     code : str
         A key of `CURES`.
     where : str
-        File, and trial or column in it; empty where it is shown next to the message.
+        File, and trial or column in it; empty if it is shown next to the message.
     found, expected : str
-        What is wrong and what should be there; expected may be empty where the first says it.
+        The fault and the expected value; the latter may be empty if the first implies it.
     cure : str
-        What to do, in place of what `CURES` says for the code.
+        Remedy that replaces the default of `CURES` for the code.
     row : int, optional
         Row of the file, counted from 1.
     line : str
@@ -131,11 +131,11 @@ class SceneError(PipelineError):
 
 
 class DeviceError(PipelineError):
-    """A device file (TOML) is wrong, or a device or experiment is not known."""
+    """A device file (TOML) is wrong, or a device or experiment is unknown."""
 
 
 class StoreError(PipelineError):
-    """A file in `processed/` is missing, of another layout or damaged."""
+    """A file in `processed/` is missing, has another layout or is damaged."""
 
 
 class ParameterError(PipelineError, ValueError):

@@ -1,4 +1,4 @@
-"""Pages that make no request: which scripts they may run, and data that may stand inside them."""
+"""Pages that make no request: their permitted scripts, and safe embedding of data."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Machine code of functions that return nothing, kept as object files that llvmlite loads.
+"""Machine code of functions without return value, stored as object files that llvmlite loads.
 
-To import numba and load its own cache takes half a second, to load an object file some milliseconds. Numba compiles
-such a function once. It allocates nothing and counts no references, so that it needs nothing of numba afterwards: it is
-called with numbers and with the addresses, shapes and strides of arrays.
+Importing numba and loading its cache takes half a second, loading an object file a few milliseconds. Numba compiles
+such a function once. It allocates nothing and counts no references, so it does not need numba afterwards: it is called
+with numbers and with the addresses, shapes and strides of arrays.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Function = Callable[..., None]
 
 @dataclass(frozen=True)
 class Number:
-    """A number of a signature, such as ``f8``; with axes, ``f8[:, ::1]``, an array of it."""
+    """Number type of a signature, such as ``f8``; with axes, ``f8[:, ::1]``, an array type."""
 
     dtype: str
     passed: Any
@@ -45,7 +45,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Array:
-    """An array of a signature, its rows one after the other in memory."""
+    """Array type of a signature, contiguous in row order."""
 
     dtype: np.dtype[Any]
     axes: int
@@ -67,7 +67,7 @@ class Array:
 
 @dataclass(frozen=True)
 class Several:
-    """A tuple of a signature."""
+    """Tuple type of a signature."""
 
     parts: tuple[Any, ...]
 
@@ -91,7 +91,7 @@ _NAMES = {
     "f8": Number("f8", ctypes.c_double),
     "c16": Number("c16", None),
 }
-"""What signatures are made of."""
+"""Names that occur in signatures."""
 
 
 def arguments_of(signature: str) -> Several:
@@ -102,7 +102,7 @@ def arguments_of(signature: str) -> Several:
     >>> len(arguments_of("void(f8[::1], Tuple((i8, f8[:, ::1])))").types)
     17
     """
-    arguments: Several = eval(signature, {"__builtins__": {}}, _NAMES)  # a literal of this package
+    arguments: Several = eval(signature, {"__builtins__": {}}, _NAMES)  # a constant string of this package
     return arguments
 
 
@@ -112,7 +112,7 @@ def object_name(function: Function) -> str:
 
 
 def object_key(function: Function, signature: str) -> str:
-    """Return a hash of all that the machine code of a function follows from."""
+    """Return a hash of everything that determines the machine code of a function."""
     import llvmlite.binding as llvm
 
     file = Path(inspect.getsourcefile(function) or "")
@@ -123,13 +123,13 @@ def object_key(function: Function, signature: str) -> str:
 
 
 def _folder(package: str) -> Path:
-    """Return the folder of a package without importing it; to ask for its version takes ten times as long."""
+    """Return the folder of a package without importing it; querying its version takes ten times as long."""
     spec = find_spec(package)
     return Path(spec.origin if spec and spec.origin else "").parent
 
 
 def compiled_object(function: Function, signature: str) -> bytes:
-    """Compile a function by numba; return the name of its symbol, a line, and the object file."""
+    """Compile a function with numba; return the object file, preceded by a line with its symbol name."""
     import numba
 
     options: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -141,7 +141,7 @@ def compiled_object(function: Function, signature: str) -> bytes:
 
 
 def loaded_object(data: bytes, signature: str) -> Function:
-    """Load what `compiled_object` returns; return the function."""
+    """Load the output of `compiled_object`, and return the function."""
     import llvmlite.binding as llvm
 
     symbol, _, code = data.partition(b"\n")
@@ -165,7 +165,7 @@ def loaded_object(data: bytes, signature: str) -> Function:
 
 @cache
 def _engine() -> Any:
-    """Return what machine code is loaded into: it stays as long as the process."""
+    """Return the execution engine for loaded machine code; it exists until the process ends."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()

@@ -26,7 +26,7 @@ def storable(text: str) -> str:
 
 
 def path_text(path: Path | str) -> str:
-    r"""Return a path as text: as it is, or as ``file:`` URI of the absolute path where its bytes are no UTF-8.
+    r"""Return a path as text: unchanged, or as ``file:`` URI of the absolute path if its bytes are not UTF-8.
 
     Examples
     --------
@@ -44,7 +44,7 @@ def path_text(path: Path | str) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    r"""Return the path that `path_text` made a text of.
+    r"""Return the path of a text from `path_text`.
 
     Examples
     --------
@@ -55,16 +55,16 @@ def path_of_text(text: str) -> Path:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file to be read, without waiting and only if it is a regular one.
+    """Open a file for reading, without waiting and only if it is a regular file.
 
-    A pipe would keep a reader waiting for ever, and a device does what its driver does.
+    Reading a pipe could wait forever, and reading a device may have side effects.
 
     Raises
     ------
     OSError
-        If it cannot be opened or is no regular file.
+        If it cannot be opened or is not a regular file.
     """
-    # a pipe, which may have come since `find_sources` looked, is opened at once by the first flag; files ignore it
+    # the first flag opens a pipe, which may have appeared since `find_sources`, without waiting; files ignore it
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
@@ -82,23 +82,23 @@ def is_gone(path: Path) -> bool:
 
 
 def check_output(path: Path, option: str, *, document_beside: bool = False) -> None:
-    """See that a file can be written where an option says. Nothing is created.
+    """Check that the output file of an option can be written. Nothing is created.
 
     Parameters
     ----------
     path : Path
         File that the command will write; folders above it may be missing.
     option : str
-        Name of the option, for the message; empty where a command has none.
+        Name of the option, for the message; empty if the command has none.
     document_beside : bool
-        Whether a JSON document of the same name is written next to it, which would replace a file that ends in .json.
+        Whether a JSON document of the same name is written next to it, which would overwrite a file that ends in .json.
 
     Raises
     ------
     UsageError
         If it is a folder, or ends in .json like the document next to it.
     PipelineError
-        If its folder takes no files.
+        If no file can be created in its folder.
     """
     place = f"{option} {path}".strip()
     if path.is_dir():
@@ -111,7 +111,7 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     # the nearest existing parent decides; a missing current folder raises the error below
     folder = next((above for above in path.parents if above.exists()), Path("."))
     try:
-        with tempfile.TemporaryFile(dir=folder):  # an unnamed file: permissions alone do not show if it is writable
+        with tempfile.TemporaryFile(dir=folder):  # an unnamed file: permissions alone are not sufficient
             pass
     except OSError as error:
         raise PipelineError(

@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
-"""Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
+"""Termination signals that the system supports: Ctrl-C, a service manager, a closed terminal."""
 
 _alone = False
-"""Whether this process runs nothing but this package."""
+"""Whether this process runs only this package."""
 
 
 def begin_alone() -> None:
-    """Begin a process that runs nothing but this package, before it loads numpy.
+    """Prepare a process that runs only this package, before it loads numpy.
 
-    Matrices are small here, and many processes compute at once: threads of the linear algebra would take as much
-    processor time again to wait for each other, and sums would depend on their number. Who sets
-    ``OPENBLAS_NUM_THREADS`` keeps it. And pyarrow is kept from importing pandas (`without_pandas`).
+    Matrices are small here, and many processes compute at once: threads of the linear algebra library would double the
+    processor time by waiting for each other, and sums would depend on their number. A user-defined
+    ``OPENBLAS_NUM_THREADS`` is kept. Also, pyarrow is prevented from importing pandas (`without_pandas`).
     """
     global _alone
     _alone = True
@@ -54,9 +54,9 @@ class _NoPandas:
 
 
 def without_pandas(pyarrow: Any) -> None:
-    """Keep pyarrow from importing pandas with its first array (0.2 s, 40 MB), in this package's processes only.
+    """Prevent pyarrow from importing pandas with its first array (0.2 s, 40 MB), in this package's processes only.
 
-    pyarrow looks for pandas once, and this makes it look while pandas is hidden. An explicit import of pandas and
+    pyarrow looks for pandas only once; here this happens while pandas is hidden. An explicit import of pandas and
     ``Table.to_pandas`` still work; ``pyarrow.array`` then treats a pandas series as a plain sequence.
     """
     if _alone and "pandas" not in sys.modules:
@@ -139,7 +139,7 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin(parent: Connection) -> None:
-    """Begin a process of a pool; signals are for its parent, which ends it."""
+    """Initialize a process of a pool; signals are handled by its parent, which ends it."""
     threading.Thread(target=_end_with, args=(parent,), name="end with the parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_alone()

@@ -1,6 +1,6 @@
-"""How far long work is: each part reports its share of the whole; without a listener nothing happens.
+"""Progress of long work: each part reports its share of the whole; without a listener nothing happens.
 
-A part covers a range of the part around it, so that a function reports from 0 to 1 whatever calls it.
+A part covers a range of the enclosing part, so that a function reports from 0 to 1 independent of its caller.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 
 Listener = Callable[[str, float], None]
-"""Hears the name of what is done now, and the share of the whole that is done, 0 to 1."""
+"""Callback that receives the name of the current part, and the completed share of the whole, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,12 @@ class _Part:
 
 _PART: ContextVar[_Part | None] = ContextVar("part", default=None)
 _SHARE = ContextVar("share", default=0.0)
-"""Share of the part around that is done."""
+"""Completed share of the enclosing part."""
 
 
 @contextmanager
 def heard_by(listener: Listener) -> Iterator[None]:
-    """Have a listener hear what is reported inside."""
+    """Pass progress reported inside the block to a listener."""
     token = _PART.set(_Part(listener))
     _SHARE.set(0.0)
     try:
@@ -40,14 +40,14 @@ def heard_by(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part_of_work(name: str, begin: float, end: float) -> Iterator[None]:
-    """Report what is done inside as a part of the work around it, from one share of that to another.
+    """Report progress inside the block as part of the enclosing work, from one share of it to another.
 
     Parameters
     ----------
     name : str
-        What is done; that of the part around it where it is empty.
+        Name of the part; if empty, that of the enclosing part.
     begin, end : float
-        Shares of the part around it, 0 to 1.
+        Shares of the enclosing part, 0 to 1.
 
     Examples
     --------
@@ -73,20 +73,20 @@ def part_of_work(name: str, begin: float, end: float) -> Iterator[None]:
 
 
 class Names:
-    """Listener that hands on the name of each part when it begins."""
+    """Listener that passes on the name of each part when it begins."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self._last = say, ""
 
     def __call__(self, name: str, share: float) -> None:
-        """Hear how far a part is."""
+        """Receive the progress of a part."""
         if name and name != self._last:
             self._last = name
             self._say(name)
 
 
 def report(share: float) -> None:
-    """Report the share of the part around that is done, 0 to 1."""
+    """Report the completed share of the enclosing part, 0 to 1."""
     part = _PART.get()
     if part is not None:
         _SHARE.set(share)

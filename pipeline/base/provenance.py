@@ -1,4 +1,4 @@
-"""Where a stored number comes from: hashes of inputs, parameters and code, and the package version."""
+"""Origin of stored numbers: hashes of inputs, parameters and code, and the package version."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def schema_folder() -> Path:
 
 
 USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
-"""Environment variable that names a folder with device files of the user's own."""
+"""Environment variable that names a folder with the user's device files."""
 
 
 def user_device_folder() -> Path | None:
-    """Return the folder with the user's own device files; None where none is named."""
+    """Return the folder with the user's device files; None if none is named."""
     own = os.environ.get(USER_FOLDER_VARIABLE)
     return Path(own) if own else None
 
@@ -56,14 +56,14 @@ CODE = {
     "theory": ("base", "device", "records", "loop", "theory"),
     "report": (".",),
 }
-"""Folders of the package that make a kind of stored result, with all that these may import."""
+"""Folders of the package that produce each kind of stored result, including their imports."""
 
 
 @cache
 def code_digest(result: str) -> str:
-    """Return a hash of all files of the folders by which a kind of result is made, a key of `CODE`.
+    """Return a hash of all files in the folders that produce a kind of result, a key of `CODE`.
 
-    A stored result is reused only while the code that made it, and what that loads, is the same.
+    A stored result is reused only while its code, including imports, is unchanged.
     """
     every = {file for folder in CODE[result] for file in (PACKAGE_FOLDER / folder).rglob("*")}
     files = {file for file in every if file.suffix != ".pyc" and file.is_file()}

@@ -1,4 +1,4 @@
-"""Units of foreign logs and their factors to SI; conversion happens here, at the border, and nowhere else."""
+"""Units of foreign logs and their factors to SI; conversion happens only here, at the input."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.base.errors import ParameterError
 
 
 class Unit(NamedTuple):
-    """Physical quantity of a unit and the factor that turns its numbers into SI."""
+    """Physical quantity of a unit and its factor to SI."""
 
     quantity: str
     factor: float
@@ -32,7 +32,7 @@ _FACTORS: dict[str, dict[str, float]] = {
     "damping": {"Ns/m": 1.0, "Ns/mm": 1e3},
     "rotational damping": {"Nms/rad": 1.0, "mNms/rad": 1e-3, "Nms/deg": 1 / _DEGREE},
 }
-"""What each unit of a quantity is in SI, the SI unit first."""
+"""Factor to SI of each unit by quantity, the SI unit first."""
 
 DRIVES: dict[str, dict[str, float]] = {
     "voltage": {"V": 1.0, "mV": 1e-3},
@@ -40,12 +40,12 @@ DRIVES: dict[str, dict[str, float]] = {
     "counts": {"counts": 1.0, "count": 1.0},
     "percent": {"%": 1.0},
 }
-"""Units of a command that is no force or torque yet, the one that is kept first: of each, all numbers of a device count
-per that unit until a gain turns the command into force."""
+"""Units of a command that is not yet a force or torque, the internal one first: all parameters of a device are per that
+unit until a gain converts the command to force."""
 
 
 def drive_unit(drive: str, behind: str) -> str:
-    """Return a unit in which a unit of a drive takes the place of N or Nm.
+    """Return a unit with a drive unit in place of N or Nm.
 
     >>> drive_unit("V", "s/m"), drive_unit("counts", "s/m"), drive_unit("%", "")
     ('Vs/m', 'counts s/m', '%')
@@ -54,7 +54,7 @@ def drive_unit(drive: str, behind: str) -> str:
 
 
 def _of_drives() -> dict[str, dict[str, float]]:
-    """Return the units that a drive makes: of stiffness, damping, and of the gain that turns it into force."""
+    """Return the units derived from a drive: of stiffness, damping, and of the gain that converts it to force."""
     factors: dict[str, dict[str, float]] = {}
     for name, drives in DRIVES.items():
         factors[name] = drives
@@ -103,13 +103,13 @@ _WORDS = {
     "amps": "A",
     "percent": "%",
 }
-"""Units that programs write out."""
+"""Unit names that programs write in full."""
 
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": "", " ": ""})
 
 
 def find_unit(symbol: str) -> Unit | None:
-    """Return the unit of a symbol or its name (`mm`, `µm`, `N*m`, `°`, `seconds`), or None where it is not known."""
+    """Return the unit of a symbol or its name (`mm`, `µm`, `N*m`, `°`, `seconds`), or None if unknown."""
     text = symbol.strip()
     return UNITS.get(_WORDS.get(text.lower(), text).translate(_SPELLINGS))
 
@@ -128,9 +128,9 @@ def _decimal(number: str) -> float:
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
-    """Return number and unit of a text such as ``'5 N/mm'``, ``'30ms'`` or ``'2,5 N'``; None where it is no number.
+    """Return number and unit of a text such as ``'5 N/mm'``, ``'30ms'`` or ``'2,5 N'``; None if it is no number.
 
-    The unit is empty where there is none. A unit that is not known gives None, too: ``'1 m'`` is a quantity, ``'2nd'``
+    The unit is empty if there is none. An unknown unit also gives None: ``'1 m'`` is a quantity, ``'2nd'``
     and ``'3 apples'`` are not.
 
     Raises
@@ -150,21 +150,21 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
-    """Return a quantity in SI; a number alone is in SI.
+    """Return a quantity in SI; a plain number is in SI.
 
     Parameters
     ----------
     text : str
         Such as ``'5 N/mm'`` or ``'5000'``.
     quantities : tuple of str
-        Physical quantities that are allowed.
+        Allowed physical quantities.
     what : str
         Name of the option or key, for messages.
 
     Raises
     ------
     ParameterError
-        If it is no number, or its unit is not known or measures another quantity.
+        If it is not a number, or its unit is unknown or belongs to another quantity.
 
     Examples
     --------
@@ -183,18 +183,18 @@ def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s/_]*[\[(]([^\[\]()]+)[\])]\s*")
 _PER_TIME = re.compile(r"_(?:per_)?(s|min)$")
-"""How a velocity is written where a name may have no slash: v_mm_s."""
+"""Notation of a velocity unit in names that may not contain a slash: v_mm_s."""
 _BEFORE_UNIT = re.compile(r"\s*/\s*|_|\s+in\s+")
 
 
 def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str]:
-    """Return the name in the heading of a column, and the unit that stands behind it, empty where there is none.
+    """Return the name in the heading of a column, and the unit after it; empty if there is none.
 
     Parameters
     ----------
     heading : str
     quantities : collection of str
-        Physical quantities that the column may have; what stands in brackets is taken for a unit in any case.
+        Physical quantities that the column may have; text in brackets always counts as a unit.
 
     Examples
     --------
@@ -217,7 +217,7 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
 
 
 def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
-    """Return the unit of the same quantity that is so many times another one, up to a relative tolerance.
+    """Return the unit of the same quantity that is `factor` times another one, within a relative tolerance.
 
     >>> unit_between("m", 1.1e-3, 0.2)
     'mm'
@@ -230,19 +230,19 @@ def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
 
 
 def factor_to_si(symbol: str, quantities: tuple[str, ...]) -> float:
-    """Return the factor that turns numbers in a unit into SI.
+    """Return the factor of a unit to SI.
 
     Parameters
     ----------
     symbol : str
         Unit as a profile writes it, such as ``mm``.
     quantities : tuple of str
-        Physical quantities that are allowed there, such as ``("length",)``.
+        Allowed physical quantities, such as ``("length",)``.
 
     Raises
     ------
     ParameterError
-        If the unit is not known or measures another quantity.
+        If the unit is unknown or belongs to another quantity.
     """
     unit = find_unit(symbol)
     allowed = [name for name, known in UNITS.items() if known.quantity in quantities]

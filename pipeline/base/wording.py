@@ -1,4 +1,4 @@
-"""Numbers in sentences for readers: plurals, percent, the minus sign, spaces at which no line may break."""
+"""Numbers in sentences for readers: plurals, percent, the minus sign, non-breaking spaces."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 _MINUS = re.compile(r"(?<![\w.\-/])-(?=\d|\.\d)|(?<=\d[eE])-(?=\d)")
-"""A hyphen before a number that stands by itself, and one of an exponent; none inside names, dates and options."""
+"""A hyphen before a separate number or in an exponent, but not inside names, dates and options."""
 
 _UNITS = r"%|N/m|Nm/rad|Ns/m|Nms/rad|kg|kN/m|samples?|trials?|percentage points|points|ms|mm|s|m|N|Nm|Hz|s⁻¹|rad"
 
@@ -26,19 +26,19 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NUMBER = re.compile(r"[+−-]?\d+(?:\.\d+)?(?:e[+−-]?\d+)?")
 
 _PARTS = re.compile(
-    r"<(script|style|svg|pre|code)\b.*?</\1>|<[^>]*>"  # what is no prose, and tags with their attributes
+    r"<(script|style|svg|pre|code)\b.*?</\1>|<[^>]*>"  # elements without prose, and tags with their attributes
     r"|(?P<prose>[^<]+)",
     re.DOTALL,
 )
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it is not one: ``1 trial``, ``0 trials``."""
+    """Return a number with its noun, in the plural unless the number is one: ``1 trial``, ``0 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def duration(seconds: float) -> str:
-    """Return a time with a unit that suits it: ``2.5 s``, ``419 µs``."""
+    """Return a time with a suitable unit: ``2.5 s``, ``419 µs``."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1:
             return f"{seconds * factor:.2g} {unit}" if seconds * factor < 100 else f"{seconds * factor:.0f} {unit}"
@@ -69,7 +69,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def commonest(reasons: Iterable[str]) -> str:
-    """Return the reason that is given most often, of equally common ones the first; empty where there is none.
+    """Return the most frequent reason, the first of equally frequent ones; empty if there is none.
 
     >>> commonest(["", "b", "a", "a", "b"])
     'b'
@@ -78,7 +78,7 @@ def commonest(reasons: Iterable[str]) -> str:
 
 
 def of_most(reasons: Iterable[str]) -> str:
-    """Return the reason of most trials as the end of a sentence, nothing where none has one.
+    """Return the reason of most trials as the end of a sentence; empty if there is none.
 
     >>> of_most(["", "too short"]), of_most([""])
     ('; most trials: too short', '')
@@ -88,7 +88,7 @@ def of_most(reasons: Iterable[str]) -> str:
 
 
 def first_clause(text: str) -> str:
-    """Return what stands before the first semicolon that is in no brackets.
+    """Return the text before the first semicolon outside brackets.
 
     >>> first_clause("it is clipped (43 of 61 logs; at 8 N); more")
     'it is clipped (43 of 61 logs; at 8 N)'
@@ -109,7 +109,7 @@ def percent(share: float, places: int = 0) -> str:
 def true_minus(text: str) -> str:
     """Return a sentence in which negative numbers have the minus sign U+2212.
 
-    Not for what programs read: numbers there keep the hyphen.
+    Not for machine-readable text, where numbers keep the hyphen.
     """
     return _MINUS.sub("\N{MINUS SIGN}", text)
 
@@ -126,10 +126,10 @@ def unbroken(page: str) -> str:
 
 
 def shared_notes(notes: Sequence[str]) -> dict[str, str]:
-    """Return for each note the one that it shares with those that differ in numbers only.
+    """Map each note to a common note of all notes that differ only in numbers.
 
-    Numbers that differ become their range: notes on 0.2 % and on 0.4 % share one on 0.2 to 0.4 %. Notes stay apart
-    where ends of a range differ, since a range of ranges cannot be read.
+    Different numbers are replaced by their range: notes on 0.2 % and on 0.4 % share one on 0.2 to 0.4 %. Notes with
+    different ranges are not merged, since a range of ranges is unreadable.
     """
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
@@ -142,7 +142,7 @@ def shared_notes(notes: Sequence[str]) -> dict[str, str]:
 
 
 def _with_ranges(notes: Sequence[str]) -> str:
-    """Return the text of notes that have equally many numbers, with their ranges in the place of these."""
+    """Return the common text of notes with the same count of numbers, with ranges in place of the numbers."""
     values = zip(*(_NUMBER.findall(note) for note in notes), strict=True)
     ends = [sorted(found, key=lambda text: float(text.replace("\N{MINUS SIGN}", "-"))) for found in values]
     ranges = iter(found[0] if found[0] == found[-1] else f"{found[0]} to {found[-1]}" for found in ends)
