@@ -35,35 +35,35 @@ from pipeline.records.trials import Booleans
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
-"""Most trials of a row group, and bytes of their samples: reading one trial reads its group."""
+"""Largest number of trials in a row group, and of bytes of their samples: reading one trial reads its whole group."""
 
 READING_BYTES = 24
-"""Bytes of a sample in memory: time, command, position."""
+"""Size of a sample in memory [byte]: time, command, position."""
 
 _REPEATED = [
     *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
     *("time_s.list.element", "position.list.element"),
 ]
-"""Columns with repeated values (words, times, quantised positions), for which a dictionary saves space."""
+"""Columns with repeated values (words, times, quantised positions), stored with a dictionary to save space."""
 
 MOST_SMALL = 8
-"""Batches of similar size that an experiment may have. The eighth merges them into one of the next size: a trial is
-rewritten once for each factor of eight, and n batches of one trial become about 7 log8 n."""
+"""Number of batches of similar size at which they are merged into one of the next size: a trial is rewritten once per
+factor of eight, and n batches of one trial become about 7 log8 n."""
 
 OPEN_FILES = 8
-"""Files written at the same time: each recording may be a separate experiment, and open files are limited."""
+"""Number of files written at the same time: each recording may be a separate experiment, and open files are limited."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
-"""Trials, or bytes of the file, above which ingest does not merge a batch."""
+"""Number of trials, or size of the file [byte], above which ingest does not merge a batch."""
 
 
 Key = tuple[str, str, str]
 KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
-"""A trial as it was read: path of its log, its id, SHA-256 of the profile."""
+"""Columns that identify a trial as read: path of its log, its id, SHA-256 of the profile."""
 
 
 class ExperimentKey(NamedTuple):
-    """What the trials of a file have in common; `mode` is who may read it: who may read the logs of all of them."""
+    """Common properties of the trials of a file; `mode` gives read access to those who may read all logs."""
 
     device: str
     experiment: str
@@ -72,7 +72,7 @@ class ExperimentKey(NamedTuple):
 
 
 def key_of_file(file: Path) -> ExperimentKey:
-    """Return what the trials of a file have in common."""
+    """Return the common properties of the trials of a file."""
     with open_table(file) as stored:
         told = metadata_of(stored.schema_arrow)
     motion = cast(Motion, told["pipeline.motion"])
@@ -89,13 +89,13 @@ def write_batch(
     processed : Path
     place : ExperimentKey
     parts : iterable of pyarrow.Table
-        Trials, at most a group of them each; they come to the disk group by group, so that memory does not grow.
+        Trials, at most one row group each; they are written group by group to limit memory.
     replaces : collection of Path
 
     Returns
     -------
     Path or None
-        The file; None where there are no trials.
+        The file; None if there are no trials.
     """
     names = " ".join(sorted(file.stem for file in replaces))
     metadata = stamp(device=place.device, experiment=place.experiment, motion=place.motion, replaces=names)
@@ -133,13 +133,13 @@ def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
 
 
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
-    """Return which files have not the content that their name says, and what to do."""
+    """Return the files whose content does not match the hash in their name, and the remedy."""
     bad = [file for file in files if hash_in_name(file.name) not in (None, file_hash(file))]
     return {file: str(damaged_file(file, "its content is not that of its name")) for file in bad}
 
 
 def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
-    """Write trials of files of an experiment and motion, by default all, into one that stands in their place.
+    """Write trials of files with the same experiment and motion, by default all, into one file that replaces them.
 
     Raises
     ------
@@ -157,12 +157,12 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
 
 
 def remaining_rows(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
-    """Return which rows are kept of each file that does not keep all."""
+    """Return a mask of the remaining rows of each file that loses rows."""
     return {rows.files[index]: keep[rows.file == index] for index in np.unique(rows.file[~keep]).tolist()}
 
 
 def rows_without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
-    """Return the remaining rows of each file with dropped trials; damaged files are reported and left as they are."""
+    """Return the remaining rows of each file with dropped trials; damaged files are reported and left unchanged."""
     rows = read_rows(processed, KEY_COLUMNS, damaged)
     keys = zip(*map(rows.column, KEY_COLUMNS), strict=True)
     kept = remaining_rows(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
@@ -177,11 +177,11 @@ def store(
     outdated: Collection[Key],
     damaged: dict[Path, str],
 ) -> set[Path]:
-    """Store trials, one file for each place, and drop the trials that they replace; return the changed folders.
+    """Store trials, one file per place, and drop the trials that they replace; return the changed folders.
 
-    A replaced trial in the same place is dropped by the file with the new trials. In another place it is dropped
-    before, since new trials can be read again from their log. Outdated contents are dropped afterwards: a reader that
-    finds two contents of a log takes the newer one.
+    A replaced trial in the same place is dropped by the file with the new trials. In another place it is dropped first,
+    since new trials can be read again from their log. Outdated contents are dropped afterwards: a reader that finds two
+    contents of a log takes the newer one.
     """
     absorbed, later = defaultdict[ExperimentKey, list[Path]](list), list[Path]()
     first = rows_without(processed, dropped, damaged) if dropped else {}
@@ -193,7 +193,7 @@ def store(
             rewrite(processed, [file], kept)
         else:
             later.append(file)
-    for place in batches:  # one after the other: the name of a folder depends on those that are there
+    for place in batches:  # in sequence: the name of a folder depends on existing ones
         make_folder(trials_folder(processed, place.device, place.experiment))
 
     def write(place: ExperimentKey) -> Path | None:
@@ -213,10 +213,10 @@ def remove_incomplete(processed: Path) -> None:
 
 
 def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
-    """Remove replaced files, and trials that are not used. Call with the lock of the store.
+    """Remove replaced files and unused trials. Call with the lock of the store.
 
-    Two writers on an object store may have stored, or merged, the same trials, and each might choose another file to
-    remove. A file that replaces all those with shared trials loses nothing. Damaged files are added to `damaged` and
+    Two writers on an object store may have stored or merged the same trials, and each might remove a different file.
+    Nothing is lost if one new file replaces all files with shared trials. Damaged files are added to `damaged` and
     ignored.
     """
     rows = read_rows(processed, VERSION_COLUMNS, damaged)
@@ -237,7 +237,7 @@ def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
 
 
 def merge_small(processed: Path, folder: Path) -> None:
-    """Merge small batches of like size, if an experiment has many; the caller holds the lock."""
+    """Merge small batches of similar size if an experiment has many. Call with the lock of the store."""
     while len(files := sorted(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
         tiers = defaultdict[tuple[ExperimentKey, int], list[Path]](list)
         for file in files:

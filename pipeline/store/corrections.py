@@ -1,14 +1,14 @@
-"""Corrects stored trials by hand, and undoes it: they are excluded, count as of another place, or are deleted.
+"""Manual corrections of stored trials, and their undoing: trials are excluded, moved to another place, or deleted.
 
-Corrections stand in ``processed/corrections`` and are applied on reading (`storage`), so that what is stored stays as
-the logs have it. A trial is known by the content of its log: a correction stays when that is ingested again, merged or
-repaired, and a log with other content is another trial. Each change writes a new file with all corrections, and removes
-those that it read; of two that were written at once both count.
+Corrections are stored in ``processed/corrections`` and applied on reading (`storage`), so that stored trials agree with
+the logs. A trial is identified by the content of its log: a correction persists when the log is ingested again, merged
+or repaired, and a log with other content is another trial. Each change writes a new file with all corrections, and
+removes the files that it read; two files written at the same time are both valid.
 
-All functions take words that name trials: a device, ``device/experiment`` (names as `names.folder_name` has them), the
-id of a trial, the beginning of one, or the path of a log with one trial. ``wait_s`` and ``say`` are those of
-`disk.writing`. They raise `UsageError` where the words fit nothing, or several trials, and `StoreError` where the store
-is damaged, cannot be written, or others write there.
+All functions take a text that names trials: a device, ``device/experiment`` (names as of `names.folder_name`), the id
+of a trial or its beginning, or the path of a log with one trial. ``wait_s`` and ``say`` are those of `disk.writing`.
+They raise `UsageError` if the text matches nothing or is ambiguous, and `StoreError` if the store is damaged, cannot be
+written, or is locked by another process.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from pipeline.store.storage import (
 )
 
 SHOWN = 5
-"""Trials that a message shows."""
+"""Largest number of trials that a message shows."""
 
 Say = Callable[[str], None] | None
 
 
 def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
-    """Exclude trials; one that is excluded already gets the new reason, unless it is one of a whole experiment."""
+    """Exclude trials; an excluded trial gets the new reason, unless a whole experiment is named."""
     text = storable(" ".join(reason.split()))
     if not text:
         raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
@@ -73,12 +73,12 @@ def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = N
 
 
 def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Let trials count as of another place, ``device`` or ``device/experiment``, and return how many.
+    """Move trials to another place, ``device`` or ``device/experiment``, and return their number.
 
     Raises
     ------
     UsageError
-        If the trials there move otherwise, or have another sampling period.
+        If the trials there have another type of motion or another sampling period.
     """
     place = _place_of(to)
     if len(place) > 2 or not all(place):
@@ -104,19 +104,19 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
 
 
 def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
+    """Move trials to the bin and return their number: they are kept, but invisible elsewhere, until `empty_bin`."""
     with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted), {"deleted": True})
 
 
 def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
+    """Take trials out of the bin and return their number; removed ones reappear when their logs are ingested."""
     with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
 
 
 def deleted(processed: Path) -> list[Correction]:
-    """Return all trials that are deleted, at the place that they had; whether they are stored still or not."""
+    """Return all deleted trials with their former place, whether still stored or not."""
     found = (one for one in read_corrections(processed).values() if one.deleted)
     return [one.model_copy(update=one.placed) for one in found]
 
@@ -130,9 +130,9 @@ def in_bin(processed: Path) -> list[Correction]:
 
 
 def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Remove the trials of the bin from the store and return how many.
+    """Remove the trials of the bin from the store and return their number.
 
-    They stay deleted: where their logs are read again, they are in the bin.
+    They stay deleted: if their logs are read again, they are in the bin.
     """
     with writing(processed, wait_s, say):
         gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
@@ -143,7 +143,7 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
 
 
 def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
-    """Change what is corrected of trials, by rows of the trials table, with their present place; return how many."""
+    """Change the corrections of trials, given by rows with their present place; return their number."""
     known = read_corrections(processed)
     ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
     write_corrections(processed, [one.model_copy(update=change) for one in ones])
@@ -177,7 +177,7 @@ def _place_of(word: str) -> tuple[str, ...]:
 def _meant(
     processed: Path, wanted: str, state: str = "stored", among: Iterable[Exclusion] | None = None
 ) -> list[dict[str, str]]:
-    """Return the rows of a device or experiment, or the one that is meant by an id, the beginning of one, or a path."""
+    """Return the rows of a device or experiment, or the row given by an id, its beginning, or a path."""
     rows: list[dict[str, str]] = [one.model_dump() for one in among or ()]
     if among is None:
         rows = read_trials(processed, columns=list(IDENTITY)).to_pylist()

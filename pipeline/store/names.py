@@ -14,21 +14,21 @@ from urllib.parse import quote, unquote
 from pipeline.base.provenance import digest
 
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
-"""Names that Windows keeps for its devices, with any ending."""
+"""Names that Windows reserves for its devices, with any extension."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
 """Pages in the folder of device reports: `pipeline watch`, `pipeline accuracy`, and `theory` of earlier versions."""
 
 _AGAINST = "-against"
-"""Part of the names of pages that set two experiments, or two versions of a report, against each other."""
+"""Part of the names of pages that compare two experiments, or two versions of a report."""
 
 
 def folder_name(name: str) -> str:
     """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back.
 
-    Readers of folders of Parquet files leave out those that begin with a dot or an underscore, and take "a=b" for a
-    column: these signs are escaped there. So is the first letter of a name that Windows keeps for itself, and a dot or
-    space at the end, which it drops.
+    Readers of folders of Parquet files skip names that begin with a dot or an underscore, and read "a=b" as a column:
+    these characters are escaped. So are the first letter of a name reserved by Windows, and a final dot or space, which
+    Windows drops.
 
     Examples
     --------
@@ -42,20 +42,20 @@ def folder_name(name: str) -> str:
 
 
 def name_of_folder(folder: str) -> str:
-    """Return the device or experiment name that `folder_for` made a folder name of."""
+    """Return the device or experiment name of a folder name from `folder_for`."""
     return unquote(folder)
 
 
 def folder_for(parent: Path, name: str) -> Path:
-    """Return the folder of a device or experiment in a folder, whether it is there or not.
+    """Return the folder of a device or experiment in a parent folder, existing or not.
 
-    A name that differs from another one there in case only is written in digits alone.
+    A name that differs only in case from an existing one is written in digits only.
     """
     return _place(parent, folder_name(name), _in_digits(name))
 
 
 def report_of(reports: Path, device: str) -> Path:
-    """Return the file of the report of a device, which is that of no other page and no other device."""
+    """Return the file of the report of a device, which no other page or device uses."""
     plain = _without_against(device)
     if plain.casefold() in _OWN_PAGES:
         plain = _escaped(plain[0]) + plain[1:]
@@ -63,7 +63,7 @@ def report_of(reports: Path, device: str) -> Path:
 
 
 def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
-    """Return the file of the page on two experiments (device, experiment), which is that of no other page."""
+    """Return the file of the page on two experiments (device, experiment), which no other page uses."""
     # folder names never contain the character between device and experiment
     one, other = ("=".join(map(_without_against, pair)) for pair in (first, second))
     if first[0] == second[0]:
@@ -86,7 +86,7 @@ def _without_against(name: str) -> str:
 
 
 def _place(parent: Path, name: str, other: str) -> Path:
-    """Return the first name, or the other where that is there, or the first differs in case alone from one there."""
+    """Return the first name; the other if it exists, or if the first differs only in case from an existing one."""
     try:
         there = set(os.listdir(parent))
     except (FileNotFoundError, NotADirectoryError):

@@ -27,40 +27,41 @@ from pipeline.store.storage import read_corrections
 Result = TypeVar("Result")
 
 SCHEME = "s3://"
-"""What the URL of a store begins with."""
+"""Beginning of the URL of a store."""
 
 RETRIES = 10
-"""Attempts after one that failed by the network or a busy server, with growing pauses from 0.1 s on."""
+"""Number of retries after a failure of the network or a busy server, with growing pauses from 0.1 s."""
 
 PATIENCE_S = 30.0
-"""How long one request is retried [s]: enough for a server that restarts, and soon an error for one that is down."""
+"""Time for which a request is retried [s]: long enough for a server restart, short enough to report a server that is
+down."""
 
 _TREES = ("trials", "stages", "theory", "corrections", "quarantine")
 """Folders that are stored; locks and incomplete files stay local. Trials are put before results that depend on them."""
 
 REPEATS = 20
-"""Times that a store is listed again because files were merged while they were brought."""
+"""Largest number of repeated listings of a store whose files were merged during download."""
 
 _AT_ONCE = 8
-"""Requests at a time: they mostly wait; a batch takes some 10 MiB in memory, 256 at most."""
+"""Number of parallel requests: they mostly wait; a batch takes about 10 MiB of memory, at most 256 MiB."""
 
 Listed = tuple[str, int, datetime]
-"""Name, size [byte] and time of putting of an object."""
+"""Name, size [byte] and upload time of an object."""
 
 
 class Objects:
-    """The objects below a URL, and the few requests that stored tables need, each whole or not done at all.
+    """The objects below a URL, and the few atomic requests that stored tables need.
 
     Parameters
     ----------
     url : str
-        ``s3://bucket/prefix``; credentials and endpoint are those of the usual variables (``AWS_ACCESS_KEY_ID``,
+        ``s3://bucket/prefix``; credentials and endpoint are taken from the usual variables (``AWS_ACCESS_KEY_ID``,
         ``AWS_ENDPOINT_URL``, ``AWS_ALLOW_HTTP`` ...).
 
     Raises
     ------
     UsageError
-        If the URL is none of a store, or the package for it is not installed.
+        If the URL is not a store URL, or the package for it is not installed.
     """
 
     def __init__(self, url: str) -> None:
@@ -75,14 +76,14 @@ class Objects:
             self._store = S3Store.from_url(
                 self.url,
                 retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE_S)},
-                # options that are given take the place of those in variables
+                # explicit options override environment variables
                 client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": http},
             )
-        except Exception as error:  # the errors of the package have no base that is not this one
+        except Exception as error:  # the errors of the package have no other base class
             raise UsageError(f"{url}: cannot be opened ({_first_line(error)}).") from error
 
     def get(self, name: str) -> bytes | None:
-        """Return an object, None where there is none."""
+        """Return an object, or None if it does not exist."""
         with self._told():
             try:
                 return bytes(self._store.get(name).bytes())
@@ -107,13 +108,13 @@ class Objects:
 
     @contextmanager
     def _told(self) -> Iterator[None]:
-        """Turn the failure of a request into an error that says what to do."""
+        """Convert the failure of a request to an error that states the remedy."""
         from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError) as error:
-            # as a folder says it that may only be read
+            # the same error as for a read-only folder
             raise PermissionError(errno.EACCES, _first_line(error), self.url) from error
         except (BaseError, FileNotFoundError) as error:
             raise StoreError(
@@ -124,7 +125,7 @@ class Objects:
 
 
 def check_installed(package: str, purpose: str) -> None:
-    """Raise a UsageError that says what to install, where a package of the extra ``cluster`` is missing."""
+    """Raise a UsageError with the install command if a package of the extra ``cluster`` is missing."""
     if find_spec(package) is None:
         raise UsageError(
             f"{purpose} needs {package}, which a plain installation leaves out. Install it: "
@@ -133,7 +134,7 @@ def check_installed(package: str, purpose: str) -> None:
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether a place of stored tables is the URL of an object store and no folder."""
+    """Return whether a place of stored tables is the URL of an object store, not a folder."""
     return "://" in os.fspath(place)
 
 
@@ -143,31 +144,31 @@ def _first_line(error: object) -> str:
 
 @dataclass
 class _Mirror:
-    """The folder of an object store, and what is in both; of a device or an experiment alone where one is named."""
+    """The local folder of an object store, and the files in both; of one device or experiment if named."""
 
     objects: Objects
     folder: Path
     place: tuple[str, ...]
     known: dict[str, int] = field(default_factory=dict)
-    """Modification time [ns] of each file that the store has, too; a file rewritten by a repair has another one."""
+    """Modification time [ns] of each file that is also in the store; a file rewritten by a repair has another one."""
 
     def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
-        """Bring what came to the store since; return whether anything did."""
+        """Download files added to the store since; return whether there were any."""
         before = len(self.known)
         for _ in range(REPEATS):
             listed = [one for one in self.objects.list("") if _is_stored(one[0])]
             self._fetch([one for one in listed if one[0].startswith("corrections/")])
             own = self.place
             if any(one.changes_place for one in read_corrections(self.folder).values()):
-                own = ()  # trials of any other device may count as of this one
+                own = ()  # trials of any other device may have been moved to this one
             elif not any(_is_of(name.split("/"), own) for name, _, _ in listed if name.startswith("trials/")):
-                own = ()  # where there is nothing of the device, the error names what there is
+                own = ()  # if the device has no files, the error lists the existing ones
             if self._fetch([one for one in listed if one[0].startswith(trees) and _is_of(one[0].split("/"), own)]):
                 return len(self.known) > before
         raise StoreError(f"{self.objects.url}: changed during each of {REPEATS} attempts to read it. Wait for others.")
 
     def _fetch(self, listed: list[Listed]) -> bool:
-        """Bring what is new of some files; return whether all are here, none having been replaced meanwhile."""
+        """Download the new ones of some files; return whether all are here and none was replaced in the meantime."""
 
         def fetch(one: Listed) -> bool:
             name, _, put = one
@@ -183,7 +184,7 @@ class _Mirror:
         return all(map_in_threads(fetch, [one for one in listed if one[0] not in self.known], _AT_ONCE))
 
     def publish(self) -> None:
-        """Put what is new, then delete what is gone."""
+        """Upload new files, then delete removed ones."""
         present = {
             file.relative_to(self.folder).as_posix(): file.stat().st_mtime_ns
             for tree in _TREES
@@ -197,13 +198,13 @@ class _Mirror:
 
 
 def _is_stored(name: str) -> bool:
-    """Return whether a name, which others gave, is one of ours and stays below the folder."""
+    """Return whether an external name follows the naming scheme of the store and stays inside the folder."""
     tree, *parts = name.split("/")
     return tree in _TREES and "\\" not in name and not any(part in ("", ".", "..") for part in parts)
 
 
 def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
-    """Return whether a file concerns a device, or an experiment of it; everything concerns all of a store."""
+    """Return whether a file concerns a device, or an experiment of it; without one, every file does."""
     if not place or parts[0] in ("theory", "corrections"):
         return True
     return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
@@ -215,19 +216,19 @@ _mirrors: dict[Path, _Mirror] = {}
 
 @contextmanager
 def opened(place: str | Path, *only: str) -> Iterator[Path]:
-    """Yield the folder of a store: itself, or a mirror of an object store, published when the block ends well.
+    """Yield the folder of a store: itself, or a mirror of an object store, published if the block succeeds.
 
     Parameters
     ----------
     place : str or Path
         Folder, or URL of an object store.
     *only : str
-        A device, or a device and one of its experiments, where no other trials are needed.
+        A device, or a device and one of its experiments, if no other trials are needed.
 
     Raises
     ------
     UsageError, StoreError
-        If the store cannot be opened or read, or does not take what changed.
+        If the store cannot be opened or read, or does not accept the changes.
     """
     if not is_url(place):
         yield Path(place)
@@ -248,7 +249,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
 
 
 def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
-    """Return what a function that stores into a folder returns; an error where the store may only be read."""
+    """Return the result of a function that writes to a store; raise an error if the store is read-only."""
     with opened(place) as folder:
         result = work(folder)
         publish(folder)
@@ -256,16 +257,16 @@ def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
 
 
 def publish(processed: Path) -> None:
-    """Make what was stored into a mirror visible to others, as it is at once in a folder."""
+    """Make files stored in a mirror visible to others; in a folder they are visible immediately."""
     if processed in _mirrors:
         _mirrors[processed].publish()
 
 
 def renewed(processed: Path, tree: str) -> bool:
-    """Bring what others stored of a kind into the store of a mirror since; return whether there was anything."""
+    """Download files of one kind that others have stored since into a mirror; return whether there were any."""
     return processed in _mirrors and _mirrors[processed].bring((tree,))
 
 
 def origin(processed: Path) -> str:
-    """Return the folder of a store as text, or the URL that it is a mirror of."""
+    """Return the folder of a store as text, or the URL that it mirrors."""
     return _mirrors[processed].objects.url if processed in _mirrors else os.fspath(processed)

@@ -38,7 +38,7 @@ def load_trials(processed: Path, trials: pa.Table) -> Trials:
     Raises
     ------
     StoreError
-        If a file is missing or damaged, or a trial was removed meanwhile.
+        If a file is missing or damaged, or a trial was removed in the meantime.
     """
     trials = in_order(trials)
     for _ in range(ATTEMPTS):
@@ -50,7 +50,7 @@ def load_trials(processed: Path, trials: pa.Table) -> Trials:
 
 
 def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, Trial] | None:
-    """Return a trial and its samples by where it was stored a moment ago; None where it is there no more."""
+    """Return a trial and its samples from its last known place; None if it is no longer there."""
     names = [*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES]
     try:
         ((_, table),) = row_parts(processed / file, np.array([row]), names)
@@ -93,7 +93,7 @@ def _offsets(trials: pa.Table) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]
 
 
 def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
-    """Yield the samples of each trial; None where it has none of the column."""
+    """Yield the samples of each trial; None if it lacks the column."""
     for chunk in table.column(column).chunks:
         values, edges = chunk.values.to_numpy(zero_copy_only=False), chunk.offsets.to_numpy().tolist()
         for there, (begin, end) in zip(chunk.is_valid().to_pylist(), pairwise(edges), strict=True):
@@ -101,7 +101,7 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
 
 
 def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
-    """Return trials by rows of their table, with the samples of all of them in flat arrays."""
+    """Return trials from rows of their table, with all samples in flat arrays."""
     extra: list[dict[str, Any]] = [json.loads(text) for text in table.column("extra").to_pylist()]
     declared = [metadata.get("step_row") for metadata in extra]
     integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)

@@ -45,8 +45,8 @@ VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256",
 """Columns that identify a trial and its version."""
 
 ATTEMPTS = 50
-"""Most repetitions of a read because files were merged meanwhile; a merge takes longer than listing files, so that one
-nearly always suffices."""
+"""Largest number of repetitions of a read because files were merged in the meantime; a merge takes longer than listing
+files, so one nearly always suffices."""
 
 _PAUSE_S = 0.02
 """Wait before a new attempt [s], for a writer that removes many files."""
@@ -61,7 +61,7 @@ def trials_folder(processed: Path, *names: str) -> Path:
 
 
 def stage_folder(processed: Path, device: str, experiment: str) -> Path:
-    """Return the folder with the results of an experiment, which has the name of that of its trials."""
+    """Return the folder with the results of an experiment, named like that of its trials."""
     return processed / "stages" / trials_folder(processed, device, experiment).relative_to(processed / "trials")
 
 
@@ -81,7 +81,7 @@ def list_experiments(processed: Path, device: str) -> list[str]:
 
 
 def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
-    """Return device and experiment of all trials, or of those of a device, as corrections have them."""
+    """Return device and experiment of all trials, or of those of a device, after corrections."""
     if any(one.changes_place for one in read_corrections(processed).values()):
         table = read_trials(processed, device[0] if device else None, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
@@ -101,7 +101,7 @@ def trials_files(processed: Path, *names: str) -> list[Path]:
 
 
 def _listing(folder: Path) -> list[str]:
-    """Return the Parquet files below a folder, sorted: a file that changed has another name."""
+    """Return the Parquet files below a folder, sorted: a changed file has another name."""
     files, folders = list[str](), [os.fspath(folder)]
     while folders:
         try:
@@ -112,17 +112,17 @@ def _listing(folder: Path) -> list[str]:
                     elif entry.name.endswith(TABLE) and not entry.name.startswith("."):
                         files.append(entry.path)
         except OSError:
-            continue  # no folder, one that was removed meanwhile, or one that may not be read
+            continue  # not a folder, a folder removed in the meantime, or one without read permission
     return sorted(files)
 
 
 def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
-    """Return what a function reads below a folder without a lock; where files moved meanwhile, it is called again.
+    """Return the result of reading below a folder without a lock; if files moved in the meantime, read again.
 
     Raises
     ------
     StoreError
-        If it fails although nothing moved, or others write there all the time.
+        If it fails although nothing moved, or other processes write there permanently.
     """
     for _ in range(ATTEMPTS):
         before = _listing(folder)
@@ -134,7 +134,7 @@ def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
                     raise
                 raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
-            # a folder is not listed in one moment: what was merged meanwhile may be missing in both places
+            # listing a folder is not atomic: a batch merged in the meantime may be missing from both lists
             if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
@@ -148,10 +148,10 @@ def read_trials(
     columns: list[str] | None = None,
     damaged: dict[Path, str] | None = None,
 ) -> pa.Table:
-    """Return the trials, but for their samples: all, of a device, or of one experiment; in order of file name.
+    """Return trials without samples, ordered by file name: all, those of a device, or those of an experiment.
 
-    A trial that stands in several files is returned once, and of a log that two writers stored with other content the
-    newer one. Trials that were moved or deleted by hand count as they were corrected.
+    A trial stored in several files is returned once; if two writers stored a log with different content, the newer one
+    counts. Trials moved or deleted by hand are returned as corrected.
 
     Parameters
     ----------
@@ -160,12 +160,12 @@ def read_trials(
     columns : list of str, optional
         Of `tables.OF_TRIALS`; by default all.
     damaged : dict of Path to str, optional
-        Gets the files that are damaged, and why; without it they are an error. Files that stand there are left out.
+        Receives the damaged files with their faults; without it they raise an error. Files already in it are skipped.
 
     Raises
     ------
     StoreError
-        If a file is damaged, or others write there all the time.
+        If a file is damaged, or other processes write there permanently.
     """
     wanted = list(OF_TRIALS) if columns is None else columns
     corrections = {}
@@ -181,13 +181,13 @@ def read_trials(
     for names in [place, *moved_from(corrections.values(), place)]:
         rows = read_rows(processed, needed, damaged, *names)
         current = rows.current
-        # to filter would import what takes longer than reading
+        # filtering would import modules that take longer than reading
         tables.append(rows.table if current.all() else rows.table.filter(pa.array(current)))
     return apply_corrections(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
 class Rows(NamedTuple):
-    """All rows of files of trials, whatever stands in place of them.
+    """All rows of files of trials, including outdated ones.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class Rows(NamedTuple):
         Index of the file of each row.
     files : list of Path
     replaced : list of Path
-        Files that are left out since another one stands in their place.
+        Files that are skipped because another one replaces them.
     """
 
     table: pa.Table
@@ -211,7 +211,7 @@ class Rows(NamedTuple):
 
     @property
     def current(self) -> Booleans:
-        """Which rows count: each trial once, and of a log that was stored with several contents the newest."""
+        """Mask of the valid rows: each trial once, and the newest content of a log stored with several."""
         paths, trials = self.column("source_path"), self.column("trial_id")
         if len(set(paths)) == len(set(trials)) == len(trials):
             return np.ones(len(trials), dtype=np.bool_)
@@ -226,7 +226,7 @@ class Rows(NamedTuple):
 
 
 def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] | None = None, *names: str) -> Rows:
-    """Return columns of all rows of the files of trials, as `trials_files` names them; else as `read_trials`."""
+    """Return columns of all rows of the files of `trials_files`; parameters as for `read_trials`."""
     broken: dict[Path, str] = {}
 
     def part_of(file: Path, columns: Sequence[str]) -> FileRows | None:
@@ -267,7 +267,7 @@ def _file_rows(processed: Path, file: Path, columns: Sequence[str]) -> FileRows:
     if len(own) < len(columns):
         name = file.relative_to(processed).as_posix()
         arrays |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
-    # the types are checked; a cast would import what takes longer than reading
+    # the types are checked; a cast would import modules that take longer than reading
     return FileRows(pa.Table.from_arrays([arrays[name] for name in columns], schema=_schema(tuple(columns))), replaces)
 
 
@@ -278,12 +278,12 @@ def _schema(columns: tuple[str, ...]) -> pa.Schema:
 
 
 APART = 0.01
-"""Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
+"""Relative tolerance of sampling periods of one experiment: a clock is wrong by 1e-4, and the limit of a stiff wall is
 proportional to 1/T."""
 
 
 def same_period(one: float, other: float) -> bool:
-    """Return whether two sampling periods [s] may be of one experiment."""
+    """Return whether two sampling periods [s] may belong to one experiment."""
     return abs(one - other) <= APART * max(one, other)
 
 
@@ -328,7 +328,7 @@ def check_version(processed: Path) -> None:
 
 
 class Exclusion(Record):
-    """A trial that is excluded by hand: device, experiment, log, reason, and since when (UTC, ISO 8601).
+    """A trial excluded by hand: device, experiment, log, reason, and time of the exclusion (UTC, ISO 8601).
 
     Its id is a hash of the log's content, the trial's label, and the conditions in the name of the file.
     """
@@ -360,7 +360,7 @@ class Correction(Exclusion):
 
     @property
     def place(self) -> tuple[str, str]:
-        """Device and experiment that the trial counts as one of."""
+        """Device and experiment to which the trial belongs after corrections."""
         return self.moved_device or self.device, self.moved_experiment or self.experiment
 
     @property
@@ -370,23 +370,23 @@ class Correction(Exclusion):
 
 
 IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
-"""What a correction takes from the row of its trial."""
+"""Fields that a correction copies from the row of its trial."""
 
 
 def corrections_files(processed: Path) -> list[Path]:
-    """Return the files of corrections: one, but where two were written at once."""
+    """Return the files of corrections: one, or several if they were written at the same time."""
     return sorted((processed / "corrections").glob("*.parquet"))
 
 
 def read_corrections(processed: Path) -> dict[str, Correction]:
-    """Return the corrections of a store in the order in which they were made, of trials no longer stored, too.
+    """Return the corrections of a store in chronological order, including those of trials no longer stored.
 
-    Of two of a trial, in files that stand there at once, the newer counts.
+    If several files correct the same trial, the newer correction counts.
 
     Raises
     ------
     StoreError
-        If a file is damaged: what is corrected is then not known, and nothing may be computed.
+        If a file is damaged: the corrections are then unknown, and nothing may be computed.
     """
     tables = read_steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
     rows = [Correction(**row) for table in tables for row in table.to_pylist()]
@@ -414,7 +414,7 @@ def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple
 
 
 def moved_from(corrections: Iterable[Correction], place: tuple[str, ...]) -> set[tuple[str, str]]:
-    """Return where else trials are stored that count as of a device, or of one of its experiments, by hand."""
+    """Return the original places of trials that were moved to a device, or to one of its experiments, by hand."""
     own = len(place)
     moved = ((one.device, one.experiment) for one in corrections if own and one.place[:own] == place)
     return {stored for stored in moved if stored[:own] != place}
@@ -442,13 +442,13 @@ FIRST_STAGE = "response"
 """Stage with a row for each trial in use."""
 
 MOST = 3
-"""Ids that are named in a sentence."""
+"""Largest number of ids named in a sentence."""
 
 
 def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...]:
     """Return a sentence for each experiment whose stored results used trials or corrections that no longer exist.
 
-    Of all devices or of one. Trials that a later ingest may have replaced by as many others are not reported.
+    Checks all devices or one. Trials that a later ingest may have replaced by the same number are not reported.
     """
     found = list[str]()
     damaged: dict[Path, str] = {}
@@ -457,13 +457,13 @@ def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...
     written = np.array([file.stat().st_mtime_ns for file in stored.files], dtype=np.int64)[stored.file]
     try:
         corrections = read_corrections(processed)
-    except StoreError:  # damaged, and named as such
+    except StoreError:  # damaged; reported elsewhere
         return ()
     for file in sorted((processed / "stages").glob(f"*/*/{FIRST_STAGE}-*{TABLE}")):
         of, experiment = map(name_of_folder, file.parts[-3:-1])
         if device not in (None, of):
             continue
-        with suppress(OSError, StoreError), open_table(file) as table:  # computed again where they are damaged
+        with suppress(OSError, StoreError), open_table(file) as table:  # recomputed if damaged
             ids = table.read(["trial_id"], use_threads=False).column("trial_id").to_pylist()
             lost = sorted({*ids} - known - corrections.keys())
             out = metadata_of(table.schema_arrow).get("pipeline.excluded", "").split()

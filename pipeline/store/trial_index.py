@@ -1,7 +1,7 @@
 """A copy of a few columns of all files of trials in one file, which is read in place of thousands.
 
-It belongs to this machine, and any reader may write it again: a file of trials counts as it was copied while its size
-and modification time are the same.
+It is local to this machine, and any reader may rewrite it: the copy of a file of trials is valid while its size and
+modification time are unchanged.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ INDEXED = (
 """Columns in the index: those that identify trials, their versions and their experiments."""
 
 MIN_INDEXED_FILES = 100
-"""Files of trials from which on there is an index: to open fewer takes less than 0.2 s."""
+"""Smallest number of files of trials for which an index is made: opening fewer takes less than 0.2 s."""
 
 _FILES = b"pipeline.files"
 
@@ -44,14 +44,14 @@ class FileRows(NamedTuple):
 def indexed_rows(
     processed: Path, files: Sequence[Path], read: Callable[[Path, Sequence[str]], FileRows | None]
 ) -> dict[Path, FileRows]:
-    """Return the copied columns of files of trials, by the index as far as it is current.
+    """Return the copied columns of files of trials, from the index if it is current.
 
     Parameters
     ----------
     processed : Path
     files : sequence of Path
     read : callable
-        Reads columns of a file that the index lacks; None where it is damaged.
+        Function that reads columns of a file missing in the index; returns None if the file is damaged.
     """
     states = {file: (status.st_size, status.st_mtime_ns) for file in files if (status := file.stat())}
     root = len(os.fspath(processed)) + 1
@@ -79,7 +79,7 @@ def _schema() -> pa.Schema:
 
 
 def _read(processed: Path) -> dict[str, tuple[tuple[int, int], FileRows]]:
-    """Return what the index has, by the names of files: their size and time, and their rows; nothing if damaged."""
+    """Return the index by file name: size and time of each file, and its rows; empty if damaged."""
     try:
         table = pq.read_table(processed / INDEX, page_checksum_verification=True, use_threads=False)
         entries = json.loads((table.schema.metadata or {})[_FILES])
