@@ -1,1 +1,1 @@
-"""Which walls (K, B) to try next: a model proposes, verdicts of trials decide."""
+"""Planning of the next walls (K, B): a model proposes, verdicts of trials decide."""

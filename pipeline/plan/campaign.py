@@ -1,4 +1,4 @@
-"""Trials of one experiment so far, what is asked for, and where it begins."""
+"""Trials of one experiment so far, the requested limits, and the starting point."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import list_experiments, read_trials
 
 DAMPINGS = 12
-"""Dampings at which limits are looked for where none are named."""
+"""Default number of dampings at which limits are sought."""
 
 TRIALS = 16
-"""Logs that a device is fitted to: a number known to 1 % from one log is known to 0.3 % from these, and a log waits for
-it."""
+"""Number of logs to which a device is fitted: a parameter accurate to 1 % from one log is accurate to 0.3 % from these,
+and the user waits for the fit."""
 
 FEW = 3
-"""Logs below which a device with friction is not identified for sure: they may be explained by another delay."""
+"""Number of logs below which a device with friction is not identified reliably: another delay may explain them."""
 
 UNSURE = 0.5
-"""Lowest largest limit of the devices that the logs allow, relative to that of the likeliest, below which the device
-counts as unknown."""
+"""Threshold below which the device counts as unknown: the smallest "largest limit" among the devices consistent with
+the logs, relative to that of the most likely one."""
 
 RANGE = 1.5
-"""Largest damping where none is named, relative to that of the stiffest wall."""
+"""Default of the largest damping, relative to that of the stiffest wall."""
 
 AGAIN = 3
 """Growth of the number of logs, as a factor, after which the parts of the device are selected again."""
@@ -61,19 +61,20 @@ Look = Callable[[list[Recording]], ChosenParts | None]
 """Function that selects the parts of a device; it returns None while a selection is running."""
 
 SAME = 0.002
-"""Difference, relative to the largest damping, up to which two dampings count as one: a tenth of the usual accuracy."""
+"""Tolerance, relative to the largest damping, within which two dampings count as equal: a tenth of the usual
+accuracy."""
 
 AS_SET = 0.25
 """Share of the spacing of dampings by which the set damping may differ from the requested one."""
 
 START_ERROR = 0.1
-"""Error of limits by the parameters of a device file, relative to the largest."""
+"""Error of limits predicted from the parameters of a device file, relative to the largest limit."""
 
 NOT_IDENTIFIED = (
     "the logs do not identify a device: mass and force on it cannot be separated. Record the next wall, longer logs, "
     "or {}."
 )
-"""Reason where logs are usable but do not identify a device, with the remedy."""
+"""Reason if logs are usable but do not identify a device, with the remedy."""
 
 RANGE_NEEDED = (
     "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
@@ -84,7 +85,7 @@ RANGE_NEEDED = (
 
 @dataclass(frozen=True, eq=False)
 class LearntDevice:
-    """The identified device of some logs, None without a mass, and the number of logs when its parts were selected."""
+    """The device identified from logs (None without a mass), and the number of logs when its parts were selected."""
 
     chosen: ChosenParts
     device: IdentifiedLoop | None
@@ -101,12 +102,12 @@ class PlanOptions:
     criterion : str
         Criterion of the goal ``optimum``.
     count : int
-        Walls of a batch.
+        Number of walls of a batch.
     dampings : tuple of float
         B at which limits are wanted [Ns/m, Nms/rad]; by default `DAMPINGS` of them over the range.
     largest_stiffness, largest_damping, largest_force, travel : float
-        What may be tried: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm] and distance of the start from the
-        centre [m, rad].
+        Bounds of trials: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm] and distance of the start from the centre
+        [m, rad].
     """
 
     goal: Literal["boundary", "optimum"] = "boundary"
@@ -123,11 +124,12 @@ class PlanOptions:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Trials of one experiment so far, and where it started: the file's experiment where there is one.
+    """Trials of one experiment so far, and its starting point: the experiment of the device file, if any.
 
-    ``found`` is the device that its logs show, with what was ``learnt`` for the next one; without one ``unknown`` is
-    the reason. ``undecided`` has the reason of each trial whose verdict is undecided. ``free`` is the number of trials
-    without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` those that the rig set when it was asked.
+    ``found`` is the device identified from its logs, with ``learnt`` as input for the next plan; without one
+    ``unknown`` is the reason. ``undecided`` has the reason of each trial whose verdict is undecided. ``free`` is the
+    number of trials without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` those that the rig set on
+    request.
     """
 
     name: str
@@ -149,7 +151,7 @@ class Campaign:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the logs identify a device, and exclude friction or show enough of it."""
+        """Whether the logs identify a device, and either exclude friction or show enough of it."""
         if self.found is None:
             return False
         return not self.found.may_have_friction or (not self.few and self.found.directions > 1)
@@ -176,9 +178,9 @@ def open_campaign(
     name, processed, experiment, options
         As of `plan`.
     known : LearntDevice, optional
-        The device that fewer logs have shown.
+        The device identified from fewer logs.
     look : callable
-        What looks for the parts of the device.
+        Function that selects the parts of the device.
     """
     device = read_device(Path(name)) if name.endswith(".toml") else known_devices().get(name)
     name = device.name if device else name
@@ -193,7 +195,7 @@ def open_campaign(
         tried = TriedWalls(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
         return Campaign(name, chosen, tried, device, of_file, *about, device.motion)
-    trials = in_order(read_trials(processed, name, chosen))  # as the stages have them
+    trials = in_order(read_trials(processed, name, chosen))  # in the order of the stages
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
     if options.largest_force < inf:
@@ -204,7 +206,7 @@ def open_campaign(
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
     if reason := unsafe_reason(findings):
         raise ParameterError(f"device {name!r}, experiment {chosen!r}: {reason}")
-    # a device without a wall may end somewhere: such logs count where there are no others
+    # a device without a wall may reach a stop: such logs are used only if there are no others
     fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
     fitted = fitted if fitted.any() else ~unsafe
     places = spread_over_plane(K, B, fitted, TRIALS)
@@ -229,7 +231,7 @@ def campaign_of(
 ) -> Campaign:
     """Return the trials of an experiment by their verdicts alone, without an identified device.
 
-    ``force`` is the largest absolute command of each trial [N, Nm], where it matters.
+    ``force`` is the largest absolute command of each trial [N, Nm], if needed.
     """
     trials = stages.trials
     columns = [stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")]
@@ -266,10 +268,10 @@ def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Dev
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are wanted: the stated ones, else evenly spaced ones, or those tried.
+    """Return the dampings at which limits are wanted: the stated ones, otherwise evenly spaced ones, or those tried.
 
-    Evenly spaced ones are moved to a near damping that was tried, or that the steps of the device file reach. A damping
-    that the rig replaced by another one is replaced here, too.
+    Evenly spaced ones are moved to a nearby damping that was tried or that is a step of the device file. A damping that
+    the rig replaced by another one is replaced here, too.
     """
     tried = np.unique(campaign.tried.damping)
     of_file = campaign.of_file
@@ -307,7 +309,7 @@ def damping_range(loop: Loop) -> Floats:
 
 
 def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
-    """Return the wanted dampings, each replaced by the nearest tried one if the rig may have set that instead."""
+    """Return the wanted dampings, each replaced by the nearest tried one if the rig may have set it instead."""
     if not len(tried) or len(wanted) < 2:
         return wanted
     nearest = tried[np.argmin(np.abs(tried[:, None] - wanted), axis=0)]
@@ -334,9 +336,9 @@ def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
 
 
 def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits predicted by the device identified from the logs, for the step, else by the device file.
+    """Return the limits for the step, predicted by the device identified from the logs, else by the device file.
 
-    None without either, and where the limits of the devices that the logs allow differ too much.
+    None without either, or if the limits of the devices consistent with the logs differ too much.
     """
     wall = np.array(dampings)
     if campaign.found is not None:
@@ -349,13 +351,13 @@ def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | Non
     if not largest > 0:
         raise DeviceError(f"device {campaign.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     error = np.full(len(limit), START_ERROR * largest)
-    # the first wall is a share of the limit itself
+    # the first wall is already a fraction of the limit
     low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(campaign.tried) else limit
     return Forecast(limit, error, low=low, scale=largest)
 
 
 def _stiffest(loop: Loop) -> float:
-    """Return the stiffness of the stiffest stable wall of the linear loop [N/m, Nm/rad]; 0 where there is none."""
+    """Return the largest stable stiffness of the linear loop [N/m, Nm/rad]; 0 if there is none."""
     return float(linear_limits(loop, np.array([damping_of_stiffest(loop)]))[0])
 
 
@@ -363,7 +365,7 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
     trial = StepTrial(campaign.step, round(campaign.trial_s / campaign.sampling_period_s))
     limit, reach = limits_of(device, wall, trial)
     linear, linear_reach = limits_of(device, wall)
-    # the step that walls will have is not known as long as no trial had one
+    # the step of future trials is unknown as long as no trial had one
     known = np.isfinite(limit) & (len(campaign.tried) > 0 or not campaign.free)
     limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
     lowest, best = lowest_limits(device, wall), int(np.argmax(linear))
@@ -371,10 +373,10 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
     if unsure and len(campaign.tried):
         return None
     if campaign.is_sure and not unsure:
-        # friction raises the limit for the step, as far as it is known
+        # known friction raises the limit for the step
         by_friction = np.sqrt(np.maximum(reach**2 - linear_reach**2, 0.0))
         raised = limit - np.hypot(linear - lowest, by_friction)
-        # where the linear limit is hardly known, so is what friction adds to it
+        # if the linear limit is uncertain, so is its increase by friction
         lowest = np.where(linear - lowest <= NARROW * linear, np.maximum(raised, lowest), lowest)
     scale = float(limit.max())
     if not scale > 0 and not len(campaign.tried):
@@ -385,17 +387,17 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
 
 
 def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) -> LearntDevice | None:
-    """Return the device that trials of an experiment show, from that of fewer.
+    """Identify the device from trials of an experiment, starting from the device of fewer trials.
 
     Parameters
     ----------
     trials : Trials
-        Trials with K > 0, else without a wall: all, or `TRIALS` that are spread over the walls.
+        Trials with K > 0, otherwise without a wall: all, or `TRIALS` spread over the walls.
     count : int
         Number of all.
     known : LearntDevice or None
     look : callable
-        Asked where the parts of the device are not known yet, or were looked for in a third of the logs.
+        Called if the parts of the device are unknown, or were selected from at most a third of the logs.
     """
     order = np.lexsort((trials.stiffness, trials.damping))
     spread = trials.select(order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))])
@@ -410,13 +412,13 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
             return None
         found = described(recordings, fit_parts(recordings, chosen))
     except (ParameterError, np.linalg.LinAlgError):
-        # a device that cannot be fitted is none
+        # a device that cannot be fitted is discarded
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
         return LearntDevice(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
     device = loop_from_row(asdict(row), float(np.median(trials.sampling_period_s)))
-    # a filter shows most where there is most damping
+    # a filter is most visible at the largest damping
     most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None
     if velocity is None:
@@ -427,7 +429,7 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
 
 
 def unusable(recordings: list[Recording]) -> str:
-    """Return why no device can be identified from recordings, and what to record; empty where one can."""
+    """Return why no device can be identified from recordings, and what to record; empty if one can."""
     try:
         check_recordings(recordings)
     except ParameterError as error:
@@ -436,6 +438,6 @@ def unusable(recordings: list[Recording]) -> str:
 
 
 def _recordings(trials: Trials) -> list[Recording]:
-    """Return usable trials as the estimator takes them, in the order of their ranks; all where none is usable."""
+    """Return usable trials as input of the estimator, in the order of their ranks; all if none is usable."""
     measured = [MeasuredTrial(trial) for trial in trials]
     return sorted(usable_recordings(measured) or map(recording, measured), key=lambda each: each.rank)

@@ -1,7 +1,7 @@
 """Goal `optimum`: walls to try until the best cost by a criterion is found.
 
-The device of all logs foretells the cost of each wall; what measured costs differ from it by is a random function of
-the place. A wall is best only by its own measured cost.
+The device of all logs predicts the cost of each wall; the deviation of measured costs is modelled as a random function
+of (K, B). Only a measured cost makes a wall the best.
 """
 
 from __future__ import annotations
@@ -20,40 +20,41 @@ from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 
 LENGTHS = np.array([0.12, 0.08])
-"""Lengths over which the logarithm of a cost changes, relative to the ranges of B and K."""
+"""Correlation lengths of the logarithm of a cost, relative to the ranges of B and K."""
 
 HIGHEST = 0.95
-"""Share of the limit from which on responses last too long to be followed, or to be a good wall's."""
+"""Fraction of the limit above which responses last too long to be simulated or to be good."""
 
 DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
-"""Places of the grid over the stable region: dampings, and shares of the limit at each."""
+"""Grid over the stable region: number of dampings, and fractions of the limit at each."""
 
 ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
-"""Places about the lowest of the grid, how far they reach in its distances, and about how many: the shortest settling
-times lie in a narrow valley next to a jump, which a grid hits only by chance."""
+"""Refinement around the lowest grid points: relative positions, and pairs of range (in grid spacings) and number of
+points: the shortest settling times lie in a narrow valley next to a jump, which a grid hits only by chance."""
 
 LONGEST = 1000
-"""Samples after which a response that still moves has no cost."""
+"""Number of samples after which a response that still moves has no cost."""
 
 FIRST, FIRST_ELSE = 6, 15
-"""Costs below which no search is done, however right the device seems; and where its limits are off."""
+"""Number of measured costs below which no search is finished: with a correct device, and with wrong limits."""
 
 ROUGH, WRONG = 0.03, 0.15
-"""Standard deviation of the logarithm of a cost about that of a device with the measured limits, as settling times jump
-from one swing to the next, and about one without them. All costs may differ together by as much."""
+"""Standard deviation of the logarithm of a cost from the prediction of a device with the measured limits (settling
+times jump from one swing to the next), and of one without. A common offset of all costs may be as large."""
 
 FINALISTS, NEIGHBOUR_OFFSETS = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
-"""Most promising walls, and how far from each others are looked at: so far device and rig may be off."""
+"""Number of most promising walls, and offsets of their neighbours that are checked: device and rig may be wrong by that
+much."""
 
 NO_COST = 1.0
-"""Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""
+"""Penalty, as logarithm, of a wall without a cost relative to its expected cost: it keeps the search away."""
 
 OFFSET = 0.01
-"""Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is as good as none."""
+"""Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is equivalent to none."""
 
 
 def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> Floats:
-    """Return the costs of the walls of a loop [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of these."""
+    """Return the costs of the walls of a loop [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the stability limit."""
     normalised, units = NormalisedLoop.of(loop), LoopUnits.of(loop)
     alpha, beta = stiffness / units.stiffness, damping / units.damping
     levels, place = np.unique(beta, return_inverse=True)
@@ -67,17 +68,17 @@ def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> 
 
 @dataclass(frozen=True, eq=False)
 class CostTarget:
-    """What is looked for, and where.
+    """Goal and range of the search.
 
     Parameters
     ----------
     criterion : str
     dampings, highest : float64, shape (n,)
-        Dampings B, rising, and the largest stiffness that is thought to be stable at each.
+        Increasing dampings B, and the estimated largest stable stiffness at each.
     by : Loop or None
-        The one that predicts the costs.
+        The loop that predicts the costs.
     holds : bool
-        Whether it has the measured limits.
+        Whether this loop agrees with the measured limits.
     """
 
     criterion: str
@@ -93,20 +94,20 @@ class CostTarget:
 
     @property
     def scale(self) -> Floats:
-        """Largest damping and stiffness, by which places are counted."""
+        """Largest damping and stiffness, the units of coordinates."""
         return np.array([float(self.dampings[-1]) or 1.0, max(float(self.highest.max()), 1e-300)])
 
     @property
     def least_size(self) -> float:
-        """Least standard deviation of costs from the predicted ones."""
+        """Smallest standard deviation of costs from predicted ones."""
         return ROUGH if self.by is not None and self.holds else WRONG
 
     def highest_at(self, damping: Floats) -> Floats:
-        """Return the largest stiffness that is thought to be stable at dampings."""
+        """Return the estimated largest stable stiffness at dampings."""
         return np.interp(damping, self.dampings, self.highest)
 
     def predicted(self, K: Floats, B: Floats) -> Floats:
-        """Return the logarithm of predicted costs; 0 without a device, NaN where it has none."""
+        """Return the logarithm of predicted costs; 0 without a device, NaN if it predicts none."""
         if self.by is None:
             return np.zeros(len(K))
         found = costs_of(self.by, K, B, self.criterion) + self.offset
@@ -115,18 +116,18 @@ class CostTarget:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What is known of the best cost.
+    """Current state of the search for the best cost.
 
     Parameters
     ----------
     walls : tuple of (float, float, float)
         Walls to try next: K [N/m, Nm/rad], B [Ns/m, Nms/rad], expected cost.
     done : bool
-        Whether no wall is thought to be better than the best trial by more than the wanted accuracy.
+        Whether no wall is expected to be better than the best trial by more than the wanted accuracy.
     best : int or None
-        Place of the best trial.
+        Index of the best trial.
     least : float
-        Least cost that is expected anywhere.
+        Smallest expected cost of all walls.
     region : (float, float, float, float) or None
         Smallest and largest K and B of walls within the accuracy of it; None without a device.
     """
@@ -149,15 +150,15 @@ def search_walls(
         With the costs.
     target : CostTarget
     accuracy : float
-        By which the best trial may be worse than the best wall, relative.
+        Largest relative excess of the best cost tried over the best possible one.
     count : int
     unset : float64, shape (n, 2), optional
-        K and B of walls in whose place the rig set others: they are not asked for again.
+        K and B of walls that the rig replaced by others: they are not requested again.
 
     Notes
     -----
     The logarithm of measured over predicted costs is a Gaussian process with lengths `LENGTHS`; the wall with
-    the largest expected improvement is tried (Jones 1998). Of a batch, each wall is taken as tried with the expected
+    the largest expected improvement is tried (Jones 1998). Within a batch, each wall counts as tried with its expected
     cost.
     """
     K, B, ahead = _candidates(target)
@@ -186,14 +187,14 @@ def search_walls(
     region = None
     if target.by is not None:
         near, own = mean <= mean.min() + np.log1p(accuracy), [] if best is None else [best]
-        # a wall that is called the best is one of the best
+        # the best wall must be part of the best region
         in_K, in_B = np.append(K[near], tried.stiffness[own]), np.append(B[near], tried.damping[own])
         region = (float(in_K.min()), float(in_K.max()), float(in_B.min()), float(in_B.max()))
     return Search(tuple(walls), done, best, float(np.exp(mean.min()) - target.offset), region)
 
 
 def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
-    """Return the trial of least cost; of equal ones the one with the least predicted cost."""
+    """Return the trial of least cost; among equal ones that with the least predicted cost."""
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
@@ -210,7 +211,7 @@ def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
     cost = target.predicted(K, B)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
     for reach, starts in ZOOMS if target.by is not None and np.isfinite(cost).any() else ():
-        # the lowest, each at another damping than those before
+        # the lowest, each at a different damping
         order = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")
         low = order[np.sort(np.unique(np.round(B[order], 9), return_index=True)[1])[:starts], None]
         near_B = np.clip(B[low] + reach * cell * np.repeat(ZOOM, len(ZOOM)), dampings[0], dampings[-1]).ravel()
@@ -237,13 +238,13 @@ def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats
 
 
 def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:
-    """Return the predicted rise of the log cost in the neighbourhood of walls: the best ones are next to a jump."""
+    """Return the predicted increase of the log cost around walls: the best ones are next to a jump."""
     off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in NEIGHBOUR_OFFSETS]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 
 def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
-    """Return the expected improvement of the least logarithm of a cost; before any, how good a wall may be."""
+    """Return the expected improvement of the smallest log cost; before any cost, the optimistic log cost of a wall."""
     if not np.isfinite(record):
         return np.asarray(spread - mean)
     z = (record - mean) / spread
@@ -253,10 +254,10 @@ def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
 
 
 def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target: CostTarget) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of the logarithm of costs at places, given what was seen."""
+    """Return mean and standard deviation of the logarithm of costs at places, given the observations."""
     if not len(value):
         return ahead, np.full(len(place), target.least_size)
-    # a device may be off a little everywhere; one that is off by more is wrong, and not its scale
+    # a small common offset is plausible; a larger deviation means a wrong device, not a wrong scale
     most = np.inf if target.by is None else WRONG
     usual = float(np.clip(np.median(value), -most, most))
     size = max(float(np.sqrt(np.mean((value - usual) ** 2))), target.least_size)

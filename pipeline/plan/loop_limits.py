@@ -1,4 +1,4 @@
-"""Limits of stable walls before a loop: those of its linear motion, and with friction or jitter those of a step."""
+"""Stability limits of walls for a loop: those of its linear motion, and with friction or jitter those for a step."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
 
 LONGEST = 2000
-"""Samples of a simulated log: a wall whose motion neither grows nor decays in them is within a log's resolution of the
-limit."""
+"""Number of samples of a simulated log: a wall whose motion neither grows nor decays within them is at the limit,
+within the resolution of a log."""
 
 BEYOND = 1.5
-"""How far above its linear limit a limit for the step is looked for, in largest linear limits: friction of a tenth of
-the step doubles a limit."""
+"""Search range of a limit for the step above the linear limit, relative to the largest linear limit: friction of a
+tenth of the step doubles a limit."""
 
 WALLS, ROUNDS = 17, 3
-"""Walls of a round between a stable and an unstable one; three rounds resolve a limit to 1/2700 of the largest."""
+"""Number of walls per round between a stable and an unstable one; three rounds resolve a limit to 1/2700 of the
+largest."""
 
 DIGITS = 9
-"""Significant digits of simulated walls, far more than a limit is known to."""
+"""Significant digits of simulated walls, far more than the accuracy of a limit."""
 
 DIRECTIONS = 24
 """Random directions in which a wide range of devices is searched for its lowest limit, in addition to its axes."""
 
 NARROW = 0.2
-"""Half width of a limit's interval, relative to it, up to which the interval is taken as linear in the numbers."""
+"""Relative half width of a limit's interval below which the limit counts as linear in the parameters."""
 
 OUTLINE = 60
-"""Points of an outline by which the damping of the stiffest wall is found: the limit is flat there."""
+"""Number of points of an outline to locate the damping of the stiffest wall: the limit is flat there."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class StepTrial:
     step : float
         F_0 [N, Nm].
     rows : int
-        Rows from the step on.
+        Number of rows from the step on.
     quantum : float
         Of the sensor [m, rad].
     jitter : float
@@ -64,7 +65,7 @@ class StepTrial:
 
 
 def linear_limits(loop: Loop, damping: Floats) -> Floats:
-    """Return the largest stiffness of the linear loop at dampings, 0 where none is stable.
+    """Return the largest stable stiffness of the linear loop at each damping; 0 if no wall is stable.
 
     Parameters
     ----------
@@ -88,21 +89,21 @@ def linear_limits(loop: Loop, damping: Floats) -> Floats:
 
 
 def damping_of_stiffest(loop: Loop) -> float:
-    """Return the damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
+    """Return the damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 if there is none."""
     normalised = NormalisedLoop.of(loop)
     damping = max(0.0, boundary(normalised, OUTLINE).beta_at_alpha_max) if stabilises(normalised) else 0.0
     return damping * LoopUnits.of(loop).damping
 
 
 def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> Trials:
-    """Return simulated trials of a loop behind walls, without noise and travel; a repetition has another jitter."""
+    """Simulate trials of a loop with walls, without noise and travel limit; a repetition has another jitter."""
     delays = delays_of(loop.delay_samples, trial.jitter)
     noiseless = replace(loop, sensor=Sensor(quantum=trial.quantum), jitter_samples=delays)
     return simulate(Setup(noiseless, trial.step, min(trial.rows, LONGEST), edge_row=1), K, B, repetition=repetition)
 
 
 def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) -> tuple[Floats, Floats]:
-    """Return the wall at each damping from which on a step makes it unstable, by simulation, and how open it is.
+    """Return the limit for a step at each damping, by simulation, and its uncertainty.
 
     Parameters
     ----------
@@ -111,14 +112,14 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
         B [Ns/m, Nms/rad].
     trial : StepTrial
     softest : float64, shape (n,)
-        Walls above which it is looked for [N/m, Nm/rad]: so far as very soft ones move, friction is none.
+        Softest walls of the search [N/m, Nm/rad]: very soft walls move so far that friction is negligible.
 
     Returns
     -------
     limits, open : float64, shape (n,)
-        In the middle of the walls that a log leaves undecided, and half of their range [N/m, Nm/rad]. NaN where no
-        wall is unstable up to `BEYOND` times the largest linear limit above the linear one, and where the softest
-        one is already. Friction can but raise a limit; jitter moves it either way.
+        Centre of the range of walls that a log leaves undecided, and half its width [N/m, Nm/rad]. NaN if no wall is
+        unstable up to `BEYOND` times the largest linear limit above the linear one, or if the softest wall is already
+        unstable. Friction can only raise a limit; jitter moves it either way.
     """
     if not len(damping):
         return np.empty(0), np.empty(0)
@@ -134,14 +135,14 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
             found = _bracket([trials[row * len(damping) + each] for row in range(WALLS)]) if ends[each] else None
             ends[each] = found is not None
             last, first = found or (0, 0)
-            # between the stiffest stable wall and the first unstable one verdicts are open
+            # between the stiffest stable and the first unstable wall verdicts are undecided
             low[each], high[each] = low[each] + last * step[each], low[each] + (first + 1) * step[each]
     known = ends & (low > np.where(begin > least, begin, -1.0))
     return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
 
 
 def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
-    """Return the place behind the last stable trial below the first unstable one, and of that one; None without one.
+    """Return the index after the last stable trial below the first unstable one, and that of the latter; None without.
 
     Trials are of increasing stiffness; those above the first unstable one are not judged.
     """
@@ -156,21 +157,21 @@ def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
 
 
 def _rounded(stiffness: Floats) -> Floats:
-    """Return stiffnesses to `DIGITS` digits.
+    """Round stiffnesses to `DIGITS` digits.
 
-    What chance decides in a simulated log is drawn by the digits of its wall: those that are rounding must not matter.
+    The random numbers of a simulated log depend on the digits of its wall: rounding errors must not matter.
     """
     unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(stiffness), 1e-300))) + 1 - DIGITS)
     return np.asarray(np.round(stiffness / unit) * unit)
 
 
 def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:
-    """Return the lowest linear limit at dampings B of all loops that the logs allow, 95 %, (n,) [N/m, Nm/rad].
+    """Return the lowest linear limit at dampings B of all loops consistent with the logs (95 %), (n,) [N/m, Nm/rad].
 
     Notes
     -----
-    The least limit on the ellipsoid of the numbers whose projections are their 95 % intervals. For a limit that is
-    linear in the numbers it is the lower end of the limit's interval. Where the interval is wide, limits are
+    The smallest limit on the ellipsoid of the parameters whose projections are their 95 % intervals. For a limit that
+    is linear in the parameters it is the lower end of the limit's interval. If the interval is wide, limits are
     computed along the axes, along the steepest descent at each damping, and along random directions.
     """
     limit = linear_limits(device.loop, damping)
@@ -192,11 +193,11 @@ def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:
 def limits_of(
     device: IdentifiedLoop, damping: Floats, trial: StepTrial | None = None, softest: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Return the limits at dampings B, and how far the numbers leave them open, 95 %; both (n,) [N/m, Nm/rad].
+    """Return the limits at dampings B, and their 95 % uncertainty; both (n,) [N/m, Nm/rad].
 
-    They are those of the linear loop; for a trial of a device that is not linear with it those of its step, as
-    `step_limits`, which leave open a share of what friction adds to them. A quantum alone moves no limit: what it keeps
-    up ends below it.
+    They are those of the linear loop; for a nonlinear device, those of its step (`step_limits`), whose uncertainty
+    includes a fraction of the increase by friction. Sensor resolution alone shifts no limit: the oscillation that it
+    sustains ends below it.
     """
     loop = device.loop
     limit = linear_limits(loop, damping)

@@ -1,4 +1,4 @@
-"""Goal `boundary`: walls to try until the limit at each damping lies between two verdicts that are close enough."""
+"""Goal `boundary`: walls to try until the limit at each damping is bracketed closely enough by two verdicts."""
 
 from __future__ import annotations
 
@@ -14,69 +14,70 @@ from pipeline.plan.requests import RigRange
 from pipeline.records.trials import Booleans, Floats
 
 VOTES = 3
-"""Trials of one wall after which a contradiction is no chance: most of them decide. As many undecided ones, costs of a
-wall, or trials of an end in place of a wall inside a bracket are enough."""
+"""Number of trials of one wall for which a contradiction is not due to chance: the majority decides. The same number
+applies to undecided trials, costs of a wall, and trials of an end in place of a wall inside a bracket."""
 
 MISFIT = 0.007
-"""Error of predicted limits, relative to the largest, before any is known: verdicts miss growth below the noise."""
+"""Assumed error of predicted limits, relative to the largest, before any is measured: verdicts miss growth below the
+noise."""
 
 SMOOTH = 0.15
-"""Length over which what a device misses changes, relative to the range of dampings."""
+"""Correlation length of the model error over damping, relative to the range of dampings."""
 
 DOUBT = 0.08
-"""Chance that the limit lies anywhere in its bracket whatever the device says."""
+"""Probability that the forecast is wrong, so that the limit lies anywhere in its bracket."""
 
 PRICE = 6.0
-"""What an unstable trial costs, in stable ones, where a rig is to be spared."""
+"""Cost of an unstable trial in stable ones, if the rig is to be protected."""
 
 SAFE, BOLD = 1.5, 0.3
-"""Where a rig is to be spared: standard errors by which a wall stays below the expected limit; but no softer than this
-share of it, else nothing would be learnt, and no stiffer at first."""
+"""For protection of the rig: margin of a wall below the expected limit in standard errors, and fraction of that limit
+that is the smallest wall, else nothing would be learnt, and also the stiffest first one."""
 
 WEAK = 0.08
-"""Change of the amplitude over a log, as logarithm, below which a verdict is asked for twice: noise and friction may
-have made it."""
+"""Change of the amplitude over a log, as logarithm, below which a second verdict is requested: noise and friction may
+be the cause."""
 
 CLOSE = 1.8
-"""Width of a bracket that is narrow enough, in wanted accuracies: a little less than twice, since a verdict next to the
-limit may be wrong, and the largest limit is not known to the last."""
+"""Width of a sufficiently narrow bracket in units of the wanted accuracy: slightly below 2, since a verdict next to the
+limit may be wrong, and the largest limit is not known exactly."""
 
 START = 0.5
 """Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
 
 BOLDER, GENTLER = 2.0, 1.3
-"""Stiffest wall to try, relative to the stiffest stable one, as long as no device is identified for sure; and where a
-rig is to be spared."""
+"""Stiffest wall to try, relative to the stiffest stable one, while no device is identified reliably; and if the rig is
+to be protected."""
 
 APART = 0.7
-"""Stiffness of a wall that is asked for below undecided ones, relative to the softest of these."""
+"""Stiffness of a wall requested below undecided ones, relative to the softest of these."""
 
 SOFT = 0.1
 """Stiffness, relative to the stiffest stable wall, that counts as stable at any damping."""
 
 SOFTEST = 1e-3
-"""Stiffness, relative to the largest limit, that is tried where a file predicts no stable wall."""
+"""Stiffness, relative to the largest limit, that is tried if a file predicts no stable wall."""
 
 HIGHER = 1.3
-"""How far above the largest limit known a limit is looked for, relative to it."""
+"""Largest stiffness of the search for a limit, relative to the largest known limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class TriedWalls:
-    """Trials so far, a row each.
+    """Trials so far, one row per trial.
 
     Parameters
     ----------
     stiffness, damping : float64, shape (n,)
         K > 0 [N/m, Nm/rad] and B [Ns/m, Nms/rad].
     verdict : array of str, shape (n,)
-        ``stable``, ``unstable`` or ``undecided``, as `measured.signal.verdict.judge` says.
+        ``stable``, ``unstable`` or ``undecided``, by `measured.signal.verdict.judge`.
     growth : float64, shape (n,)
-        Growth rate of the slowest visible mode [1/s], NaN where it is unknown.
+        Growth rate of the slowest visible mode [1/s], NaN if it is unknown.
     force : float64, shape (n,)
-        Largest absolute command [N, Nm], NaN where it does not matter.
+        Largest absolute command [N, Nm], NaN if not needed.
     cost : float64, shape (n,)
-        Cost by the criterion of the goal, NaN where there is none.
+        Cost by the criterion of the goal, NaN if there is none.
     """
 
     stiffness: Floats
@@ -98,24 +99,24 @@ class TriedWalls:
         return len(self.stiffness)
 
     def select(self, rows: Booleans) -> TriedWalls:
-        """Return some of the trials."""
+        """Return a subset of the trials."""
         return TriedWalls(**{name: column[rows] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class Bracket:
-    """Where the limit of one damping lies by verdicts.
+    """Range of the limit at one damping according to verdicts.
 
     Parameters
     ----------
     low, high : float or None
-        Stiffest stable and softest unstable wall that enclose it [N/m, Nm/rad]; None where none was tried.
+        Stiffest stable and softest unstable wall that enclose it [N/m, Nm/rad]; None if none was tried.
     again : tuple of float
-        Stiffness of walls whose verdicts contradict others and that must be tried again, those of fewest trials first.
+        Stiffness of walls to try again because their verdicts contradict others, fewest trials first.
     even : tuple of float
         Stiffness of the walls among these with as many stable as unstable trials.
     lasting : bool
-        Whether stable walls lie above unstable ones although each was tried `VOTES` times.
+        Whether stable walls remain above unstable ones although each was tried `VOTES` times.
     trials : int
     """
 
@@ -128,31 +129,31 @@ class Bracket:
 
     @property
     def bottom(self) -> float:
-        """Lower end, 0 where no wall was stable: without stiffness there is no wall."""
+        """Lower end, 0 if no wall was stable: without stiffness there is no wall."""
         return 0.0 if self.low is None else self.low
 
     @property
     def top(self) -> float:
-        """Upper end, infinite where no wall was unstable."""
+        """Upper end, infinite if no wall was unstable."""
         return inf if self.high is None else self.high
 
 
 def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Bracket:
-    """Return where the limit of one damping lies.
+    """Return the bracket of the limit at one damping.
 
     Parameters
     ----------
     stiffness : float64, shape (n,)
     verdict : array of str, shape (n,)
     width : float
-        Contradictions within this range of K [N/m, Nm/rad] are the chance of the limit itself, and no reason to repeat.
+        Contradictions within this range of K [N/m, Nm/rad] are normal near the limit, and no reason to repeat.
 
     Notes
     -----
-    A wall counts as what most of its trials say, and not at all where they are undecided. With as many stable as
+    The majority of its trials decides on a wall; undecided trials do not count. With equal numbers of stable and
     unstable trials it counts as neither, and low and high enclose it; after twice `VOTES` trials it counts as unstable.
-    Where a stable wall lies above an unstable one, low and high enclose both, until each of them was tried `VOTES`
-    times. What contradicts itself then has several limits (a mode, friction), of which the lowest counts.
+    If a stable wall lies above an unstable one, low and high enclose both, until each was tried `VOTES` times. If the
+    contradiction remains, there are several limits (a mode, friction), and the lowest counts.
 
     Examples
     --------
@@ -200,7 +201,7 @@ def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Brack
 
 @dataclass(frozen=True)
 class PlanGoal:
-    """What is to be known, and within what limits.
+    """Wanted limits of a plan, and bounds of its trials.
 
     Parameters
     ----------
@@ -213,14 +214,14 @@ class PlanGoal:
     lowest, highest : float
         Smallest and largest K that may be tried [N/m, Nm/rad].
     force : float
-        Largest command that a trial may have shown [N, Nm]; no stiffer wall is tried at its damping.
+        Largest permitted command [N, Nm]; if a trial exceeded it, no stiffer wall is tried at its damping.
     bold : float
-        Stiffest wall to try, relative to the stiffest stable one; infinite where a device is identified for sure.
+        Stiffest wall to try, relative to the stiffest stable one; infinite if a device is identified reliably.
     few : bool
-        Whether so few logs do not identify it that a rig is spared all walls that may be unstable.
+        Whether the logs are so few that all possibly unstable walls are avoided.
     foresees : bool
-        Whether a wall stiffer than all stable ones may be expected to be stable by the device: not by few logs, nor
-        by logs without a verdict, which contradict nothing.
+        Whether the device may predict stability of walls stiffer than all stable ones: not with few logs, nor with logs
+        without a verdict, which cannot contradict it.
     """
 
     dampings: tuple[float, ...]
@@ -243,9 +244,9 @@ class PlanGoal:
 class Forecast:
     """Limit at each damping before it is measured: value and standard error [N/m, Nm/rad], both of shape (n,).
 
-    NaN where nothing foretells it. ``misfit`` is the error, relative to the largest limit, where limits are known.
-    ``low`` is the lowest limit of all devices that the logs allow; by default the limit itself. ``scale`` is the
-    largest limit at any damping, 0 where it is not known.
+    NaN if it cannot be predicted. ``misfit`` is the error, relative to the largest limit, at measured limits. ``low``
+    is the lowest limit of all devices consistent with the logs; by default the limit itself. ``scale`` is the largest
+    limit at any damping, 0 if unknown.
     """
 
     limit: Floats
@@ -260,13 +261,13 @@ class Forecast:
 
     @classmethod
     def none(cls, count: int) -> Forecast:
-        """Return that nothing foretells limits."""
+        """Return an empty forecast."""
         return cls(np.full(count, np.nan), np.full(count, np.nan), inf)
 
 
 @dataclass(frozen=True)
 class NextTrial:
-    """Best wall to try: its place among the edges, the chance that it is unstable, and the trials expected in all."""
+    """Best wall to try: its index among the edges, probability of instability, and expected total of trials."""
 
     place: int
     unstable: float
@@ -275,10 +276,10 @@ class NextTrial:
 
 @dataclass(frozen=True)
 class DampingState:
-    """One damping: its limit by verdicts and forecast, and the wall to try; None where it is done.
+    """One damping: its limit by verdicts and forecast, and the wall to try; None if it is done.
 
-    ``estimate`` is None where it is unknown, ``split`` None where a wall is tried again. ``most`` is the stiffest
-    wall that may be tried now.
+    ``estimate`` is None if unknown, ``split`` None if a wall is tried again. ``most`` is the stiffest wall that may be
+    tried now.
     """
 
     damping: float
@@ -297,7 +298,7 @@ class DampingState:
 
 @dataclass(frozen=True, eq=False)
 class PlanState:
-    """All dampings, the largest limit, and the forecast behind them."""
+    """States of all dampings, the largest limit, and the underlying forecast."""
 
     columns: tuple[DampingState, ...]
     largest: float
@@ -305,7 +306,7 @@ class PlanState:
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to try."""
+        """Whether no wall is left to try."""
         return all(column.wall is None for column in self.columns)
 
 
@@ -320,11 +321,11 @@ def plan_state(
         Trials at any damping with K > 0.
     goal : PlanGoal
     by : Forecast, optional
-        Limits by the device that the logs show, else by its file; without one verdicts are bisected.
+        Limits predicted by the device of the logs, otherwise by its file; without one, verdicts are bisected.
     trial_s : float
-        How long a log goes on after its step [s].
+        Duration of a log after its step [s].
     rig : RigRange, optional
-        What the rig sets instead of walls that it is asked for; by default the walls themselves.
+        Walls that the rig sets in place of requested ones; by default the requested ones.
     """
     rows = [tried.select(tried.damping == b) for b in goal.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
@@ -333,7 +334,7 @@ def plan_state(
     known = len(tried) and (ends[:, 0].any() or np.isfinite(ends[:, 1]).any() or np.isfinite(ahead.limit).any())
     least = (goal.accuracy if known else 1.0) * float(tried.stiffness.max(initial=0.0))
     largest = _largest(ahead.limit, ends, least)
-    largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any size where nothing is stable
+    largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any value if nothing is stable
     width = CLOSE * goal.accuracy * largest
     columns, decided = [], bool((tried.verdict != "undecided").any())
     for i, own in enumerate(rows):
@@ -350,7 +351,7 @@ def plan_state(
             and task.limit <= 0
             and (task.error <= width or goal.gentle)
         ):
-            # a verdict there changes no map: it is known closely enough that nothing is stable; a rig is spared it
+            # nothing is stable here with sufficient certainty, so a trial is not needed
             column = DampingState(goal.dampings[i], of, 0.0, note="no stable wall")
         if rig is not None:
             column = _as_set(column, rig, goal)
@@ -363,7 +364,7 @@ def plan_state(
 
 
 def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState:
-    """Return the state with a wall that the rig can set; without a wall where none is inside the bracket."""
+    """Return the state with a wall that the rig can set, or without a wall if none is inside the bracket."""
     of = column.bracket
     if column.note == "limit of the tests" and (goal.highest == rig.highest or 0 < goal.lowest == rig.lowest):
         return replace(column, note="step of the rig")
@@ -377,14 +378,14 @@ def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState
 
 
 def stiffest_stable(tried: TriedWalls, damping: float) -> float:
-    """Return the stiffness up to which walls at a damping count as stable by the stable walls at any damping.
+    """Return the stiffness up to which walls at a damping count as stable, given the stable walls at all dampings.
 
     Notes
     -----
     A stable wall counts as stable with more damping. With less damping its stiffness is reduced in proportion, as the
     stable region is convex next to K = B = 0, and `SOFT` of the stiffest counts at any damping. Stable walls above an
-    unstable one are left out. Without a stable wall, half of the softest wall counts, and a quarter where that is
-    unstable. Infinite without trials.
+    unstable one are ignored. Without a stable wall, half of the softest wall counts, or a quarter if that is unstable.
+    Infinite without trials.
 
     Examples
     --------
@@ -416,7 +417,7 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     damping (kriging), with the misfit as standard deviation and `SMOOTH` of the range as length.
     """
     low, high = ends.T
-    largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any size where all are none
+    largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value if all are zero
     missed = (np.clip(by.limit, low, high) - by.limit) / largest
     tried, known = (low > 0) | np.isfinite(high), np.isfinite(high)
     misfit = float(np.hypot(MISFIT, np.sqrt(np.mean(missed[tried] ** 2)) if tried.any() else 0.0))
@@ -429,14 +430,13 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     gain = np.linalg.solve(toward[known] + np.diag(noise**2 + 1e-8), toward.T).T
     limit = np.maximum(by.limit + largest * (gain @ missed[known]), 0.0)
     error = largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6))
-    # what verdicts at other dampings say does not exclude the device of the lowest limit here
+    # verdicts at other dampings do not exclude the device of the lowest limit here
     low = np.clip(limit - (by.limit - by.low) * error / (largest * size), 0.0, by.low)
     return Forecast(limit, error, misfit, low)
 
 
 def _largest(limit: Floats, ends: Floats, least: float) -> float:
-    """Return the largest limit, or the least that is looked for: of dampings that were tried, or a little more where
-    the forecast says so of others."""
+    """Return the largest limit of tried dampings, slightly more if forecast at others; at least the smallest sought."""
     low, high = ends.T
     expected = np.clip(np.where(np.isnan(limit), 0.5 * (low + np.where(np.isinf(high), low, high)), limit), low, high)
     tested = (low > 0) & np.isfinite(high)
@@ -447,9 +447,8 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 
 @dataclass(frozen=True)
 class PlanTask:
-    """What is to be known, the largest limit, how long a log goes on [s], and what is expected of one damping: limit,
-    standard error, lowest limit that is allowed, and stiffness that counts as stable [N/m, Nm/rad]; and whether trials
-    at any damping have a verdict."""
+    """Goal, largest limit, duration of a log [s], and expectation at one damping: limit, standard error, lowest
+    consistent limit, and stiffness that counts as stable [N/m, Nm/rad]; and whether any trial has a verdict."""
 
     goal: PlanGoal
     largest: float
@@ -462,7 +461,7 @@ class PlanTask:
 
     @property
     def half(self) -> float:
-        """Wanted largest error of a limit [N/m, Nm/rad]."""
+        """Target accuracy of a limit: largest acceptable error [N/m, Nm/rad]."""
         return self.goal.accuracy * self.largest
 
     @property
@@ -492,7 +491,7 @@ def _wall_to_try(
             return DampingState(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
     if often and of.low is None and len(inside) < 2 * VOTES:
-        # what is undecided is near the limit: verdicts farther from it enclose it
+        # undecided walls are near the limit: verdicts farther away enclose it
         softer = APART * float(inside.stiffness.min())
         stiffer = blind and not goal.gentle and len(inside) == 2 * VOTES - 1
         lowest = task.low if task.low > goal.lowest else inf
@@ -517,7 +516,7 @@ def _wall_to_try(
         return _softer(damping, of, own, value)
     limit, error = task.limit, task.error
     if goal.gentle and of.high is not None and limit - SAFE * error > of.high:
-        # an unstable wall refutes the forecast: it would be asked for next to that again and again
+        # an unstable wall refutes the forecast, which would request neighbouring walls again and again
         limit = error = np.nan
     edges = walls(max(of.bottom, goal.lowest), far, value, error, width)
     # no walls next to undecided ones
@@ -551,10 +550,10 @@ def _wall_to_try(
 
 
 def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = False) -> float:
-    """Return the stiffest wall that may be tried now; no more than the bracket's lower end where none may be.
+    """Return the stiffest wall that may be tried now; at most the bracket's lower end if none may be.
 
-    It is never above the lowest limit that the logs allow as long as no wall near that was stable, or undecided inside
-    the bracket, or ``repeated`` shows that the rig sets none there. Else only a wall above it closes the bracket.
+    It does not exceed the lowest limit consistent with the logs until a wall near that was stable, or undecided inside
+    the bracket, or ``repeated`` shows that the rig sets none there. Then only a stiffer wall can close the bracket.
     """
     goal = task.goal
     most = goal.bold * task.stable
@@ -568,12 +567,12 @@ def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = F
 
 
 def _longer(damping: float, of: Bracket, inside: TriedWalls) -> DampingState:
-    """Return the state that asks for the softest undecided wall again, with a longer log."""
+    """Return the state that requests the softest undecided wall again, with a longer log."""
     return DampingState(damping, of, None, None, float(inside.stiffness.min()), "longer")
 
 
 def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> DampingState:
-    """Return a wall in the largest gap between those tried, up to the stiffest stable one: to learn the device."""
+    """Return a wall in the largest gap between tried walls, up to the stiffest stable one, to identify the device."""
     ends = np.unique(np.append(0.0, own.stiffness[own.stiffness <= of.bottom]))
     widest = int(np.argmax(np.diff(ends)))
     wall = 0.5 * float(ends[widest] + ends[widest + 1])
@@ -583,8 +582,8 @@ def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> Dampi
 def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
     """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
 
-    A second trial of the wall must say the same. Where a rig is to be spared no unstable wall is tried twice, since to
-    call a stable one unstable is on the safe side.
+    A second trial of the wall must confirm the verdict. If the rig is to be protected, no unstable wall is tried twice:
+    a stable wall judged unstable is on the safe side.
     """
     ends = []
     for wall in (of.low,) if gentle else (of.low, of.high):
@@ -608,17 +607,17 @@ def answers(
     everywhere : float64, shape (n,)
         Stiffness of the walls tried at all dampings [N/m, Nm/rad].
     gentle : bool
-        Whether walls stay below a limit, so that a rig that rounds them down answers by a softer one than its stiffest.
+        Whether walls stay below a limit, so that a rig that rounds them down sets a softer one than its stiffest.
 
     Returns
     -------
     str
-        ``step of the rig`` where it sets no wall inside: an end was tried `VOTES` times more than the other walls, and
+        ``step of the rig`` if it sets no wall inside: an end was tried `VOTES` times more than the other walls, and
         no two walls at any damping are closer than the bracket is wide; or twice as often. Without an unstable wall
         the end must be the stiffest wall at all dampings, without a stable one the softest, and tried twice as often.
-        ``middle`` where the middle of the bracket is to be asked for, as an end was repeated as often, but other walls
-        inside may be set. ``softer`` where all trials have one wall, so that a softer one shows whether the rig sets
-        what it is asked for. Else empty, as where verdicts contradict each other.
+        ``middle`` to request the middle of the bracket, if an end was repeated as often, but other walls inside may be
+        set. ``softer`` if all trials have the same wall, so that a softer one shows whether the rig sets requested
+        walls. Otherwise empty, such as for contradicting verdicts.
     """
     own = own.select(own.verdict != "undecided")
     walls, place, count = np.unique(own.stiffness, return_inverse=True, return_counts=True)
@@ -640,7 +639,7 @@ def answers(
 
 
 def walls(bottom: float, far: float, value: float, error: float, width: float) -> Floats:
-    """Return walls that may be tried between two ends, dense where the limit is expected and closing trials lie."""
+    """Return candidate walls between two ends, dense near the expected limit and near walls that close the bracket."""
     apart = 0.98 * width
     near = [bottom + apart, far - apart, value - 0.5 * apart, value + 0.5 * apart]
     about = [value + error * np.linspace(-2.5, 2.5, 21), value + apart * np.arange(-4, 5) / 4]
@@ -654,7 +653,7 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
 
 
 def chances(edges: Floats, limit: float, error: float) -> Floats:
-    """Return the probability that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
+    """Return the probability that the limit lies between edges: by the forecast, plus a uniform share `DOUBT`."""
     from scipy.special import ndtr
 
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
@@ -665,25 +664,25 @@ def chances(edges: Floats, limit: float, error: float) -> Floats:
 
 
 def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, most: float = inf) -> NextTrial | None:
-    """Return where a trial shortens the search most.
+    """Return the trial that shortens the search most.
 
     Parameters
     ----------
     edges : float64, shape (n + 1,)
-        Walls that may be tried, rising; the first is known to be stable, the last to be unstable.
+        Candidate walls in increasing order; the first is known to be stable, the last to be unstable.
     chance : float64, shape (n,)
         Chance that the limit lies between two edges; any positive scale.
     width : float
-        The search ends when the limit is known to lie between walls no further apart.
+        The search ends when the limit lies between walls at most this far apart.
     price : float
-        What an unstable trial costs, in stable ones: above 1 the limit is approached from below.
+        Cost of an unstable trial in stable ones: above 1 the limit is approached from below.
     most : float
         Stiffest wall of this trial; later ones may be stiffer.
 
     Returns
     -------
     NextTrial or None
-        None where nothing is left to search.
+        None if the search is finished.
 
     Notes
     -----
@@ -714,7 +713,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
         place[i, j], cost[i, j] = k, options[np.arange(len(i)), best]
         trials[i, j] = trials[i, k] + trials[k, j] + total[j] - total[i]
     allowed = np.flatnonzero(edges[1:n] <= most) + 1
-    if not len(allowed):  # two edges, too far apart, or no wall that may be tried
+    if not len(allowed):  # only two edges, too far apart, or no permitted wall
         return None
     first = min(int(place[0, n]), int(allowed[-1]))
     needed = trials[0, first] + trials[first, n] + total[n]
@@ -724,8 +723,8 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
 def order(columns: tuple[DampingState, ...]) -> list[int]:
     """Return the indices of dampings that are not done, in the order in which to try them.
 
-    Contradictions first; then dampings that were begun, the nearest to its end first; then those farthest from all
-    that were tried, where the device is learnt best. Undecided walls that need longer logs are last, unless no trial
+    Contradictions first; then started dampings, the nearest to completion first; then those farthest from all tried
+    ones, which are most informative about the device. Undecided walls that need longer logs are last, unless no trial
     has a verdict yet.
     """
     left = [i for i, column in enumerate(columns) if column.wall is not None]

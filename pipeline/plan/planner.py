@@ -37,7 +37,7 @@ NOTES = {
     "from below": "estimated from the stable walls next to it and the device that all logs show",
     "longer": "no verdict yet: record longer logs, or larger steps",
 }
-"""Why a damping is done, or has no estimate."""
+"""Reasons why a damping is done, or has no estimate."""
 
 REMEDIES = (
     ("no visible motion", "Record longer logs after the step, or larger steps."),
@@ -45,10 +45,10 @@ REMEDIES = (
     ("at the limit", "Record longer logs, or walls farther from the limit."),
     ("a mode grows", "Record longer logs."),
 )
-"""What to record for a verdict, by the beginning of the reason why there is none."""
+"""Recommended recordings, by the beginning of the reason for a missing verdict."""
 
 RECORD = "Record steps from rest, and longer logs."
-"""What to record where the reason is another."""
+"""Recommended recordings for other reasons."""
 
 BOTH_DIRECTIONS = (
     "friction cannot be separated from the device by {}: the next wall is at most twice as stiff as the stable ones. "
@@ -56,10 +56,10 @@ BOTH_DIRECTIONS = (
 )
 
 OPTIMUM_ACCURACY = 0.05
-"""By which the best trial may be worse than the best wall, relative."""
+"""Largest relative excess of the best cost tried over the best possible one."""
 
 SURE = 0.75
-"""Chance from which on a verdict is expected."""
+"""Probability above which a verdict is expected."""
 
 
 Expected = Literal["stable", "unstable", "undecided"]
@@ -81,8 +81,8 @@ class PlannedWall(Record):
 class PlannedLimit(Record):
     """Limit of stability at a damping [N/m, Nm/rad].
 
-    ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None where there is none;
-    ``estimate`` lies between them; None without a stable or unstable trial there, and where verdicts do not bracket it.
+    ``low`` and ``high`` are the stiffest stable and the softest unstable wall by verdicts, None if there is none;
+    ``estimate`` lies between them, None without a stable or unstable trial there, or if verdicts do not bracket it.
     ``note`` is a remark on this damping.
     """
 
@@ -97,7 +97,7 @@ class BestWall(Record):
     """Best trial so far by a criterion, the least cost predicted by the loop of all logs, and the region around it.
 
     ``region`` is the smallest and largest stiffness, and the smallest and largest damping, of walls whose predicted
-    cost is within the wanted accuracy of the least; None where no loop predicts it.
+    cost is within the wanted accuracy of the least; None if no loop predicts it.
     """
 
     criterion: str
@@ -140,19 +140,19 @@ def plan(
     name : str
         Device by name, or a device file.
     processed : Path
-        Folder of the stored tables; need not be there yet.
+        Folder of the stored tables; may not exist yet.
     experiment : str, optional
-        By default the only one that is stored, else the first of the device file.
+        By default the only stored one, otherwise the first of the device file.
     options : PlanOptions, optional
     remembered : bool
-        Whether the walls are stored, so that the next plan compares with them what the rig set.
+        Whether to store the walls, so that the next plan can compare them with those that the rig set.
 
     Raises
     ------
     DeviceError
         If neither a device file nor a log gives a range to start from, or the experiment is unknown.
     UsageError
-        If several experiments are stored and none is named, or a limit leaves nothing to try.
+        If several experiments are stored and none is named, or a bound leaves no wall to try.
     """
     options = options or PlanOptions()
     campaign = open_campaign(name, processed, experiment, options)
@@ -163,7 +163,7 @@ def plan(
 
 
 def remember(answer: Plan, campaign: Campaign, processed: Path) -> None:
-    """Store the walls that are asked for next to the results of an experiment that has trials."""
+    """Store the requested walls with the results of an experiment that has trials."""
     if len(campaign.tried) or campaign.free:
         asked = [(wall.stiffness, wall.damping) for wall in answer.next]
         store_requests(processed, campaign.name, campaign.experiment, asked, campaign.walls, campaign.answers)
@@ -176,7 +176,7 @@ OF_THE_STEP = (
 
 
 def plan_of(campaign: Campaign, options: PlanOptions) -> Plan:
-    """Return which walls to try next, from trials that are in memory."""
+    """Return the walls to try next, from trials in memory."""
     dampings, used = wanted_dampings(campaign, options), len(campaign.tried)
     campaign = replace(campaign, tried=snapped(campaign.tried, dampings))
     forecast = forecast_of(campaign, dampings)
@@ -190,7 +190,7 @@ def plan_of(campaign: Campaign, options: PlanOptions) -> Plan:
     done, best, more = found.done, None, ceil(sum(column.left for column in found.columns))
     left = order(found.columns)
     if not used:
-        # where nothing is predicted to be stable a wall waits for the device that logs of other dampings show
+        # if no stable wall is predicted, wait for the device identified at other dampings
         left = [i for i in left if found.forecast.limit[i] > 0] or left
     following = [_next(found.columns[i], found, goal, campaign, rig) for i in left[: options.count]]
     if options.goal == "optimum" and (search := _search(campaign, options, found, goal)) is not None:
@@ -209,14 +209,14 @@ def plan_of(campaign: Campaign, options: PlanOptions) -> Plan:
 
 
 def _left_out(campaign: Campaign) -> tuple[str, ...]:
-    """Return parts that the file's limits leave out; none where logs identify a device."""
+    """Return parts that the file's limits leave out; empty if logs identify a device."""
     if campaign.found is not None or campaign.device is None or campaign.of_file is None:
         return ()
     return campaign.device.loop_for(campaign.of_file).left_out
 
 
 def _limit(column: DampingState, *, blind: bool) -> PlannedLimit:
-    """Return what is known of a limit; ``blind`` without a device that predicts it, so that it needs two ends."""
+    """Return the current limit; ``blind`` if no device predicts it, so that it needs both ends."""
     ends, estimate = column.bracket, column.estimate
     verdicts = (ends.low is not None) + (ends.high is not None)
     if column.note != "no stable wall" and (verdicts == 0 or (verdicts == 1 and blind and column.wall is not None)):
@@ -235,9 +235,9 @@ def aim_of(
     forecast: Forecast | None = None,
     rig: RigRange | None = None,
 ) -> PlanGoal:
-    """Return what is to be known within what limits; errors as of `plan`.
+    """Return the goal and its bounds; errors as of `plan`.
 
-    As long as the logs do not identify a device for sure, walls are at most a few times as stiff as stable ones.
+    While the logs do not identify a device reliably, walls are at most a few times as stiff as stable ones.
     """
     bold = inf if not len(campaign.tried) or (forecast is not None and campaign.is_sure) else BOLDER
     if bold < inf and forecast is None and options.gentle:
@@ -279,7 +279,7 @@ def _remarks(campaign: Campaign, found: PlanState, goal: PlanGoal) -> tuple[str,
 
 
 def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
-    """Return what the logs lack, and what to record."""
+    """Return the deficits of the logs, and what to record."""
     said = []
     if campaign.undecided:
         reason = commonest(campaign.undecided)
@@ -300,7 +300,7 @@ def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
 
 
 def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
-    """Return what the rig set last in place of a wall, and how the next walls follow from it."""
+    """Return the last wall that the rig set in place of a requested one, and the effect on the next walls."""
     off = [answer for answer in campaign.answers if answer.stiffness_off or answer.damping_off]
     if not off:
         return []
@@ -362,7 +362,7 @@ def _next(
     if rig is not None:
         wall = rig.repeated(column.wall) if column.split is None else column.wall
         if not any(grid.holds(wall) for grid in rig.grids):
-            # what a rig sets otherwise lies between digits
+            # a rig may set walls between these digits
             wall = rounded_down(wall, 0.01 * goal.accuracy * found.largest)
     else:
         wall = column.wall if column.split is None else rounded_down(column.wall, goal.accuracy * found.largest)
@@ -399,7 +399,7 @@ def _next(
         basis = f"limit expected at {rounded_down(column.estimate, goal.accuracy * found.largest):g} {K}"
     lasting = "; stable walls lie above unstable ones, the lowest limit counts" if bracket.lasting else ""
     expected: Expected = "unstable" if chance > SURE else "stable" if chance < 1 - SURE else "undecided"
-    # above what was stable a verdict is predicted by all devices that the logs allow, or by none
+    # above stable walls a verdict is predicted only if all devices consistent with the logs agree
     place = [each.damping for each in found.columns].index(column.damping)
     limit, lowest = float(found.forecast.limit[place]), float(found.forecast.low[place])
     sure = lowest - max(limit - lowest, 0.0)
@@ -422,7 +422,7 @@ def _next(
 
 
 def _search(campaign: Campaign, options: PlanOptions, found: PlanState, goal: PlanGoal) -> Search | None:
-    """Return the search for the best cost within the limits that are expected; None where no limit is known yet."""
+    """Return the search for the best cost within the expected limits; None if no limit is known yet."""
     if found.forecast.misfit == inf and all(column.bracket.low is None for column in found.columns):
         return None
     loop, holds = None, found.forecast.misfit <= goal.accuracy

@@ -1,4 +1,4 @@
-"""What a rig was asked for and what it set: its steps, range or scale of K, and its dampings."""
+"""Requested and set walls of a rig: its steps, range or scale of K, and its dampings."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ from pipeline.records.trials import Floats
 from pipeline.store.storage import stage_folder
 
 ASKED = "asked"
-"""Stem of the file, next to the results of an experiment, with what was asked for."""
+"""Stem of the file of requested walls, stored with the results of an experiment."""
 
 Wall = tuple[float, float]
 """K [N/m, Nm/rad] and B [Ns/m, Nms/rad]."""
 
 OFF = 1e-4
-"""Difference of a wall from the one that was asked for, relative to it, up to which it is the same."""
+"""Relative tolerance within which a wall equals the requested one."""
 
 FARTHEST = 3.0
-"""Largest ratio of a stiffness and the one that answers to it, where there are more trials than were asked for."""
+"""Largest ratio of requested and set stiffness, if there are more trials than requests."""
 
 EXACT = 1e-6
-"""Difference of stiffnesses, relative to the largest, up to which one is a multiple of another."""
+"""Tolerance, relative to the largest stiffness, within which one is a multiple of another."""
 
 MOST_PARTS = 40
-"""Parts of the common divisor of all stiffnesses that may be the step of a rig."""
+"""Largest integer divisor of the common divisor of all stiffnesses that gives a possible step of a rig."""
 
 SCALE = 0.005
-"""Difference of ratios up to which a rig scales by one factor."""
+"""Tolerance of ratios within which a rig scales by a constant factor."""
 
 MIN_ANSWERS = 2
-"""Answered walls that show how a rig sets its gains; also, how often an end of a bracket may be answered instead of a
-wall inside, without a step that explains it, before no wall counts as left."""
+"""Smallest number of answered walls that show how a rig sets its gains; also, number of times that the rig may set an
+end of a bracket instead of a wall inside, without a step that explains it, before no wall is left."""
 
 STIFFER = 1.3
-"""How much more is asked for where the stiffest wall answered for stiffer ones, relative to these."""
+"""Factor of the next request if the rig set its stiffest wall for stiffer requests, relative to these."""
 
 COARSE = 1 / 3
-"""Step, relative to the stiffest wall that was set, above which that wall is the end of the rig's range instead."""
+"""Step, relative to the stiffest set wall, above which that wall counts as the end of the rig's range instead."""
 
 ROUNDINGS = ("nearest", "down", "up")
 
 
 class AnsweredWall(Record):
-    """A wall that was asked for, and the one that the rig set."""
+    """A requested wall, and the one that the rig set."""
 
     asked: Wall
     got: Wall
@@ -70,14 +70,14 @@ class AnsweredWall(Record):
 
 
 class Requests(Record):
-    """Walls of the last plan, the walls of the trials that it knew with their numbers, and all answers before."""
+    """Walls of the last plan, the walls of its trials with their counts, and all earlier answers."""
 
     walls: tuple[Wall, ...] = ()
     trials: tuple[tuple[float, float, int], ...] = ()
     answers: tuple[AnsweredWall, ...] = ()
 
     def answered(self, tried: Iterable[Wall]) -> tuple[AnsweredWall, ...]:
-        """Return all answers, with those of trials that came since: each to the nearest wall that was asked for."""
+        """Return all answers, including those of later trials: each answers the nearest requested wall."""
         new = Counter(tried)
         new.subtract({(K, B): count for K, B, count in self.trials})
         came, left = sorted((+new).elements()), list(self.walls)
@@ -94,7 +94,7 @@ class Requests(Record):
 
 
 def _apart(asked: Wall, got: Wall, far: float) -> float:
-    """Return how far a wall is from one that was asked for; infinite where it is no answer to it."""
+    """Return the distance between a tried and a requested wall; infinite if it does not answer the request."""
     low, high = sorted((asked[0], got[0]))
     if not high <= far * low and far < inf:
         return inf
@@ -102,7 +102,7 @@ def _apart(asked: Wall, got: Wall, far: float) -> float:
 
 
 def stored_requests(processed: Path, device: str, experiment: str) -> Requests:
-    """Return what was asked for in an experiment; nothing where nothing is stored, or it is damaged."""
+    """Return the requests of an experiment; empty if none are stored, or if they are damaged."""
     data = read_result(stage_folder(processed, device, experiment), ASKED, ".json")
     try:
         return Requests.model_validate_json(data or b"{}")
@@ -118,7 +118,7 @@ def store_requests(
     tried: Iterable[Wall],
     answers: Sequence[AnsweredWall],
 ) -> None:
-    """Store what is asked for now; nothing where the store may only be read."""
+    """Store the current requests, unless the store is read-only."""
     counted = tuple((K, B, count) for (K, B), count in sorted(Counter(tried).items()))
     requests = Requests(walls=tuple(walls), trials=counted, answers=tuple(answers))
     if requests == stored_requests(processed, device, experiment):
@@ -136,7 +136,7 @@ class GainGrid:
     rounding: Literal["nearest", "down", "up"]
 
     def explains(self, asked: Floats, got: Floats) -> bool:
-        """Return whether it answers by the walls that were set."""
+        """Return whether the grid explains the walls that were set."""
         off, rest = got - asked, EXACT * float(got.max())
         if self.rounding == "nearest":
             return bool((np.abs(off) <= 0.5 * self.step + rest).all())
@@ -148,7 +148,7 @@ class GainGrid:
         return abs(wall - round(wall / self.step) * self.step) <= EXACT * wall
 
     def nearest(self, wall: float, low: float, high: float) -> float | None:
-        """Return the multiple nearest to a wall between two others, without these; None where there is none."""
+        """Return the multiple nearest to a wall, strictly between two others; None if there is none."""
         slack = EXACT * max(abs(low), self.step)
         first = floor((low + slack) / self.step) + 1
         last = ceil((high - slack) / self.step) - 1 if high < inf else max(first, round(wall / self.step))
@@ -159,20 +159,20 @@ class GainGrid:
 
 @dataclass(frozen=True, eq=False)
 class RigRange:
-    """What a rig sets instead of the stiffness that it is asked for, by its answers.
+    """Response of a rig to a requested stiffness, estimated from its answers.
 
     Parameters
     ----------
     asked, got : float64, shape (n,)
         Stiffness of all answers [N/m, Nm/rad].
     grids : tuple of GainGrid
-        Those that explain them, the finest first; none where it does not round, or in another way.
+        Grids that explain them, the finest first; empty if it does not round, or in another way.
     factor : float
-        What it scales by.
+        Scale factor of the rig.
     lowest, highest : float
-        Stiffness that it does not go below or above [N/m, Nm/rad].
+        Smallest and largest stiffness that it sets [N/m, Nm/rad].
     exact : bool
-        Whether it sets within ``lowest`` and ``highest`` what it is asked for.
+        Whether it sets requested walls exactly between ``lowest`` and ``highest``.
     """
 
     asked: Floats
@@ -189,16 +189,16 @@ class RigRange:
         return len(np.unique(self.asked)) >= MIN_ANSWERS
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
-        """Return the stiffness to ask for so that a wall between two others is set; None where the rig sets none.
+        """Return the stiffness to request so that a wall between two others is set; None if the rig sets none.
 
         Parameters
         ----------
         wanted : float
             Most informative stiffness.
         low, high : float
-            Ends of the bracket; 0 and infinite where no wall is one.
+            Ends of the bracket; 0 and infinite if there is no wall.
         most : float
-            Stiffest wall that may be tried. Where the rig sets no softer one inside, a stable one is repeated once.
+            Stiffest permitted wall. If the rig sets no softer one inside, a stable one is repeated once.
         """
         if self.exact:
             return wanted
@@ -207,7 +207,7 @@ class RigRange:
         if not self.grids or not self.several:
             return self._between(wanted, low, high)
         top, most = min(high, self.highest * (1 + 2 * EXACT)), most * (1 + 2 * EXACT)
-        # what was answered by the end of the range is so again
+        # a request answered by the end of the range would be so again
         ends = [float(self.asked[self.got == self.highest].min())] if low * (1 + EXACT) < self.highest < high else []
         if not ends and all(grid.nearest(wanted, low, top) is None for grid in self.grids):
             return None
@@ -218,12 +218,12 @@ class RigRange:
         return next((wall for wall in allowed if wall is not None), ends[0] if ends and self.highest <= most else once)
 
     def repeated(self, wall: float) -> float:
-        """Return the stiffness to ask for so that a wall is set once more."""
+        """Return the stiffness to request so that a wall is set again."""
         asked = self.asked[np.abs(self.got - wall) <= EXACT * wall]
         return float(asked[-1]) if len(asked) and not self.grids else wall / self.factor
 
     def _between(self, wanted: float, low: float, high: float) -> float | None:
-        """Return a stiffness between those that were answered by the ends of a bracket or beyond."""
+        """Return a stiffness between requests that were answered by the ends of a bracket or beyond."""
         repeats = self._repeats(low, high)
         below = float(self.asked[self.got <= low * (1 + EXACT)].max(initial=0.0))
         above = float(self.asked[self.got >= high * (1 - EXACT)].min(initial=inf))
@@ -238,14 +238,14 @@ class RigRange:
         return below * min(max(wanted / low, 1.0), STIFFER) if low > 0 else wanted
 
     def _repeats(self, low: float, high: float) -> int:
-        """Return how often the same end answered for a wall inside a bracket."""
+        """Return how often the same end was set instead of a wall inside a bracket."""
         inside = (self.asked > low * (1 + OFF)) & (self.asked < high * (1 - OFF))
         ends = [np.abs(self.got - end) <= EXACT * end for end in (low, high) if end < inf]
         return max((int((inside & at).sum()) for at in ends), default=0)
 
 
 def range_of(answers: Sequence[AnsweredWall]) -> RigRange | None:
-    """Return what a rig sets instead of the stiffness that it is asked for; None where it sets that.
+    """Return the response of a rig to requested stiffnesses; None if it sets them exactly.
 
     Examples
     --------
@@ -275,7 +275,7 @@ def range_of(answers: Sequence[AnsweredWall]) -> RigRange | None:
 
 
 def _limited(asked: Floats, got: Floats) -> RigRange | None:
-    """Return the range of a rig that sets its end for what is beyond; None where that does not explain the answers."""
+    """Return the range of a rig that clips requests to its ends; None if clipping does not explain the answers."""
     top, bottom = float(got.max()), float(got.min())
     above, below = (got == top) & (asked > top * (1 + OFF)), (got == bottom) & (asked < bottom * (1 - OFF))
     for out in (above, below, above | below):
@@ -293,7 +293,7 @@ def _limited(asked: Floats, got: Floats) -> RigRange | None:
 def grids_of(asked: Floats, got: Floats) -> tuple[GainGrid, ...]:
     """Return the grids that explain answers, the finest first.
 
-    Their steps are the largest common divisor of all stiffnesses that were set, or a part of it.
+    Their steps are the largest common divisor of all set stiffnesses, or an integer part of it.
     """
     step, rest = 0.0, EXACT * float(got.max(initial=0.0))
     for value in got.tolist():
