@@ -1,7 +1,7 @@
-"""The order in which a lab tests pairs (K, B): in coarse steps to the first unstable trial, then fine ones.
+"""The order in which a lab tests pairs (K, B): coarse steps up to the first unstable trial, then fine ones.
 
-Ladders of several dampings are climbed side by side. Trials are simulated ahead in waves and those behind the
-first unstable one are thrown away, so that the result is that of testing one after the other.
+Ladders of several dampings are climbed in parallel. Trials are simulated ahead in waves, and those after the first
+unstable one are discarded, so that the result equals that of sequential testing.
 
 Source: Hulin 2017, sec. 6.1.1 and, for the trials without stiffness, 6.1.2.
 """
@@ -21,16 +21,17 @@ from pipeline.records.trials import Floats, Integers, Trial, Trials
 Strings = NDArray[np.str_]
 
 FINE_STEPS = 5
-"""Fine steps in a coarse one: 20 % of the original value (6.1.1)."""
+"""Number of fine steps in a coarse one: 20 % of the original value (6.1.1)."""
 
 WAVE = 12
-"""Trials simulated ahead for each damping: fewer cost more passes of the sample loop, more are discarded."""
+"""Number of trials simulated ahead for each damping: a smaller number needs more passes of the sample loop, a larger
+one discards more trials."""
 
 LONGEST_CLIMB = 2000
-"""Most stiffness steps at one damping; the stiffest column of the thesis needs 65."""
+"""Largest number of stiffness steps at one damping; the stiffest column of the thesis needs 65."""
 
 AT_ZERO_STIFFNESS = 1 << 30
-"""Column of the trials with K = 0, behind every damping."""
+"""Column index of the trials with K = 0, after all dampings."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,13 @@ class _Ladder:
 
     @property
     def number(self) -> int:
-        """Return which pass over the column it is: 1 coarse, 2 fine."""
+        """Return the pass over the column: 1 coarse, 2 fine."""
         return 1 if self.stride == FINE_STEPS else 2
 
 
 @dataclass
 class Climb:
-    """Runs ladders side by side up to the first unstable trial of each, and keeps those trials.
+    """Runner of parallel ladders up to the first unstable trial of each, which keeps those trials.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ class Climb:
     progress : callable or None
         Called with the number of trials kept so far.
     kept, verdicts, order : list
-        The trials that were kept, their verdicts, and (column, pass, rung) of each.
+        The kept trials, their verdicts, and (column, pass, rung) of each.
     """
 
     run: Callable[[Floats, Floats], tuple[Trials, Strings]]

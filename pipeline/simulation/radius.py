@@ -1,4 +1,4 @@
-"""Growth of the simulated loop from sample to sample: the spectral radius of all that is linear in it."""
+"""Growth of the simulated loop per sample: the spectral radius of its linear part."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pipeline.simulation.simulate import coefficients
 
 
 def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
-    """Return the spectral radius of the linear loop with the constant delay that it states, shape (n,).
+    """Return the spectral radius of each linear loop at its nominal constant delay, shape (n,).
 
     Parameters
     ----------
     setup : Setup
-        What ``setup.left_out`` names is left out.
+        Parts listed in ``setup.left_out`` are omitted.
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad].
 
     Returns
     -------
     float64, shape (n,)
-        Below 1 where the loop is stable. Without any stiffness (K = k = 0) z = 1 is a pole for every B; it
+        Below 1 if the loop is stable. Without any stiffness (K = k = 0) z = 1 is a pole for every B; it
         is left out, so that the radius states whether the velocity decays.
 
     Notes
@@ -72,7 +72,7 @@ def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
 
 
 def _transition(linear: StateSpace, time_s: float) -> tuple[Floats, Floats]:
-    """Return the matrix of the state, and what a unit of command adds to it, over a time [s]."""
+    """Return the state transition matrix over a time [s], and the response to a unit command."""
     from scipy.linalg import expm
 
     n = len(linear.matrix)

@@ -22,10 +22,10 @@ from pipeline.records.trials import Booleans, Floats, Integers
 _WORD = 2**32 - 1
 
 MOST_ROWS = 10_000_000
-"""Samples of a trial, with which it takes some GB."""
+"""Largest number of samples of a trial; it takes a few GB."""
 
 NOTHING_HIDDEN = SimulationParts()
-"""All as stated and complete."""
+"""No hidden faults: everything as stated and complete."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Setup:
     Parameters
     ----------
     loop : Loop
-        As stated: the controller differentiates by its sampling period. Its delay is not used where there is jitter.
+        As stated: the controller differentiates by its sampling period. Its delay is not used if there is jitter.
     step : float
         External step F_0 [N, Nm], commanded from ``edge_row`` on.
     rows, edge_row : int
@@ -43,7 +43,7 @@ class Setup:
     centre, travel : float
         Steady-state position and largest true distance from it [m, rad].
     hidden : SimulationParts
-        What theory and estimates do not know.
+        Faults unknown to theory and estimates.
     stop : float
         Distance of rigid stops from ``centre`` [m, rad]: the device rests there, without a rebound, until the
         force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
@@ -84,13 +84,13 @@ class Setup:
 
     @property
     def mean_delay_samples(self) -> float:
-        """Delay of a command, where it jitters the mean of those that are drawn [samples]."""
+        """Delay of a command [samples]; with jitter, the mean of the drawn delays."""
         drawn = self.loop.jitter_samples or (self.loop.delay_samples,)
         return sum(drawn) / len(drawn)
 
     @property
     def true_period_s(self) -> float:
-        """Sampling period by which the device moves between two rows [s]."""
+        """True sampling period between two rows [s]."""
         return self.loop.sampling_period_s * (1 + self.hidden.clock_error)
 
     @property
@@ -105,7 +105,7 @@ class Setup:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of what a spectral radius of the loop cannot include: those of the loop, clipping, and hidden ones."""
+        """Names of parts that a spectral radius cannot include: those of the loop, clipping, and hidden faults."""
         present = {
             "force_limit": self.loop.force_limit is not None,
             "one_sided_wall": self.hidden.one_sided_wall,
@@ -140,14 +140,14 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
 
 
 def idealise(setup: Setup) -> Setup:
-    """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction, and all hidden."""
+    """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction and hidden faults."""
     loop = replace(setup.loop, sensor=Sensor(), jitter_samples=(), friction=None, constant_force=0.0)
     return replace(setup, loop=loop, hidden=NOTHING_HIDDEN)
 
 
 @dataclass(frozen=True, eq=False)
 class TrialDraws:
-    """Draws of each row of a trial, shape (rows,); None where there is nothing to draw.
+    """Random draws for each row of a trial, shape (rows,); None if there is nothing to draw.
 
     ``noise`` [m, rad] comes before the sensor's rounding, ``delays`` [samples] are those of the commands. In ``held``
     samples the sensor repeats its last value, in ``repeated`` rows the log does; ``lost`` rows are missing in the log.
@@ -162,7 +162,7 @@ class TrialDraws:
 
 @dataclass(frozen=True)
 class RandomStream:
-    """Random streams of a trial, each named by seed, stream, K, B, repetition and what is drawn."""
+    """Random streams of a trial, each determined by seed, stream, K, B, repetition and the drawn quantity."""
 
     seed: int
     stream: str
@@ -171,7 +171,7 @@ class RandomStream:
     repetition: int
 
     def generator(self, what: int) -> np.random.Generator:
-        """Return the generator of what is drawn."""
+        """Return the generator of a drawn quantity."""
         name = int.from_bytes(hashlib.sha256(self.stream.encode()).digest()[:8])
         # + 0.0: -0.0 is the same trial as 0.0
         bits = (np.array([self.stiffness, self.damping]) + 0.0).view(np.uint64).tolist()
@@ -180,7 +180,7 @@ class RandomStream:
 
 
 def _words(*numbers: int) -> NDArray[np.uint32]:
-    """Return whole numbers as numpy's seeds take them, lowest word first: plain numbers take twice as long."""
+    """Convert integers to seed words of numpy, lowest word first: passing plain integers takes twice as long."""
     words = []
     for number in numbers:
         words.append(number & _WORD)
@@ -190,14 +190,14 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
 
 
 def draw(setup: Setup, stream: RandomStream) -> TrialDraws:
-    """Return all that chance decides in a trial."""
+    """Return all random quantities of a trial."""
     rows, hidden = setup.rows, setup.hidden
 
     def some(what: int, share: float) -> Booleans | None:
         if share == 0:
             return None
         chosen: Booleans = stream.generator(what).random(rows) < share
-        chosen[0] = False  # the first row says where the wall rests
+        chosen[0] = False  # the first row gives the rest position of the wall
         return chosen
 
     noise = delays = None

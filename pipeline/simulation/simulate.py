@@ -26,11 +26,11 @@ from pipeline.records.trials import Floats, Integers, Trial, Trials
 from pipeline.simulation.setup import RandomStream, Setup, TrialDraws, draw
 
 DIGITS = 40
-"""In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
+"""Decimal digits for filter coefficients in powers of 1/z: a low cut-off causes large cancellation."""
 
 MOST_DELAYS, MOST_ALIKE = 9, 8
-"""Most delays of a sample apart that commands draw from, so that the age in force scatters by 1.6 samples; and how many
-times as likely as the others one of them may be."""
+"""Largest number of consecutive delays from which commands draw (the applied delay then has a standard deviation of 1.6
+samples), and largest multiplicity of one of them."""
 
 START_MARGIN = 1.1
 """Smallest travel limit relative to the distance of the start: noise must not end a trial where it starts."""
@@ -54,16 +54,16 @@ def simulate(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad]; both may be negative.
     seed, stream, repetition : int, str, int
-        Name the random streams together with K and B: the same five give the same trial, whatever it is
-        simulated together with, and a longer trial starts with the samples of the shorter one.
+        Name the random streams together with K and B: the same five give the same trial, independent of others
+        simulated with it, and a longer trial starts with the samples of the shorter one.
     disturbance : float64, shape (rows, n), optional
         Force on the device in addition to the command [N, Nm], such as the push of a hand, constant from one row to the
-        next. The controller knows nothing of it, and it acts without delay.
+        next. It is unknown to the controller and acts without delay.
 
     Returns
     -------
     Trials
-        A trial that leaves its travel ends with the first sample outside. ``trial_id`` is the running number.
+        A trial that leaves its travel ends with the first sample outside. ``trial_id`` is a running number.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def simulate(
 
 @dataclass(frozen=True, eq=False)
 class _Shared:
-    """What the trials of a call share, as `run_trial` takes it."""
+    """Common inputs of all trials of a call, as required by `run_trial`."""
 
     external: Floats
     estimator: tuple[int, Floats, float]
@@ -151,7 +151,7 @@ def external_force(setup: Setup) -> Floats:
 
 
 def _rest_depth(setup: Setup, K: float) -> float:
-    """Return the depth in the wall at which the constant force rests before the step [m, rad].
+    """Return the penetration depth at which the constant force is balanced before the step [m, rad].
 
     A wall without stiffness cannot balance it, nor can a one-sided wall that the force pulls away from.
     """
@@ -161,9 +161,9 @@ def _rest_depth(setup: Setup, K: float) -> float:
 
 
 def applied_delays(delays: Integers) -> Integers:
-    """Return which command the plant feels in each interval when every command has its own delay.
+    """Return the command applied to the plant in each interval when every command has a separate delay.
 
-    Commands never overtake: the newest that has arrived is applied, an older one that arrives later is ignored.
+    The newest command that has arrived is applied; an older one that arrives later is ignored.
 
     Parameters
     ----------
@@ -191,8 +191,8 @@ def applied_delays(delays: Integers) -> Integers:
 def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
     """Return mean and standard deviation [samples] of the delay of the applied command.
 
-    Each command draws its delay from whole ones of equal probability. As later commands overtake earlier ones, the mean
-    is below that of ``delays``: the applied command is older than j samples if none of the last j + 1 has arrived.
+    Each command draws its delay from integer delays of equal probability. As later commands overtake earlier ones, the
+    mean is below that of ``delays``: the applied command is older than j samples if none of the last j + 1 has arrived.
     """
     drawn = np.array(delays)
     older = np.cumprod([(drawn > age).mean() for age in range(int(drawn.max()) + 1)])
@@ -203,9 +203,9 @@ def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
 
 
 def delays_of(age: float, jitter: float) -> tuple[int, ...]:
-    """Return whole delays of equal probability for a mean and a standard deviation of the applied delay [samples].
+    """Return integer delays of equal probability for a mean and a standard deviation of the applied delay [samples].
 
-    Empty where a constant delay comes nearer. An error of the mean has four times the weight of one of the deviation,
+    Empty if a constant delay fits better. An error of the mean has four times the weight of one of the deviation,
     because limits follow the mean.
     """
     drawn, mean, deviation = _drawn()
@@ -217,7 +217,7 @@ def delays_of(age: float, jitter: float) -> tuple[int, ...]:
 
 @cache
 def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Return sets of delays from 0 on, one of them up to `MOST_ALIKE` times, with mean and deviation when applied."""
+    """Return sets of delays starting at 0, one of them up to `MOST_ALIKE` times, with mean and deviation as applied."""
     every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
     every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(MOST_ALIKE)]
     mean, deviation = np.array([applied_delay_moments(drawn) for drawn in every]).T
@@ -225,7 +225,7 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
 
 
 def _slots(setup: Setup, delays: Integers | None) -> Integers:
-    """Return the row of the applied command, from 1, in the parts of the interval behind each row, (parts, rows)."""
+    """Return the row of the applied command, from 1, in the parts of the interval after each row, (parts, rows)."""
     if delays is not None:
         slots = applied_delays(delays) + 1
         return slots[None]
@@ -243,14 +243,14 @@ def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
 
 
 def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[int, Floats, float]:
-    """Return the estimator of velocity of a controller, as `pipeline.loop.closed_loop.velocity` takes it.
+    """Return the velocity estimator of a controller, as input of `pipeline.loop.closed_loop.velocity`.
 
     Parameters
     ----------
     kind : VelocityFilter or None
         None for the backward difference.
     sampling_period_s : float
-        T as the controller takes it [s].
+        Sampling period T that the controller assumes [s].
     """
     if isinstance(kind, AdaptiveWindow):
         return WINDOW, np.array([[kind.bound, kind.longest], [0.0, 0.0]]), sampling_period_s

@@ -33,11 +33,12 @@ from pipeline.simulation.tested_grid import tested_grid
 from pipeline.store.names import folder_for
 
 LOWEST_DAMPING = 2.0
-"""Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
+"""Largest -B tested at K = 0, relative to the physical damping, if the tested B end before: the limit is reached
+immediately."""
 
 LONGEST_TRIAL = 20_000
-"""Most samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. Each array of a sweep of 2,300
-trials then has 370 MB."""
+"""Largest number of samples of a trial, 20 s at 1 kHz: fifty times those of the thesis. Each array of a sweep of 2,300
+trials then takes 370 MB."""
 
 TRUTH_FILE = "truth.json"
 
@@ -50,10 +51,10 @@ class SimulatedSweep:
     ----------
     device, experiment : Device, Experiment
     setup : Setup
-        What was simulated: loop, step, limits.
+        Simulated conditions: loop, step, limits.
     seed : int
     trials : Trials
-        ``trial_id`` is the file name of the log without its ending.
+        ``trial_id`` is the file name of the log without its extension.
     passes : int64, shape (n,)
         1 for a trial of the coarse steps, 2 for one of the fine steps.
     verdict : array of str, shape (n,)
@@ -109,9 +110,9 @@ def run_sweep(
 
     Notes
     -----
-    An undecided trial counts as stable. The fifth fine step would repeat the unstable coarse trial and is left out.
-    Where B = 0 is unstable already at K = 0, the fine steps fall from one damping step above it, so that the limit is
-    still enclosed.
+    An undecided trial counts as stable. The fifth fine step would repeat the unstable coarse trial and is omitted.
+    If B = 0 is already unstable at K = 0, the fine steps start one damping step above it, so that the limit is still
+    bracketed.
 
     Source: Hulin 2017, sec. 6.1.1, 6.1.2, 6.2.1.
     """
@@ -159,7 +160,7 @@ def _log_name(stiffness: float, damping: float, number: int) -> str:
 
 
 def _digits(value: float, width: int) -> str:
-    """Return a number with leading zeros, so that names sort, and as many decimals as make it unique."""
+    """Return a number with leading zeros, so that names sort, and enough decimals to make it unique."""
     text = np.format_float_positional(abs(value), trim="-")
     whole, point, decimals = text.partition(".")
     return ("-" if value < 0 else "") + whole.zfill(width) + point + decimals
@@ -172,7 +173,7 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
     ----------
     sweep : SimulatedSweep
     folder : Path
-        Made where it is missing.
+        Created if missing.
     overwrite : bool
         Replace the logs of an earlier simulation, those that the ``truth.json`` there lists. Other files
         are never touched.
@@ -188,7 +189,7 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
         If the folder contains an earlier simulation and ``overwrite`` is false, or a file that is not listed has
         the name of a log; nothing is written then.
     PipelineError
-        If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
+        If a file cannot be written. Existing logs are complete and listed in ``truth.json``.
     """
     target = folder_for(folder_for(folder, sweep.device.name), sweep.experiment.name)
     names = [f"{name}.csv" for name in sweep.trials.trial_id]
@@ -201,7 +202,7 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
                 f"by its {TRUTH_FILE}, and is not replaced. Choose another folder (--out)."
             )
         truth = _truth(sweep)
-        # what a broken run leaves behind is listed before it is written, so that the next run may replace it
+        # files are listed before they are written, so that the next run can replace those of an interrupted run
         pending = {"complete": False, "logs": [*sorted(earlier), *names]}
         write_text(target / TRUTH_FILE, json.dumps({**truth, **pending}))
         for name in earlier.difference(names):

@@ -1,4 +1,4 @@
-"""Walls that a series of trials tests: those of a device file, or all stable ones."""
+"""Tested walls of a series of trials: those of a device file, or all stable ones."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import numpy as np
 
 from pipeline.theory.cases import case_of, limits_of_walls
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # loading its classes takes longer than a short command
     from pipeline.records.models import Device, Experiment
 
 GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
-"""Grid of walls where a device file states none: dampings over half of the stable ones, stiffnesses up to the limit."""
+"""Default grid of walls if a device file states none: dampings over half of the stable ones, stiffnesses up to the
+limit."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Walls that are tested: dampings [Ns/m, Nms/rad], and the step by which the stiffness [N/m, Nm/rad] climbs."""
+    """Tested walls: dampings [Ns/m, Nms/rad], and step of the stiffness [N/m, Nm/rad]."""
 
     damping_first: float
     damping_last: float
@@ -28,7 +29,7 @@ class Grid:
 
 
 def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the walls that an experiment tests: as in the device file, else over the range of stable ones.
+    """Return the walls that an experiment tests: those of the device file, otherwise over the range of stable ones.
 
     Raises
     ------
@@ -52,6 +53,6 @@ def tested_grid(device: Device, experiment: Experiment) -> Grid:
 
 
 def rounded(step: float) -> float:
-    """Return a step as a person would choose it: 1, 2 or 5 times a power of ten, at most the one given."""
+    """Round a step down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(step))
     return max(power * nice for nice in (1, 2, 5) if power * nice <= step * (1 + 1e-9))
