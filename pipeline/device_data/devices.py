@@ -1,8 +1,7 @@
 """Devices as data: TOML files that ship with the package, and those of a user's own folder.
 
-A device is a `pipeline.records.models.Device` in a TOML file. Shipped ones lie in ``schemas/devices``; the
-environment variable ``PIPELINE_DEVICES`` names a folder with further ones, which win over shipped ones of the
-same name.
+A device is a `pipeline.records.models.Device` in a TOML file. Shipped ones are in ``schemas/devices``; the environment
+variable ``PIPELINE_DEVICES`` names a folder with further ones, which override shipped ones of the same name.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ _FORMER_FILTER = (
     "leave [controller] out, and without a filter [loop] too"
 )
 SAMPLES, SAMPLES_OF_REST = 1000, 20
-"""Length of a simulated trial, and rest before its step, where a device file says neither [samples]."""
+"""Default length of a simulated trial, and of the rest before its step [samples]."""
 
 FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
 """Replacements of keys of device files of earlier versions."""
 
 
 def known_devices() -> dict[str, Device]:
-    """Return all known devices by name, sorted: shipped ones, then replaced or joined by the user's own.
+    """Return all known devices by name, sorted: shipped ones, replaced or extended by those of the user.
 
     Raises
     ------
@@ -55,12 +54,12 @@ def known_devices() -> dict[str, Device]:
 
 
 def digest_of(device: Device) -> str:
-    """Return a hash of all that a device file says; keys that a later version adds do not change it."""
+    """Return a hash of the content of a device file; keys added by later versions do not change it."""
     return digest(device.model_dump(mode="json", exclude_defaults=True))
 
 
 def device_file(name: str) -> Path | None:
-    """Return the file of a known device, the user's own before a shipped one; None where it is not known.
+    """Return the file of a known device, that of the user before a shipped one; None if unknown.
 
     Raises
     ------
@@ -75,10 +74,10 @@ def device_file(name: str) -> Path | None:
 
 
 def declared_spring(device: Device | None, experiment: str) -> float:
-    """Return the stiffness k [N/m, Nm/rad] that the wall feels by a device file, per unit of command; 0 for none.
+    """Return the device's spring stiffness k [N/m, Nm/rad] at the wall, per unit of command, from its file; 0 if none.
 
-    It is what shifts the final position to x_0 + F_0/(K + k), an operator's included. A device or an experiment without
-    a file has none.
+    It shifts the final position to x_0 + F_0/(K + k), and includes that of an operator. A device or an experiment
+    without a file has none.
     """
     entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
     return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
@@ -90,7 +89,7 @@ def load_device(name: str) -> Device:
     Raises
     ------
     DeviceError
-        If no such device is known; the message lists those that are.
+        If no such device is known; the message lists the known ones.
     """
     devices = known_devices()
     if name in devices:
@@ -148,12 +147,12 @@ def read_device(path: Path) -> Device:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DeviceError(f"{path}: device file is not valid TOML in UTF-8: {error}.") from error
     try:
-        # by way of JSON: strict validation refuses mass = "0.58" and mass = true, yet takes arrays for tuples
+        # via JSON: strict validation refuses mass = "0.58" and mass = true, but accepts arrays as tuples
         return Device.model_validate_json(json.dumps(data, default=str), strict=True, context=STATED)
     except ValidationError as error:
         details = error.errors(include_url=False)
         places = [detail["loc"] for detail in details]
-        # pydantic also calls a list too short if all its entries were refused
+        # pydantic also reports a list as too short if all its entries were refused
         found = [
             _describe(dict(detail), data)
             for detail in details
@@ -175,7 +174,7 @@ def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
         own = [key for key in Experiment.model_fields if key in full and key not in Device.model_fields]
         full["experiment"] = [{"name": "1", **{key: full.pop(key) for key in own}}]
     period = full.get("sampling_period_s")
-    # TOML reads 1 as a whole number; what is no period is refused by its own name, not by what follows from it
+    # TOML reads 1 as an integer; an invalid period is reported under its key, not under derived ones
     unit = 1.0
     if isinstance(period, (int, float)) and not isinstance(period, bool) and SMALLEST <= period <= LARGEST / SAMPLES:
         unit = period
@@ -199,16 +198,16 @@ def _read_folder(folder: Path) -> dict[str, Device]:
 
 _OF_DEVICES = frozenset({"experiment", "mass", "damping", "delay_samples", "sampling_period_s", "loop"})
 _OF_PROFILES = frozenset({"format", "files", "columns"})
-"""Keys of which device files have one at least, and which they have not."""
+"""Keys of which device files have at least one, and keys that they never have."""
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the device files of a folder; other TOML files, such as profiles or settings, are none of them."""
+    """Return the device files of a folder; other TOML files, such as profiles or settings, are skipped."""
     return [path for path in sorted(folder.glob("*.toml")) if not _is_other(path)]
 
 
 def _is_other(path: Path) -> bool:
-    """Return whether a file is that of something else; one that cannot be read is named by `read_device`."""
+    """Return whether a file is not a device file; an unreadable file is reported by `read_device`."""
     try:
         keys = tomllib.loads(path.read_text(encoding="utf-8")).keys()
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
@@ -231,7 +230,7 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
 
 
 def _owner(location: tuple[int | str, ...], data: dict[str, Any]) -> str:
-    """Return the name of the experiment or table that a wrong field belongs to, where it has one."""
+    """Return the name of the experiment or table that a wrong field belongs to, if any."""
     if len(location) < 2 or not isinstance(location[1], int):
         return ""
     entry = data[str(location[0])][location[1]]

@@ -1,4 +1,4 @@
-"""Published values as printed, with what is known of their errata: tables of the thesis, and the human arm.
+"""Published values as printed, with known errata: tables of the thesis, and the human arm.
 
 The files in ``schemas/published`` ship with the package; nothing here is computed.
 
@@ -33,7 +33,7 @@ MEASURED_TABLES = ("D.1", "D.2", "D.3", "D.4", "D.5", "D.6")
 """Tables of optima by theory and by experiments."""
 
 QUANTITIES = ("alpha", "beta", "cost", "percent", "scaling")
-"""Numbers that a row of these may have."""
+"""Quantities that a row of the theory tables may have."""
 
 _Digits = Annotated[str, Field(pattern=r"^-?\d+(\.\d+)?$")]
 
@@ -41,7 +41,7 @@ RowT = TypeVar("RowT", bound=Record)
 
 
 class PublishedRow(Record):
-    """One printed optimum; a cell that the table does not have is None.
+    """One printed optimum; a cell missing in the table is None.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class PublishedRow(Record):
     stiffness_low, stiffness_high, damping_low, damping_high : float or None
         Printed bounding box of a discrete settling optimum.
     erratum : str or None
-        Why a recomputation differs from the printed value; None where it agrees, or where the row was measured.
+        Why a recomputation differs from the printed value; None if it agrees, or if the row was measured.
     """
 
     table: Name
@@ -78,12 +78,12 @@ class PublishedRow(Record):
 
     @property
     def is_theory(self) -> bool:
-        """Whether theory gave the row and no experiment."""
+        """Whether the row comes from theory, not from an experiment."""
         return self.condition.startswith("theory")
 
 
 def shipped_rows(file: str, row: type[RowT]) -> tuple[RowT, ...]:
-    """Return the rows of a CSV file of published values that ships with the package; empty cells are left out.
+    """Return the rows of a CSV file of published values that ships with the package; empty cells are omitted.
 
     Parameters
     ----------
@@ -138,23 +138,23 @@ def published_rows() -> tuple[PublishedRow, ...]:
 
 
 def find(table: str, criterion: str, condition: str, delay_samples: float | None = None) -> PublishedRow | None:
-    """Return the printed row, or None where the tables have none.
+    """Return the printed row, or None if there is none.
 
     Parameters
     ----------
     table, criterion, condition : str
         As in `PublishedRow`.
     delay_samples : float, optional
-        Total delay; needed for Table D.6, and not compared elsewhere, where the delay is that of the device.
+        Total delay; required for Table D.6, ignored for the others, whose delay is that of the device.
     """
     rows = (r for r in published_rows() if (r.table, r.criterion, r.condition) == (table, criterion, condition))
     return next((row for row in rows if row.delay_samples in (None, delay_samples)), None)
 
 
 def published_deviation(row: PublishedRow) -> float | None:
-    """Return how far a printed measurement is from the printed discrete theory of its table, in percent.
+    """Return the deviation of a printed measurement from the printed discrete theory of its table, in percent.
 
-    None for a row of theory, and where the printed cost of theory is 0.
+    None for a row of theory, or if the printed cost of theory is 0.
 
     Source: Hulin 2017, Table D.6, which prints it for delays; by the same definition for D.1 to D.5.
     """
@@ -166,7 +166,7 @@ def published_deviation(row: PublishedRow) -> float | None:
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """A number as it stands in a table.
+    """A number as printed in a table.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class PrintedNumber:
 
 
 class PublishedPoint(Record):
-    """One printed point or factor; what the table does not have is None.
+    """One printed point or factor; values missing in the table are None.
 
     Parameters
     ----------
@@ -212,9 +212,9 @@ class PublishedPoint(Record):
     scaling : str or None
         Table 5.1: scaling factor of (5.19).
     erratum_of : tuple of str
-        Names of the numbers that a computation cannot meet.
+        Names of the numbers that a computation cannot reproduce.
     erratum : str or None
-        Why.
+        Reason for the deviation.
     """
 
     table: Name
@@ -301,7 +301,7 @@ def human_arms() -> tuple[HumanArm, ...]:
 
 
 def published_bound(device: str) -> PublishedBound | None:
-    """Return the printed straight bound of a device's limits; None where there is none.
+    """Return the printed straight bound of a device's limits; None if there is none.
 
     Raises
     ------
