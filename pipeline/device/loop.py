@@ -30,8 +30,8 @@ from pipeline.device.parts import (
 )
 
 LIGHTEST_LOAD, LEAST_LOSS = 1e-6, 1e-9
-"""Load of a mode, as a share of the whole mass, and its damping ratio, below which, both, doubles cannot separate its
-crossings of the unit circle."""
+"""Load of a mode relative to the total mass, and its damping ratio: if both are smaller, double precision cannot
+separate its crossings of the unit circle."""
 
 PARTS: dict[str, Any] = {
     "velocity": VelocityFilter,
@@ -45,7 +45,7 @@ PARTS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Loop:
-    """A device behind a delay, with everything that acts between the command and the position reading.
+    """A device with delay, and everything that acts between the command and the position reading.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Loop:
     sampling_period_s : float
         T [s], > 0.
     delay_samples : float
-        Delay t_d/T from command to force, >= 0, whole or fractional.
+        Delay t_d/T from command to force, >= 0, integer or fractional.
     stiffness : float
         Spring k from the device to ground [N/m, Nm/rad], >= 0.
     motion : {"translation", "rotation"}
@@ -77,11 +77,11 @@ class Loop:
     sensor : Sensor or mapping
         ``quantum`` and ``noise`` of the position sensor [m, rad].
     jitter_samples : tuple of int
-        Delays from which each command draws its own; ``delay_samples`` is then their mean.
+        Delays from which the delay of each command is drawn; ``delay_samples`` is then their mean.
     constant_force : float
         Force on the motor in addition to the command [N, Nm], such as gravity.
     force_limit : float, optional
-        Command that is clipped beyond [N, Nm].
+        Magnitude at which the command is clipped [N, Nm].
 
     Raises
     ------
@@ -131,7 +131,7 @@ class Loop:
             raise ParameterError("; ".join(mistakes))
 
     def _contradictions(self) -> list[str]:
-        """Return which numbers contradict each other, as sentences."""
+        """Return sentences on parameters that contradict each other."""
         mistakes, mode, velocity = [], self.mode, self.velocity
         low, high = self.delay_range
         if not low <= self.delay_samples <= high:
@@ -169,7 +169,7 @@ class Loop:
         return mistakes
 
     def value(self, name: str) -> float | None:
-        """Return a number by its name in `PARAMETERS`; None where the loop has no such part.
+        """Return a number by its name in `PARAMETERS`; None if the loop has no such part.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Loop:
     def replace(self, values: Mapping[str, float | None]) -> Self:
         """Return a loop with other values, by their names in `PARAMETERS`; a part that it lacks is added.
 
-        Another delay is a constant one: it replaces those of `jitter_samples`.
+        A new delay is constant: it replaces those of `jitter_samples`.
 
         Raises
         ------
@@ -208,7 +208,7 @@ class Loop:
 
     @property
     def load_damping(self) -> float:
-        """Part of the damping that acts on the load of a mode [Ns/m, Nms/rad]: none of it makes a wall passive."""
+        """Part of the damping that acts on the load of a mode [Ns/m, Nms/rad]; it does not contribute to passivity."""
         return self.mode.load_damping if self.mode else 0.0
 
     @property
@@ -218,13 +218,13 @@ class Loop:
 
     @property
     def delay_range(self) -> tuple[float, float]:
-        """Shortest and longest delay [samples]; both `delay_samples` where it does not jitter."""
+        """Shortest and longest delay [samples]; both `delay_samples` without jitter."""
         drawn = self.jitter_samples or (self.delay_samples,)
         return float(min(drawn)), float(max(drawn))
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of what linear theory cannot include: an adaptive velocity filter, friction, jitter."""
+        """Names of parts that linear theory cannot include: an adaptive velocity filter, friction, jitter."""
         low, high = self.delay_range
         names = {
             "velocity": isinstance(self.velocity, AdaptiveWindow | Levant),
@@ -264,20 +264,20 @@ class Loop:
         """
         if self.operator is None and self.force_gain == 1:
             return self
-        # a limit of the command is one already
+        # a limit of the command is already per unit of command
         return self.with_operator()._in_units(self.force_gain, 1.0, force_gain=1.0, force_limit=self.force_limit)
 
     def normalised(self) -> Loop:
         """Return the apparent device in units of its mass and of the sampling period (Table 3.1).
 
-        Its stiffness is gamma = k T^2/m, its damping delta = b T/m, its lag one in samples; mass and sampling period
+        Its stiffness is gamma = k T^2/m, its damping delta = b T/m, its lag is in samples; mass and sampling period
         are 1.
         """
         device = self.apparent()
         return device._in_units(device.mass, self.sampling_period_s)
 
     def _in_units(self, mass: float, time: float, **others: float | None) -> Loop:
-        """Return the loop with all numbers divided by their units of a mass and a time."""
+        """Return the loop with all parameters divided by their units formed of a mass and a time."""
         changes: dict[str, Any] = {}
         for name, parameter in PARAMETERS.items():
             value, unit = self.value(name), parameter.normalising_unit(mass, time)
@@ -321,7 +321,7 @@ def _parameter(name: str) -> Parameter:
 
 
 def _check(name: str, value: float | None) -> None:
-    """Refuse a number of the loop's own outside its range."""
+    """Refuse a parameter of the loop outside its range."""
     if value is None:
         return
     parameter, number = PARAMETERS[name], as_number(value)
@@ -346,11 +346,11 @@ def _part(name: str, kind: Any, given: object) -> Any:
 
 
 _KINDS = ("difference", "butterworth", "coefficients", "kalman", "foaw", "levant")
-"""Names of kinds of a filter, which validation adds to the path of a key."""
+"""Names of filter kinds, which validation adds to the path of a key."""
 
 
 def as_number(value: float) -> float:
-    """Return a number as a float, infinite where it is a whole one beyond all floats."""
+    """Return a number as a float; infinite for an integer beyond the range of floats."""
     try:
         return float(value)
     except OverflowError:

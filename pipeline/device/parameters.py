@@ -25,15 +25,15 @@ Motion = Literal[
     "translation in %",
     "rotation in %",
 ]
-"""Kind of motion of a device, and the unit of its commands where they are no forces or torques: those of a drive whose
-gain is not stated. Both together decide the units of all numbers, which then count per volt, ampere, count or percent.
+"""Type of motion of a device, and the unit of its commands if they are not forces or torques, but those of a drive with
+unknown gain. Together they determine the units of all parameters, which are then per volt, ampere, count or percent.
 """
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 
 def is_rotation(motion: str) -> bool:
-    """Return whether a device turns, whatever its commands are.
+    """Return whether a device rotates, independent of the unit of its commands.
 
     >>> is_rotation("rotation in V"), is_rotation("translation")
     (True, False)
@@ -42,7 +42,7 @@ def is_rotation(motion: str) -> bool:
 
 
 def drive_of(motion: str) -> str:
-    """Return the unit of the commands of a drive; empty where commands are forces or torques.
+    """Return the unit of the commands of a drive; empty if commands are forces or torques.
 
     >>> drive_of("rotation in V"), drive_of("rotation")
     ('V', '')
@@ -69,7 +69,7 @@ UNITS: dict[Dimension, tuple[str, str]] = {
 """SI unit of each dimension for translation and rotation."""
 
 _PER_COMMAND: dict[str, str] = {"mass": "s^2/{}", "damping": "s/{}", "stiffness": "/{}", "force": ""}
-"""What stands behind the unit of a command in the unit of each dimension that contains a force."""
+"""Suffix after the unit of a command in the unit of each dimension that contains a force."""
 
 
 def unit_of(dimension: Dimension, motion: Motion) -> str:
@@ -106,22 +106,22 @@ POWERS: dict[Dimension, tuple[int, int]] = {
     "frequency": (0, -1),
     "ratio": (0, 0),
 }
-"""Powers of mass and time of each dimension. What has a power of the mass counts for a wall per unit of command; in
-units of mass and sampling period these are the factors of Table 3.1 (Hulin 2017)."""
+"""Powers of mass and time of each dimension. Quantities with a power of the mass are per unit of command at the wall;
+in units of mass and sampling period these are the factors of Table 3.1 (Hulin 2017)."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a loop: how it is called, measured and bounded.
+    """One parameter of a loop: its names, unit and bounds.
 
     Parameters
     ----------
     name : str
         Path in the record, in the ``[loop]`` table of a device file and in JSON, such as ``mode.frequency_hz``.
     symbol : str
-        Of the thesis, or of the docs where it has none.
+        Symbol of the thesis, or of the docs if it has none.
     dimension : Dimension
-        Decides the SI unit for translation and rotation (`UNITS`).
+        Determines the SI unit for translation and rotation (`UNITS`).
     label : str
         Short noun for tables and figures.
     meaning : str
@@ -131,9 +131,9 @@ class Parameter:
     lower : float
         Smallest value; itself excluded where ``positive``.
     may_seem_negative : bool
-        Whether an estimate may be negative: a device that is about to tip over has a negative stiffness.
+        Whether an estimate may be negative: a device near an unstable equilibrium has a negative stiffness.
     unit_name : str
-        Unit in place of that of the dimension, such as ``samples`` for numbers that count.
+        Unit that replaces that of the dimension, such as ``samples`` for counts.
     """
 
     name: str
@@ -165,7 +165,7 @@ class Parameter:
         return self.unit_name or unit_of(self.dimension, motion)
 
     def normalising_unit(self, mass: float, time: float) -> float:
-        """Return mass^a time^b of the number's dimension, by which it is divided in units of mass and time.
+        """Return mass^a time^b of the parameter's dimension, the divisor for units of mass and time.
 
         >>> PARAMETERS["stiffness"].normalising_unit(0.5, 1e-3)
         500000.0
@@ -247,4 +247,4 @@ PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _
 """All numbers of a loop by name, in the order of files, tables and covariances."""
 
 ESTIMATE_PARAMETERS = {"friction": "friction.coulomb", "device_stiffness": "stiffness"}
-"""Parameter behind each name in ``estimates`` of a comparison's document that is not the parameter's own."""
+"""Parameter of each name in ``estimates`` of a comparison's document that differs from the parameter's name."""

@@ -1,4 +1,4 @@
-"""Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. What is absent is ideal.
+"""Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. Absent parts are ideal.
 
 Theory and estimates never read ``[simulation]``: it lists undocumented faults that the logs of a lab may have.
 """
@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Sizes of numbers in SI, zero apart: products of the few that meet in a formula neither overflow nor vanish."""
+"""Range of nonzero magnitudes in SI: products within a formula neither overflow nor underflow."""
 
 
 def _of_a_size(value: float) -> float:
@@ -32,7 +32,7 @@ class Part(BaseModel):
 
 
 class Difference(Part):
-    """Velocity as the mean over N samples, (x_k - x_{k-N})/(N T); N = 1 is the ideal one."""
+    """Velocity as the mean over N samples, (x_k - x_{k-N})/(N T); N = 1 is the ideal case."""
 
     kind: Literal["difference"]
     samples: Annotated[int, Field(ge=1, le=1000)]
@@ -70,10 +70,10 @@ class Coefficients(Part):
 
 
 class Kalman(Part):
-    """Steady-state Kalman filter of positions: acceleration white and constant over each sample, white sensor noise.
+    """Steady-state Kalman filter of positions: white acceleration, constant over each sample, and white sensor noise.
 
-    ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations; a quantum q is a noise of
-    q/sqrt(12). Only T^2 times their ratio, the tracking index, counts.
+    ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations; a sensor resolution q counts as
+    noise of standard deviation q/sqrt(12). Only T^2 times their ratio, the tracking index, matters.
 
     Source: Kalata 1984, "The tracking index", IEEE Trans. Aerospace and Electronic Systems 20 (2).
     """
@@ -86,7 +86,7 @@ class Kalman(Part):
         """Return the same filter of (x_k - x_{k-1})/T."""
         index = self.acceleration * sampling_period_s**2 / self.noise
         root = sqrt(index * (index + 8))
-        # 1 - r and r = (4 + index - root)/4, neither by a difference of numbers that are nearly equal
+        # 1 - r and r = (4 + index - root)/4, both without cancellation of nearly equal numbers
         rest = 2 * index / (index + root)
         ratio = 4 / (4 + index + root)
         alpha, beta = rest * (1 + ratio), 2 * rest * rest
@@ -94,10 +94,10 @@ class Kalman(Part):
 
 
 class AdaptiveWindow(Part):
-    """First-order adaptive window (FOAW): the slope over the longest window whose samples all lie near its line.
+    """First-order adaptive window (FOAW): the slope over the longest window whose samples are all near its line.
 
-    ``bound`` [m, rad] is how far a sample may lie off the line through the window's ends: that of the sensor, such as
-    its quantum. ``longest`` is the largest window [samples].
+    ``bound`` [m, rad] is the largest distance of a sample from the line through the window's ends: the error bound of
+    the sensor, such as its resolution. ``longest`` is the largest window [samples].
 
     Source: Janabi-Sharifi, Hayward, Chen 2000, IEEE Trans. Control Systems Technology 8 (6), end-fit.
     """
@@ -108,10 +108,10 @@ class AdaptiveWindow(Part):
 
 
 class Levant(Part):
-    """Levant's first-order differentiator, integrated once a sample by Euler's method.
+    """Levant's first-order differentiator, integrated once per sample by Euler's method.
 
     z' = -1.5 C^(1/2) |z - x|^(1/2) sign(z - x) + w, w' = -1.1 C sign(z - x); the velocity is w. ``acceleration``
-    [m/s^2, rad/s^2] is C, the largest acceleration that is expected.
+    [m/s^2, rad/s^2] is C, the largest expected acceleration.
 
     Source: Levant 1998, Automatica 34 (3), with its gains.
     """
@@ -127,7 +127,7 @@ VelocityFilter = Annotated[LinearFilter | Kalman | AdaptiveWindow | Levant, Fiel
 
 
 class Mode(Part):
-    """One vibration mode: two masses on a spring. Force, damping and operator act on the motor side.
+    """One vibration mode: two masses connected by a spring. Force, damping and operator act on the motor side.
 
     ``frequency_hz`` is the free-free resonance, ``damping_ratio`` that of the relative motion, ``mass`` [kg, kg m^2]
     the load; the experiment's mass is the sum of both. ``load_damping`` [Ns/m, Nms/rad] is the part of the experiment's
@@ -171,7 +171,7 @@ class Sensor(Part):
 
 
 class LoopTable(Part):
-    """The ``[loop]`` table of a device or an experiment, as a file has it; what it does not name is ideal."""
+    """The ``[loop]`` table of a device or an experiment, as in a file; parts that it does not name are ideal."""
 
     velocity: VelocityFilter | None = None
     actuator_lag_s: NonNegative = 0.0
@@ -181,12 +181,12 @@ class LoopTable(Part):
     friction: Friction | None = None
 
     def over(self, lower: LoopTable) -> LoopTable:
-        """Return this table, with the entries of another where this one does not name them."""
+        """Return this table, completed by entries of another."""
         return LoopTable(**{**named(lower), **named(self)})
 
 
 def named(parts: Part) -> dict[str, object]:
-    """Return the fields that a table names, as given, in the order in which they are described."""
+    """Return the fields that a table names, as given, in the order of their definition."""
     return {name: getattr(parts, name) for name in type(parts).model_fields if name in parts.model_fields_set}
 
 
@@ -202,7 +202,7 @@ class LaterStep(Part):
 
 
 class SimulationParts(Part):
-    """The ``[simulation]`` table of a device or an experiment; what it does not name is as stated and complete.
+    """The ``[simulation]`` table of a device or an experiment; faults that it does not name are absent.
 
     Parameters
     ----------
@@ -221,9 +221,9 @@ class SimulationParts(Part):
     lost_rows_hidden : bool
         Time stamps are renumbered, so that they do not show which rows are missing.
     held_samples : float
-        Share of samples in which the sensor repeats its last value, to the controller too.
+        Fraction of samples in which the sensor repeats its last value; the controller receives it, too.
     repeated_rows : float
-        Share of rows in which the log repeats the position of the row before; the controller had the true one.
+        Share of rows in which the log repeats the previous position; the controller had the true one.
     ramp_samples : int
         Samples over which the step rises; 1 is a step.
     later_steps : tuple of LaterStep
@@ -243,11 +243,11 @@ class SimulationParts(Part):
     later_steps: tuple[LaterStep, ...] = ()
 
     def over(self, lower: SimulationParts) -> SimulationParts:
-        """Return these parts, with those of another where this one does not name them."""
+        """Return these parts, completed by those of another."""
         return SimulationParts(**{**named(lower), **named(self)})
 
     def mistakes(self, duration_s: float, force_limit: float | None) -> list[str]:
-        """Return what a device with trials of a length [s] and a force limit [N, Nm] cannot have, as sentences."""
+        """Return sentences on entries that contradict the trial length [s] or the force limit [N, Nm] of a device."""
         found = [
             f"simulation.later_steps[{i}].time_s: found {step.time_s:g}; must be below duration_s, {duration_s:g}"
             for i, step in enumerate(self.later_steps, start=1)
