@@ -43,7 +43,7 @@ ANSWERED = (Problem, Later, PipelineError, OSError, sqlite3.OperationalError, Va
 """Errors that are answers to requests."""
 
 THREADS = 12
-"""That answer requests: more take memory, and the interpreter from each other."""
+"""Number of threads that answer requests: more would take memory and compete for the interpreter."""
 
 
 def create_app(settings: Settings) -> ASGIApp:
@@ -52,7 +52,7 @@ def create_app(settings: Settings) -> ASGIApp:
     Raises
     ------
     UsageError
-        If other computers would reach it and there is no token.
+        If it is reachable from other computers and there is no token.
     """
     database = Database(settings.data)
     if not settings.loopback and not database.has_tokens():

@@ -1,7 +1,7 @@
-"""All stored trials, with verdicts and costs where stored: what lists, facets, sorts and searches read (SQLite).
+"""Index of all stored trials, with verdicts and costs if stored, for lists, facets, sorting and searches (SQLite).
 
-Parquet is the truth: files are looked at again when something may have changed, and experiments read again whose files
-did. The file can be deleted at any time, and is rebuilt. Nothing is computed here.
+The Parquet files are authoritative: they are checked when something may have changed, and experiments with changed
+files are read again. The index can be deleted at any time, and is rebuilt. Nothing is computed here.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from pipeline.store.storage import (
 )
 
 LOOK_S = 0.5
-"""Longest time after which a change by the command line is seen [s]."""
+"""Longest delay until a change by the command line is visible [s]."""
 
 KEPT = 64
-"""Answers that are kept of a state: readers turn pages, and look at the same."""
+"""Number of cached answers per state: readers turn pages and request the same data."""
 
 EXCLUDED = "excluded"
-"""Shown instead of the verdict of a trial that is excluded by hand, which no number uses."""
+"""Shown instead of the verdict of a trial that is excluded by hand and used for no result."""
 
 WORDS = ("device", "experiment", "verdict", "outcome")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
@@ -70,7 +70,7 @@ COSTS = {
 NEEDS = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
 SORTS = ("id", *WORDS, "stiffness", "damping", "recorded", "uploader", *REPORTED)
 SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
-"""Orders of trials: rising, and falling."""
+"""Sort orders of trials: ascending and descending."""
 
 _PLAIN = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader", "findings")
 COLUMNS = (*_PLAIN, *LOCATION, *COSTS)
@@ -87,7 +87,7 @@ CREATE INDEX IF NOT EXISTS by_place ON trials (device, experiment, verdict, outc
 CREATE INDEX IF NOT EXISTS by_said ON trials (said);
 {"".join(f"CREATE INDEX IF NOT EXISTS by_{c} ON trials ({c}, id);" for c in SORTS[1:])}
 """
-"""Made when all trials of a new file are there: one by one takes five times as long."""
+"""Created after all trials of a new file are inserted: updating it one by one takes five times as long."""
 
 _SEARCHED = ("id", "device", "experiment", "source", "uploader")
 """Columns of a trial that are searched, in addition to its notes and tags."""
@@ -107,7 +107,7 @@ Kept = TypeVar("Kept")
 
 @dataclass(frozen=True)
 class Selection:
-    """Which trials are meant: words of `WORDS`, ends of ranges (``stiffness_min``, ...), and what is searched."""
+    """Selection of trials: values of `WORDS`, ends of ranges (``stiffness_min``, ...), and a search text."""
 
     words: Mapping[str, str | None]
     ranges: Mapping[str, float]
@@ -135,13 +135,13 @@ class Selection:
 
 
 class Catalogue:
-    """The present state of a store, read again where files changed.
+    """The present state of a store, read again when files change.
 
     Parameters
     ----------
     processed : Path
     database : Database
-        Has notes, tags and who uploaded, and lies in the folder of the catalogue.
+        Contains notes, tags and uploaders, and is in the folder of the catalogue.
     """
 
     def __init__(self, processed: Path, database: Database) -> None:
@@ -171,7 +171,7 @@ class Catalogue:
         return self._connection.execute(statement, values).fetchall()
 
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
-        """Return rows of the present state; at most `LOOK_S` late, and never behind what was done here."""
+        """Return rows of the present state: at most `LOOK_S` old, and always including changes by this service."""
         with self._lock:
             done = tuple(self.database.run(_DONE)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:
@@ -205,13 +205,13 @@ class Catalogue:
 
     @property
     def damaged(self) -> dict[str, str]:
-        """Experiments that could not be read, and why."""
+        """Experiments that could not be read, and the reasons."""
         rows = self.run("SELECT * FROM parts WHERE damaged != ''")
         return {f"{row['device']}/{row['experiment']}": row["damaged"] for row in rows}
 
     @property
     def experiments(self) -> list[dict[str, Any]]:
-        """All experiments, with numbers of trials by verdict and the time of the last log, as people sort them."""
+        """All experiments, with numbers of trials by verdict and the time of the last log, in natural order."""
 
         def made() -> list[dict[str, Any]]:
             rows = [dict(row) for row in self._run(_EXPERIMENTS)]
@@ -228,7 +228,7 @@ class Catalogue:
         return [{"device": d, "experiments": len(e), "trials": sum(one["trials"] for one in e)} for d, e in found]
 
     def trial(self, trial: str) -> dict[str, Any] | None:
-        """Return a trial as the API shows it; None where there is none."""
+        """Return a trial as the API shows it; None if it does not exist."""
         rows = self._shown(self.run("SELECT * FROM trials WHERE id = ?", (trial,)))
         return rows[0] if rows else None
 
@@ -238,7 +238,7 @@ class Catalogue:
         return row["sample_file"], int(row["sample_row"])
 
     def selected(self, chosen: Selection) -> tuple[int, dict[str, dict[str, int]]]:
-        """Return how many trials are meant, and how many of them have each of `WORDS`."""
+        """Return the number of selected trials, and of those with each value of `WORDS`."""
 
         def made() -> tuple[int, dict[str, dict[str, int]]]:
             where, values = self._chosen(chosen)
@@ -256,9 +256,9 @@ class Catalogue:
     def page(
         self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None
     ) -> tuple[list[dict[str, Any]], bool]:
-        """Return trials in order, from the one behind a value and trial on, and whether more follow.
+        """Return trials in order, starting after a value and trial, and whether more follow.
 
-        A page depends on these alone, so that trials which come meanwhile shift none; missing values come last.
+        A page depends only on these, so that trials added in the meantime do not shift it; missing values come last.
         """
         name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
         where, values = self._chosen(chosen)
@@ -289,7 +289,7 @@ class Catalogue:
         return found
 
     def _refresh(self) -> None:
-        """Read what changed again: experiments by their files and corrections, words by when they were written."""
+        """Read changed data again: experiments by their files and corrections, notes and tags by their time."""
         corrections, whole = self._corrections()
         places: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
         for file in trials_files(self.processed):
@@ -315,7 +315,7 @@ class Catalogue:
         self._state, self._kept = state, {}
 
     def _corrections(self) -> tuple[list[Correction], bool]:
-        """Return what was corrected by hand, and whether that could be read: if not, experiments say so."""
+        """Return the manual corrections, and whether they could be read: if not, experiments report it."""
         with suppress(StoreError):
             files = corrections_files(self.processed)
             return (list(read_corrections(self.processed).values()) if files else []), True
@@ -329,12 +329,12 @@ class Catalogue:
         if sign is not None:
             connection.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (*place, sign, damaged))
         marks = ", ".join("?" * (len(COLUMNS) + 1))
-        # a trial that was moved may stand at another place still
+        # a moved trial may still be listed at another place
         connection.executemany(f"INSERT OR REPLACE INTO trials VALUES ({marks})", rows)
         connection.execute("COMMIT")
 
     def _read(self, device: str, experiment: str) -> tuple[list[tuple[Any, ...]], str]:
-        """Return the trials of an experiment with what is stored of their verdicts and costs, or why not."""
+        """Return the trials of an experiment with stored verdicts and costs, or the reason why they are missing."""
         try:
             stored = read_trials(self.processed, device, experiment, list(_READ))
             spring = declared_spring(known_devices().get(device), experiment)
@@ -370,7 +370,7 @@ def _findings(time_quality: str) -> str:
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:
-    """Return a column of a stage in the order of the trials; None where it has no row or no value."""
+    """Return a column of a stage in the order of the trials; None if it has no row or no value."""
     if stage is None:
         return [None] * len(ids)
     known = dict(zip(stage.column("trial_id").to_pylist(), stage.column(column).to_pylist(), strict=True))

@@ -20,11 +20,12 @@ from pipeline.base.errors import UsageError
 from pipeline.service.settings import Settings
 
 BACKLOG, AT_ONCE = 2048, 16
-"""Connections that the system keeps until they are accepted, and that are accepted before those too many are closed."""
+"""Number of connections that the system queues until they are accepted, and number accepted before excess ones are
+closed."""
 
 
 class Connection(H11Protocol):
-    """A connection that is closed where its header is late, or too many others of its address wait for theirs."""
+    """A connection that is closed if its header is late, or if too many of its address are without a header."""
 
     def __init__(self, *given: object, settings: Settings, **more: object) -> None:
         super().__init__(*given, **more)  # type: ignore[arg-type]
@@ -33,11 +34,11 @@ class Connection(H11Protocol):
 
     @property
     def headless(self) -> bool:
-        """Whether no request is under way: none has begun, or its header is not whole."""
+        """Whether no request is in progress: none has begun, or its header is incomplete."""
         return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Take a connection; of an address with too many the oldest without a header makes room, or this one goes."""
+        """Accept a connection; if its address has too many, close the oldest without a header, or this one."""
         super().connection_made(transport)
         own = [one for one in self.connections if isinstance(one, Connection) and one.address == self.address]
         if len(own) > self.settings.connections:
@@ -55,7 +56,7 @@ class Connection(H11Protocol):
         self._cancel()
 
     def data_received(self, data: bytes) -> None:
-        """Take what comes; the time of a header goes on until it is whole."""
+        """Receive data; the timeout of a header runs until it is complete."""
         super().data_received(data)
         if not self.headless:
             self._cancel()
@@ -64,7 +65,7 @@ class Connection(H11Protocol):
 
     @property
     def address(self) -> str:
-        """Where it comes from; all at a path in the file system are one."""
+        """Address of the client; all clients of a Unix socket count as one."""
         return self.client[0] if self.client else ""
 
     def _wait(self) -> None:
@@ -82,10 +83,10 @@ class Connection(H11Protocol):
 
 
 class _Server(uvicorn.Server):
-    """The server; asyncio has one number for what it accepts at once and what the system keeps."""
+    """The server; needed because asyncio has one number for connections accepted at once and queued ones."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to listen."""
+        """Start listening."""
         await super().startup(sockets)
         for each in sockets or ():
             each.listen(BACKLOG)
@@ -108,7 +109,7 @@ def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
     Raises
     ------
     UsageError
-        If it is not to be had.
+        If the address is not available.
     """
     six = ":" in settings.host
     family = socket.AF_INET6 if six else socket.AF_INET

@@ -1,6 +1,7 @@
-"""What is not in Parquet: jobs with a lease, tokens, sessions, uploads, notes, tags, who did what (SQLite, WAL).
+"""Data outside Parquet: jobs with a lease, tokens, sessions, uploads, notes, tags, audit (SQLite, WAL).
 
-Every statement is its own transaction, on the disk when it returns. Server, workers and command line share the file.
+Every statement is a separate transaction, which is on disk when it returns. Server, workers and command line share the
+file.
 """
 
 from __future__ import annotations
@@ -27,30 +28,30 @@ SESSION_S = 12 * 3600.0
 """Life of a login [s]."""
 
 LEASE_S = 10.0
-"""Time after which a job is another worker's, if its own was not heard of [s]."""
+"""Time without a heartbeat after which another worker takes over a job [s]."""
 
 ATTEMPTS = 3
-"""Times that a job is begun; a worker that dies with it each time was killed by it."""
+"""Largest number of starts of a job; if its worker crashes each time, the job is the cause."""
 
 WORKS = ("upload", "stages", "experiment plan comparison optimum drawing")
-"""Kinds of jobs of each worker, as they are taken: logs with their verdicts, costs, and what is looked at.
+"""Kinds of jobs of each worker, in order of priority: logs with their verdicts, costs, and displayed results.
 
 Figures come last, except for renewed reports.
 """
 
 MOST_DRAWINGS = 100
-"""Most drawings in the queue: users who requested older ones have left the page."""
+"""Largest number of queued drawings: users who requested older ones have left the page."""
 
 KEPT_S = 30 * 86400.0
-"""Time for which ended jobs, and reports that a newer one has followed, are kept [s]."""
+"""Retention time of ended jobs, and of reports that have a newer version [s]."""
 
 LOCAL = "this computer"
-"""Who asks without a token."""
+"""Name of a user without a token."""
 
 ENDED = ("done", "failed", "cancelled")
 
 NEWEST = 2**62
-"""Above the number of any row."""
+"""Number above that of any row."""
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
@@ -74,7 +75,7 @@ CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 
 
 def hashed(secret: str) -> str:
-    """Return what is stored of a secret; those made here are random, so that a fast hash keeps them."""
+    """Return the stored hash of a secret; secrets made here are random, so a fast hash is sufficient."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
@@ -82,7 +83,7 @@ _OWN = "WHERE id = ? AND owner = ? AND state = 'running'"
 
 
 def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.Connection:
-    """Return the connection of this thread to a file, which `local` keeps."""
+    """Return the connection of this thread to a file, stored in `local`."""
     if not hasattr(local, "connection"):
         local.connection = sqlite3.connect(file, timeout=30.0, isolation_level=None)
         local.connection.row_factory = sqlite3.Row
@@ -92,17 +93,17 @@ def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.C
 
 
 class Database:
-    """The service's private file, readable only by its user; one connection a thread.
+    """The service's private file, readable only by its user; one connection per thread.
 
     Parameters
     ----------
     folder : Path
-        Where it lies; made if needed.
+        Its folder, created if needed.
     """
 
     def __init__(self, folder: Path) -> None:
         make_folder(folder)
-        with suppress(PermissionError):  # a folder of somebody else is as he made it
+        with suppress(PermissionError):  # the permissions of another user's folder stay unchanged
             os.chmod(folder, 0o700)
         self.file = folder / "service.sqlite"
         self._local = threading.local()
@@ -129,12 +130,12 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Do all statements of a block, or none."""
+        """Execute all statements of a block, or none."""
         self.run("BEGIN IMMEDIATE")
         try:
             yield
         except BaseException:
-            if self._connection.in_transaction:  # SQLite has rolled back by itself where the disk is full
+            if self._connection.in_transaction:  # SQLite has already rolled back if the disk is full
                 self.run("ROLLBACK")
             raise
         self.run("COMMIT")
@@ -144,9 +145,9 @@ class Database:
     def add_job(
         self, kind: str, request: dict[str, Any], key: str = "", job: str | None = None, author: str = "", late: int = 0
     ) -> str:
-        """Queue a job, or return the waiting or running one of the same kind and key; an empty key is no other's.
+        """Queue a job, or return the waiting or running one of the same kind and key; an empty key is always new.
 
-        A running job of the kind ``stages`` may have passed what is new.
+        A running job of the kind ``stages`` is not reused, as it may miss new trials.
         """
         name, now = job or secrets.token_hex(8), time.time()
         same = "kind = ? AND key = ? AND (state = 'queued' OR (state = 'running' AND kind != 'stages'))"
@@ -155,7 +156,7 @@ class Database:
             f"WHERE ? = '' OR NOT EXISTS (SELECT 1 FROM jobs WHERE {same})",
             *(name, kind, key, json.dumps(request), now, now, author, late, key, kind, key),
         )
-        if kind in ("optimum", "drawing"):  # that readers ask for
+        if kind in ("optimum", "drawing"):  # requested by readers
             waiting = "FROM jobs WHERE state = 'queued' AND kind IN ('optimum', 'drawing')"
             self.run(
                 f"UPDATE jobs SET state = 'cancelled', changed = ? WHERE number IN (SELECT number {waiting} "
@@ -164,13 +165,13 @@ class Database:
             )
         if not key:
             return name
-        if not late:  # somebody waits for what was to come last
+        if not late:  # a user waits for a job that was queued with low priority
             self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
         rows = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
         return str(rows[0]["id"])
 
     def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> dict[str, Any] | None:
-        """Take a job of these kinds that waits, or whose worker was not heard of; None without one."""
+        """Take a waiting job of these kinds, or one whose worker has no heartbeat; return None if there is none."""
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
@@ -181,12 +182,12 @@ class Database:
         return _shown(rows[0]) if rows else None
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
-        """Renew the lease of a job; return whether it still is this worker's."""
+        """Renew the lease of a job; return whether it still belongs to this worker."""
         given = (time.time() + LEASE_S, json.dumps(progress), time.time(), job, owner)
         return bool(self.run(f"UPDATE jobs SET lease = ?, progress = ?, changed = ? {_OWN} RETURNING id", *given))
 
     def free(self, owner: str, blamed: bool = True) -> None:
-        """Let other workers take the job of one that was seen to end; one that ended several of them has failed."""
+        """Release the job of a worker that has ended; a job that ended several workers has failed."""
         mine = "WHERE owner = ? AND state = 'running'"
         given = (blamed, time.time(), owner)
         self.run(f"UPDATE jobs SET lease = 0, attempts = attempts + ?, changed = ? {mine}", *given)
@@ -195,7 +196,7 @@ class Database:
         self.run(f"UPDATE jobs SET state = 'failed', problem = ? {mine} AND attempts >= ?", *ended)
 
     def finish(self, job: str, owner: str, result: object = None, problem: object = None) -> None:
-        """Store what became of a job, unless it was cancelled or is another's by now."""
+        """Store the outcome of a job, unless it was cancelled or taken by another worker."""
         texts = [None if each is None else json.dumps(each) for each in (result, problem)]
         given = ("failed" if problem else "done", *texts, time.time(), job, owner)
         self.run(f"UPDATE jobs SET state = ?, result = ?, problem = ?, changed = ? {_OWN}", *given)
@@ -208,12 +209,12 @@ class Database:
         )
 
     def job(self, job: str) -> dict[str, Any] | None:
-        """Return a job as users see it; None where there is none."""
+        """Return a job as shown to users; None if it does not exist."""
         rows = self.run("SELECT * FROM jobs WHERE id = ?", job)
         return _shown(rows[0]) if rows else None
 
     def failed_job(self, kind: str, key: str, within_s: float) -> str | None:
-        """Return the job of a kind and key that failed a moment ago."""
+        """Return the job of a kind and key that failed recently."""
         which = "kind = ? AND key = ? AND state = 'failed' AND changed > ?"
         rows = self.run(f"SELECT id FROM jobs WHERE {which}", kind, key, time.time() - within_s)
         return rows[0]["id"] if rows else None
@@ -224,13 +225,13 @@ class Database:
         return [_shown(row) for row in rows], last
 
     def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
-        """Return rows with a number, the newest first, below a number; and that of the last one where more follow."""
+        """Return rows with a number, the newest first, below a number; and that of the last one if more follow."""
         given = (min(max(before, 0), NEWEST), limit + 1)
         rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
         return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
 
     def reports(self, most: int) -> list[dict[str, Any]]:
-        """Return the jobs that made comparisons, the newest first; one is ``earlier`` where the same was made since."""
+        """Return the jobs that made comparisons, the newest first; one is ``earlier`` if a newer equal one exists."""
         found, seen = self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0], set[str]()
         for job in found:
             asked = json.dumps(job["request"].get("asked", job["id"]))
@@ -249,14 +250,14 @@ class Database:
         return {row["path"]: (row["name"], row["author"]) for row in rows}
 
     def job_counts(self, which: str = "1") -> dict[str, int]:
-        """Return how many jobs are in which state."""
+        """Return the number of jobs in each state."""
         rows = self.run(f"SELECT state, count(*) AS n FROM jobs WHERE {which} GROUP BY state")
         return {row["state"]: row["n"] for row in rows}
 
     def forget_old(self) -> set[str]:
-        """Remove jobs that ended long ago, but uploads and the last report of each kind; return all keys that are left.
+        """Remove jobs that ended long ago, except uploads and the last report of each kind; return the remaining keys.
 
-        What an upload left is how its logs are known again.
+        Jobs of uploads are kept to recognise their logs.
         """
         self.run(
             "DELETE FROM jobs WHERE state IN ('done', 'failed', 'cancelled') AND kind != 'upload' AND changed < ? AND "
@@ -276,7 +277,7 @@ class Database:
         return token
 
     def tokens(self) -> list[dict[str, Any]]:
-        """Return who has tokens: id, role, name and day of expiry."""
+        """Return all tokens: id, role, name and day of expiry."""
         columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
         return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
 
@@ -285,11 +286,11 @@ class Database:
         return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
 
     def has_tokens(self) -> bool:
-        """Return whether somebody may come from another computer."""
+        """Return whether there is any token for other computers."""
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
 
     def holder_of(self, token: str) -> tuple[Role, str] | None:
-        """Return role and name of a token; None where it is none, or has expired."""
+        """Return role and name of a token; None if it is invalid or has expired."""
         return self._holder("tokens.hash = ?", hashed(token))
 
     def _holder(self, which: str, secret: str) -> tuple[Role, str] | None:
@@ -299,7 +300,7 @@ class Database:
         return (rows[0]["role"], rows[0]["name"] or f"token {rows[0]['hash'][:12]}") if rows else None
 
     def login(self, token: str) -> str | None:
-        """Return the secret of a new session of a token; None where it is none."""
+        """Return the secret of a new session of a token; None if the token is invalid."""
         if self.holder_of(token) is None:
             return None
         session, now = secrets.token_urlsafe(32), time.time()
@@ -308,7 +309,7 @@ class Database:
         return session
 
     def holder_of_session(self, session: str) -> tuple[Role, str] | None:
-        """Return role and name of a session; None where there is none, or its token was revoked."""
+        """Return role and name of a session; None if it does not exist, or its token was revoked."""
         return self._holder(f"sessions.expires > {time.time()} AND sessions.hash = ?", hashed(session))
 
     def logout(self, session: str) -> None:
@@ -316,12 +317,12 @@ class Database:
         self.run("DELETE FROM sessions WHERE hash = ?", hashed(session))
 
     def form_secret(self) -> str:
-        """Return the secret that tokens of forms are made with."""
+        """Return the secret from which form tokens are derived."""
         value: str = self.run("SELECT value FROM secrets WHERE name = 'forms'")[0]["value"]
         return value
 
     def note(self, who: str, did: str, what: object) -> None:
-        """Keep who did something by hand."""
+        """Record a manual action in the audit."""
         given = (time.time(), who, did, json.dumps(what))
         self.run("INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", *given)
 
@@ -330,11 +331,11 @@ class Database:
         return bool(self.run("SELECT 1 FROM audit WHERE did = ? AND what = ? LIMIT 1", did, json.dumps(what)))
 
     def audit(self, before: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
-        """Return who did what as `latest` does."""
+        """Return the audit, like `latest`."""
         rows, last = self.latest("audit", before, limit)
         return [{**dict(row), "what": json.loads(row["what"])} for row in rows], last
 
-    # words of people
+    # notes and tags
 
     def words(self, kind: str, of: Sequence[str]) -> dict[str, Any]:
         """Return the notes or tags of a trial or experiment: `value` (a text, or a list), `author` and `changed`."""
@@ -355,7 +356,7 @@ class Database:
         self.run("INSERT OR REPLACE INTO words VALUES (?, ?, ?, ?, ?)", *given)
 
     def move_words(self, old: Sequence[str], new: Sequence[str]) -> None:
-        """Let notes and tags follow an experiment that is renamed, but where the other one has its own."""
+        """Move notes and tags of a renamed experiment, unless the target already has some."""
         self.run("UPDATE OR IGNORE words SET of = ? WHERE of = ?", json.dumps(new), json.dumps(old))
 
 

@@ -1,4 +1,4 @@
-"""Device files of the lab: TOML that wins over shipped files of the same name, and that the next comparison uses."""
+"""Device files of the lab: TOML that overrides shipped files of the same name, and is used by the next comparison."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.store.names import folder_name
 
 
 def use_folder(settings: Settings) -> None:
-    """Keep device files with the data of the service, where the environment names no folder; workers inherit it."""
+    """Store device files with the data of the service if the environment names no folder; workers inherit it."""
     if user_device_folder() is None and not settings.read_only:
         make_folder(settings.data / "devices")
         os.environ[USER_FOLDER_VARIABLE] = str(settings.data / "devices")
@@ -37,13 +37,13 @@ def text_of(name: str) -> str:
 
 
 def is_of_the_lab(name: str) -> bool:
-    """Return True if the file of a device is one of the lab, which can be removed."""
+    """Return True if a device has a file of the lab, which can be removed."""
     own, file = user_device_folder(), device_file(name)
     return own is not None and file is not None and file.parent == own
 
 
 def keep(name: str, text: str) -> Path:
-    """Check a device file and keep it, in place of an earlier one; return it.
+    """Check and store a device file, replacing an earlier one; return its path.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def remove(name: str) -> None:
 
 
 def draft(name: str, result: ComparisonResult | None) -> str:
-    """Return a device file to begin with: mass, damping and delay as found in the logs, where they were compared."""
+    """Return a draft of a device file, with mass, damping and delay identified from the logs if they were compared."""
     lines = [f'name = "{name}"', f'motion = "{result.motion if result else "translation"}"']
     first = result.experiments[0] if result else None
     lines.append(f"sampling_period_s = {first.sampling_period_s if first and first.sampling_period_s else 0.001}")

@@ -1,4 +1,5 @@
-"""Files with the results of jobs, by a key of their inputs. A light module, as the server needs no more of jobs."""
+"""Files with the results of jobs, by a key of their inputs. A light module, since the server needs nothing else about
+jobs."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from pipeline.store.storage import read_corrections, trials_files
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
+    """Return a hash of the stored data of experiments; it changes with any change, including manual exclusions."""
     files = [file for name in experiments for file in trials_files(processed, device, name)]
     places = [(device, name) for name in experiments]
     known = read_corrections(processed).values()
@@ -43,13 +44,13 @@ def whole(device: str, experiment: str) -> dict[str, Any]:
 
 
 def document_file(settings: Settings, key: str, report: bool = False) -> Path:
-    """Return the file of a document, that of an experiment or of a report."""
+    """Return the file of the document of an experiment or a report."""
     folder = settings.comparisons if report else settings.data / "documents"
     return folder / f"{key}.json"
 
 
 def read_document(settings: Settings, key: str) -> dict[str, Any] | None:
-    """Return a document that is kept, that of an experiment, a plan or a drawing."""
+    """Return the stored document of an experiment, a plan or a drawing."""
     try:
         document: dict[str, Any] = json.loads(document_file(settings, key).read_bytes())
     except FileNotFoundError:

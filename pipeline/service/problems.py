@@ -59,7 +59,7 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
 
 
 class Later(Exception):  # noqa: N818 (nothing is wrong)
-    """What is asked for takes longer than a request waits: the job that makes it."""
+    """The result takes longer than a request waits; contains the job that makes it."""
 
     def __init__(self, job: str) -> None:
         super().__init__(job)

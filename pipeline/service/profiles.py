@@ -1,6 +1,6 @@
 """Profiles of the lab: TOML files in addition to the shipped ones, drafted and tried as on the command line.
 
-Drafts and previews read uploaded files in a separate process that is ended where it takes too long.
+Drafts and previews read uploaded files in a separate process that is terminated if it takes too long.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from pipeline.service.settings import Settings
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 LONGEST = 100_000
-"""Letters of a profile."""
+"""Largest number of characters of a profile."""
 
 WAIT_S, DRAFT_S = 30.0, 86400.0
-"""Longest time of a draft or preview, and for which samples are kept [s]."""
+"""Time limit of a draft or preview, and retention time of samples [s]."""
 
 _WALL = ("stiffness", "damping", "step")
 """Conditions that the wall law contains."""
 
 _REMARKS = 5
-"""Contradictions that are listed in a profile."""
+"""Largest number of contradictions listed in a profile."""
 
 _AT_WORK = threading.Lock()
 
@@ -50,7 +50,7 @@ def names(settings: Settings) -> list[str]:
 
 
 def profile_path(settings: Settings, name: str) -> str | Path | None:
-    """Return what names a profile for an ingest: its file, a shipped one's name, None for an empty name."""
+    """Return a profile as argument of an ingest: its file, the name of a shipped one, None for an empty name."""
     own = settings.data / "profiles" / f"{name}.toml"
     if not name or (re.match(NAME, name) and own.is_file()):
         return own if name else None
@@ -68,7 +68,7 @@ def text_of(settings: Settings, name: str) -> str:
 
 
 def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
-    """Return a profile under the name that it gets, and its hash.
+    """Return a profile with its new name, and its hash.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
 
 
 def refuse_sheet(has_sheet: bool) -> None:
-    """Refuse a profile with a sheet: its path would be that of a file of the server.
+    """Refuse a profile with a sheet: its path would refer to a file on the server.
 
     Raises
     ------
@@ -111,12 +111,12 @@ def refuse_sheet(has_sheet: bool) -> None:
 
 
 def keep(settings: Settings, name: str, text: str) -> None:
-    """Keep a profile that was checked, in place of an earlier one of its name."""
+    """Store a checked profile, replacing an earlier one with its name."""
     write_text(settings.data / "profiles" / f"{name}.toml", text)
 
 
 _OF_A_PROFILE = {"sampling_period", "wrong_sign"}
-"""Findings of a recording that a wrong profile makes."""
+"""Findings on a recording that a wrong profile causes."""
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,11 @@ class Contradiction:
     Parameters
     ----------
     where : str
-        The log, with its trial where it has several.
+        The log, with its trial if it has several.
     expected : str
         Stiffness, damping and step that the profile states, with units.
     found : str
-        What the command obeys, and how to correct the profile.
+        Gains that the command obeys, and how to correct the profile.
     """
 
     where: str
@@ -182,13 +182,13 @@ def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradic
     lines = [f"CONFIRMED by {who or 'unknown'} on {time.strftime('%Y-%m-%d')}: {words}"]
     lines += [f"contradiction, {one.where}: {one.found}" for one in found[:_REMARKS]]
     lines += [f"contradictions in {counted(len(found) - _REMARKS, 'other log')}"] if len(found) > _REMARKS else []
-    # a line break or another control sign would end the remark
+    # a line break or another control character would end the remark
     plain = ("".join(sign if sign.isprintable() else " " for sign in line) for line in lines)
     return text.rstrip("\n") + "\n" + "".join(f"# {line}\n" for line in plain)
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return where samples of a draft lie; older ones are removed. Its name is proposed for the experiment."""
+    """Return the folder of samples of a draft, and remove older ones. Its name is proposed for the experiment."""
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
         if time.time() - old.stat().st_mtime > DRAFT_S:
@@ -203,7 +203,7 @@ def draft(folder: Path) -> dict[str, Any]:
 
 
 def preview(folder: Path, text: str) -> list[Any]:
-    """Return what a profile would read of samples; a refused one has the reason."""
+    """Return what a profile would read from samples; a refused one has the reason."""
     with suppress(tomllib.TOMLDecodeError):  # the check reports the mistake
         refuse_sheet("sheet" in tomllib.loads(text))
     file = folder.with_suffix(".toml")
@@ -213,7 +213,7 @@ def preview(folder: Path, text: str) -> list[Any]:
 
 
 def questions(text: str) -> list[dict[str, Any]]:
-    """Return what a draft still asks: line, key, the question, and what the line below it proposes (TOML)."""
+    """Return the open questions of a draft: line, key, question, and the proposal below it (TOML)."""
     lines = [*text.splitlines(), ""]
     return [
         {
@@ -227,7 +227,7 @@ def questions(text: str) -> list[dict[str, Any]]:
 
 
 def answered(text: str, answers: Mapping[int, str]) -> str:
-    """Return a draft in which questions, by their lines, are answered; a word that is no TOML is a text."""
+    """Return a draft with answers to questions, by line; an answer that is not TOML is a text."""
     lines = text.splitlines()
     for line, answer in sorted(answers.items(), reverse=True):
         if not answer.strip() or line >= len(lines) or not lines[line].startswith("# "):
@@ -242,7 +242,7 @@ def answered(text: str, answers: Mapping[int, str]) -> str:
 
 
 def _asked(*words: str) -> Any:
-    """Return what a command on profiles prints; its complaint is a problem."""
+    """Return the output of a profile command; its error becomes a problem."""
     if not _AT_WORK.acquire(timeout=WAIT_S):
         raise Problem(503, "Profiles are drafted for others; ask again.", where="profile")
     try:

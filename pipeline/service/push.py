@@ -1,4 +1,4 @@
-"""Logs to a server, some at a time, with what Python brings along."""
+"""Upload of logs to a server in batches, with the standard library only."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import profile_toml
 
 AT_A_TIME, BYTES = 200, 64 << 20
-"""Logs, and bytes of them, in a request: an interruption costs no more."""
+"""Largest number of logs, and of bytes, in a request: an interruption loses at most this."""
 
 POLL_S = 0.2
 
@@ -35,7 +35,7 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
     Raises
     ------
     UsageError
-        If there are no logs, the server cannot be reached, or it refuses; what it took before stays there.
+        If there are no logs, the server cannot be reached, or it refuses; logs accepted before stay there.
     """
     files = [folder] if folder.is_file() else sorted(_logs(folder))
     if not files:
@@ -75,7 +75,7 @@ def _logs(folder: Path) -> Iterator[Path]:
 
 
 def _groups(files: list[Path]) -> Iterator[list[Path]]:
-    """Yield files in groups; those of one folder stand together, as pairs have to."""
+    """Yield files in groups; files of one folder stay together, as pairs require."""
     group: list[Path] = []
     size = 0
     for file in files:
@@ -110,7 +110,7 @@ class _Server:
         return self._ask("POST", "/api/v1/logs", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
 
     def keep(self, name: str, text: str) -> str:
-        """Send a profile to the server, which keeps it, and return its name."""
+        """Send a profile to the server, which stores it, and return its name."""
         body = json.dumps({"profile": text}).encode()
         self._ask("PUT", f"/api/v1/profiles/{quote(name)}", body, {"Content-Type": "application/json"})
         return name

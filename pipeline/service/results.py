@@ -1,4 +1,4 @@
-"""What jobs compute, by the functions that the command line calls, and where it is kept: by a key of its inputs."""
+"""Computations of jobs, with the functions of the command line; results are stored under a key of their inputs."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ Drawn = dict[str, Any]
 """Panels as SVG, what they show in numbers, title and caption."""
 
 LONGEST_S = 3600.0
-"""Longest wait for another process that writes, or computes the same [s]."""
+"""Longest wait for another process that writes or computes the same result [s]."""
 
 OPTIMUM_S = 300.0
 """Longest time of an optimum [s]; a delay of 64 samples takes 20 s of a processor."""
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Ingest uploaded logs, and give their verdicts; the result is what ``ingest --json`` prints, in uploaded names."""
+    """Ingest uploaded logs, and compute verdicts; return the output of ``ingest --json`` with uploaded names."""
     begun = time.time() - 1.0  # clocks of files are coarse
     skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / (request["folder"] or "none")
@@ -138,7 +138,7 @@ def run_stages(settings: Settings, database: Database, _request: dict[str, Any],
 
 
 def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
-    """Return the experiments to which trials came since a time, those of the newest first."""
+    """Return the experiments with trials added since a time, newest first."""
     places = [(device, name) for device in list_devices(processed) for name in list_experiments(processed, device)]
     times = {of: [file.stat().st_mtime for file in trials_files(processed, *of)] for of in places}
     last = {of: max(each, default=since) for of, each in times.items()}
@@ -148,7 +148,7 @@ def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
 def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
     """Compute the stages that an experiment lacks, or verdicts alone; return whether there were any.
 
-    Two jobs may need them at a time: one waits for the other. Verdicts wait for nothing.
+    If two jobs need them at the same time, one waits for the other. Verdicts do not wait.
     """
     own = settings.data / "computing" / folder_name("/".join(place))
     try:
@@ -184,7 +184,7 @@ def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -
 
 
 def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> Any:
-    """Find the point of least cost by theory; it is given up where a hostile loop takes too long."""
+    """Find the point of least cost by theory; stop if a malicious loop takes too long."""
     process = TheoryProcess(OPTIMUM_S)
     try:
         return process.compute(*asked["theory"])
@@ -193,7 +193,7 @@ def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> 
 
 
 def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Drawn:
-    """Draw trials or experiments; these are compared first where they were not."""
+    """Draw trials or experiments; experiments are compared first if needed."""
     results = []
     for device, name in dict.fromkeys((place[0], place[1]) for place in asked["places"]):
         of = whole(device, name)
@@ -210,7 +210,7 @@ def _keep(settings: Settings, key: str, document: dict[str, Any]) -> dict[str, A
 
 
 def kept(make: Callable[[Settings, dict[str, Any], Progress], dict[str, Any]]) -> Run:
-    """Return the function of a job that keeps a document under its key."""
+    """Return the function of a job that stores a document under its key."""
 
     def run(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
         _keep(settings, request["key"], make(settings, request["request"], progress))
@@ -267,7 +267,7 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
 
 
 def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
-    """Return a figure drawn; it says so where logs of some result are simulated."""
+    """Return a drawn figure, marked if logs of some result are simulated."""
     drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
     words = {"title": figure.title, "caption": figure.caption}
     return {"panels": list(drawn.panels), "shown": list(drawn.shown), **words}

@@ -1,4 +1,4 @@
-"""Who may: checks of every request before anything else reads it, and headers of every answer.
+"""Access control: checks of every request before any other code reads it, and headers of every answer.
 
 On loopback no token is needed; a page of another site cannot use that, as its Origin, or the name under which it made a
 browser find this computer (Host), is refused. Elsewhere a token is needed, sent as Bearer or kept as a login's cookie.
@@ -32,10 +32,10 @@ SESSION, FORM = "pipeline-session", "pipeline-form"
 """Names of cookies: of a login, and of the forms of a browser."""
 
 SMALL = 1 << 20
-"""Bytes of a request without logs."""
+"""Largest size of a request without logs [byte]."""
 
 DRAIN_S = 5.0
-"""Time that a refused client may go on sending [s]: one that is cut off does not read why."""
+"""Time for which a refused client may continue sending [s]: a disconnected client does not read the reason."""
 
 OPEN = ("/login", "/api/v1/health")
 UPLOADS = ("/upload", "/api/v1/logs")
@@ -55,10 +55,10 @@ HEADERS = {
 
 
 BURST_S = 10.0
-"""Seconds whose requests may come at once: a page loads several things, a program asks in bursts."""
+"""Burst size, as seconds of the permitted rate: a page loads several files, a program sends bursts."""
 
 MOST_KNOWN = 10_000
-"""Senders that are remembered; beyond these, those that may ask freely are forgotten."""
+"""Largest number of tracked senders; above it, senders without a current limit are dropped."""
 
 
 class Rates:
@@ -79,7 +79,7 @@ class Rates:
         self._left: dict[str, tuple[float, float]] = {}
 
     def wait_s(self, sender: str) -> float:
-        """Take a request of a sender; return how long he has to wait instead where he asked too often, else 0."""
+        """Count a request of a sender; return the required wait [s] if there were too many, otherwise 0."""
         if not self.per_s:
             return 0.0
         now = self.clock()
@@ -140,7 +140,7 @@ class Guard:
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 
     def _role(self, request: HTTPConnection) -> tuple[Role, str]:
-        """Return what the sender may do, and who he is; raise where he may not do this."""
+        """Return role and name of the sender; raise a problem if the request is not permitted."""
         headers, path, method = request.headers, request.scope["path"], request.scope["method"]
         host, origin = headers.get("host", ""), headers.get("origin")
         if self.settings.loopback and _name(host) not in LOCAL:
@@ -150,7 +150,7 @@ class Guard:
         if any(name.lower() in ("token", "access_token", "api_key") for name in request.query_params):
             raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
         role, who, secret = self._known(headers.get("authorization"), request.cookies.get(SESSION, ""))
-        # who is not known has an address and nothing else: the words that he sends may be others each time
+        # an unknown sender is identified by address only: its token may be different each time
         self._limit(hashed(secret) if secret else (request.scope.get("client") or ("",))[0])
         program, public = "authorization" in headers, path in OPEN or path.startswith("/static/")
         if role is None and (program or not public):
@@ -162,7 +162,7 @@ class Guard:
             why = "The server is read-only." if self.settings.read_only else "Ask for a token with a higher role."
             raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
         if method not in SAFE and not program and path.startswith("/api/"):
-            # programs send no cookies; a browser changes what a page of this server asks for
+            # programs send no cookies; a browser may only change data from a page of this server
             token = headers.get("x-csrf-token", "")
             if (request.cookies or "origin" in headers) and not is_form(self.database, request.cookies, token):
                 raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
@@ -200,7 +200,7 @@ def form_token(database: Database, browser: str) -> str:
 
 
 class _Body:
-    """The body of a request: as large as allowed, and there in time: all of it, or with logs the next piece."""
+    """The body of a request: limited in size and time: of the whole body, or with logs of the next piece."""
 
     def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
         self.receive, self.most, self.wait_s, self.whole, self.seen = receive, most, wait_s, whole, 0
@@ -233,7 +233,7 @@ class _Body:
 
 
 async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) -> None:
-    """Send a problem; a client that is still sending gets to read it."""
+    """Send a problem; a client that is still sending can read it."""
     response = answer(problem)
     accept = Headers(scope=scope).get("accept", "")
     page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
@@ -268,7 +268,7 @@ def _name(host: str) -> str:
 
 
 def cookie(name: str, value: str, secure: bool = False) -> str:
-    """Return the header that gives a browser a cookie that scripts do not get, and other sites by links alone.
+    """Return the header of a cookie that scripts cannot read and other sites send only by links.
 
     A report is isolated like another site (its policy sandboxes it), and has a link back. Changes need a form's token.
     """

@@ -1,4 +1,4 @@
-"""What one server serves, from where, and how much it takes."""
+"""Settings of a server: its data, address and limits."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ RATE = 3000
 
 
 MOST_CONNECTIONS = 512
-"""Of one address, which may be that of a proxy for all others."""
+"""Largest number of connections of one address, which may be a proxy for all users."""
 
 
 def half_of_files() -> int:
-    """Return how many connections leave as many open files to everything else, at most `MOST_CONNECTIONS`."""
+    """Return half of the limit of open files as number of connections, at most `MOST_CONNECTIONS`."""
     try:
         import resource
     except ImportError:  # Windows has no such limit
@@ -30,16 +30,16 @@ def half_of_files() -> int:
 
 LIMITS = {"PIPELINE_MAX_FILE": ("max_file", 1 << 20, 1), "PIPELINE_MAX_REQUEST": ("max_request", 1 << 20, 1),
           "PIPELINE_RATE": ("rate", 1, 0), "PIPELINE_RENEW": ("renew", 1, 0)}  # fmt: skip
-"""Variables that set limits: which, the unit of their number, and the least one."""
+"""Environment variables of limits: setting, unit and smallest value."""
 
 
 def limits(environment: Mapping[str, str]) -> dict[str, Any]:
-    """Return the settings that variables of the environment make.
+    """Return the settings given by environment variables.
 
     Raises
     ------
     UsageError
-        If one is no whole number, or too small.
+        If one is not an integer, or too small.
     """
     found = {}
     for name, (setting, unit, least) in LIMITS.items():
@@ -59,7 +59,7 @@ class Settings:
     processed, reports : Path
         As those of the command line.
     host, port
-        Address that is listened at.
+        Address on which the server listens.
     read_only : bool
         Whether every change is refused.
     max_file, max_request : int
@@ -69,7 +69,7 @@ class Settings:
     rate : int, optional
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
     renew : bool
-        Whether reports that were made here are renewed when logs arrive.
+        Whether reports made here are renewed when logs arrive.
     connections : int
         Connections that one address may keep open.
     header_s, body_s, theory_s, wait_s : float
@@ -106,7 +106,7 @@ class Settings:
 
     @property
     def comparisons(self) -> Path:
-        """Folder of the reports that were asked for here, by key."""
+        """Folder of the reports requested here, by key."""
         return self.reports / "comparisons"
 
     @property

@@ -1,4 +1,4 @@
-"""What all requests share: the store, jobs, and what is asked of both."""
+"""What all requests share: the store, jobs, and requests to both."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from pipeline.store.samples import load_trial, load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, split_trials
 
 RETRY_S = 60.0
-"""Time after which what could not be computed is tried again by who looks at it [s]."""
+"""Time after which a failed computation is repeated when its result is requested [s]."""
 
 MOST_REPORTS = 1000
-"""Most reports that are listed, and renewed."""
+"""Largest number of reports that are listed and renewed."""
 
 Kept = tuple[dict[str, Any] | None, str | None]
 """A document, or the job that makes it."""
@@ -78,7 +78,7 @@ class Service:
         return job
 
     def experiments(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return experiments of a device that are stored, all where none is named."""
+        """Return stored experiments of a device, all if none is named."""
         devices = list_devices(self.settings.processed)
         if device not in devices:
             raise Problem(404, "There are no trials of this device.", where="device", expected=devices, found=device)
@@ -91,7 +91,7 @@ class Service:
         return [name for name in stored if not asked or name in asked]
 
     def used(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return experiments of a device of which some trial is in use; all that are named have to be."""
+        """Return experiments of a device with trials in use; all named ones must have some."""
         names = self.experiments(device, asked)
         excluded = read_exclusions(self.settings.processed)
         stored = ((name, read_trials(self.settings.processed, device, name)) for name in names if excluded)
@@ -104,7 +104,7 @@ class Service:
         return [name for name in names if name not in empty]
 
     def comparison(self, asked: ComparisonRequest, who: str = "", late: int = 0) -> tuple[str, str | None]:
-        """Return the key of a comparison, and the job that makes it; no job where it is there."""
+        """Return the key of a comparison, and the job that makes it; no job if it exists."""
         names = self.used(asked.device, asked.experiments)
         request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
         if asked.against:
@@ -128,18 +128,18 @@ class Service:
             with suppress(Problem, PipelineError):
                 self.experiment(e["device"], e["experiment"], late=1)
         for job in self.database.reports(MOST_REPORTS):
-            with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
+            with suppress(Problem, PipelineError):  # its inputs are gone; the last report stays
                 if not job["earlier"]:
                     self.comparison(ComparisonRequest.model_validate(job["request"]["asked"]), late=1)
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
-        """Add what people wrote on experiments and their trials: a report shows it, and another text is another one."""
+        """Add notes on experiments and their trials: they are part of a report, so new notes mean a new report."""
         notes = [note for name in experiments for note in self.notes(device, name)]
         if notes:
             request["notes"] = [note.model_dump() for note in notes]
 
     def notes(self, device: str, experiment: str) -> list[Note]:
-        """Return what people wrote on an experiment and on its trials, that on all of it first."""
+        """Return the notes on an experiment and its trials, those on the experiment first."""
         found = dict[str | None, dict[str, Any]]()
         for kind, of, value in self.database.all_words():
             if of == ["experiment", device, experiment]:
@@ -164,7 +164,7 @@ class Service:
         return self._kept("experiment", documents.whole(device, experiment), late)
 
     def plan(self, device: str, experiment: str, goal: str) -> Kept:
-        """Return what the planner says of an experiment."""
+        """Return the plan of an experiment."""
         self.used(device, [experiment])
         return self._kept("plan", {"device": device, "experiments": [experiment], "goal": goal})
 
@@ -181,12 +181,12 @@ class Service:
         return self._kept("optimum", {**device, "theory": ["optimum", of, *asked]})
 
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
-        """Return the document of an experiment where it is kept."""
+        """Return the document of an experiment if it is stored."""
         key = documents.key_of(self.settings, documents.whole(device, experiment))
         return documents.read_document(self.settings, key)
 
     def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
-        """Return a document that is kept, or the job of a kind that makes it."""
+        """Return a stored document, or the job of a kind that makes it."""
         key = documents.key_of(self.settings, request)
         if (document := documents.read_document(self.settings, key)) is not None:
             return document, None
@@ -208,7 +208,7 @@ class Service:
         return shown, pa.table({name: values for name, values in columns.items() if not np.isnan(values).all()})
 
     def _loaded(self, trial: str, shown: dict[str, Any]) -> Trial:
-        """Return a trial by where it was stored, or, where it was merged since, by looking for it."""
+        """Return a trial from its last known file, or search for it if it was merged since."""
         processed = self.settings.processed
         if (found := load_trial(processed, trial, *self.catalogue.stored_at(trial))) is not None:
             return found[1]
@@ -231,7 +231,7 @@ class Service:
 
 
 def run_of(*names: str) -> str:
-    """Return a device, or an experiment of one, as one word of an address, as `store.corrections` takes it, too."""
+    """Return a device, or one of its experiments, as one URL path segment, as in `store.corrections`."""
     return "/".join(map(folder_name, names))
 
 

@@ -1,4 +1,4 @@
-"""Theory in a separate process, which is ended where it takes too long."""
+"""Theory in a separate process, which is terminated if it takes too long."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pipeline.service.problems import Problem
 from pipeline.theory.cases import LARGEST, Case, best_wall, case_of, costs_of_walls, limits_of_walls
 
 WAIT_S = 2.0
-"""Time that a request waits for another one [s]: those that wait keep others from being answered."""
+"""Time for which a request waits for another one [s]: waiting requests block threads."""
 
 
 class Theory:

@@ -1,4 +1,4 @@
-"""Logs that come by HTTP: written while they come, hashed, synced, and only then acknowledged.
+"""Logs uploaded by HTTP: written while they arrive, hashed, synced, and only then acknowledged.
 
 Each request has a separate folder, so that files that belong together stay together; its job is the acknowledgement.
 A folder without a job was never acknowledged, and is removed when a server starts.
@@ -34,18 +34,18 @@ from pipeline.service.settings import Settings
 from pipeline.store.names import folder_name
 
 LONGEST_NAME = 200
-"""Bytes of a part of a path, as stored."""
+"""Largest number of bytes of a part of a stored path."""
 
 DEEPEST = 8
-"""Folders in the name of a file; a browser that is given a folder sends them."""
+"""Largest number of folders in a file name; a browser sends them when a folder is uploaded."""
 
 LONGEST_FIELD = 1000
-"""Bytes of a field that is no file."""
+"""Largest number of bytes of a field that is not a file."""
 
 MOST_FIELDS = 20
 
 END_BYTES = 256
-"""Of a body that are looked at for its last boundary, which has 70 at most."""
+"""Number of bytes at the end of a body in which its last boundary (at most 70 bytes) is searched."""
 
 Check = Callable[[dict[str, str]], object]
 
@@ -99,7 +99,7 @@ class Upload:
         self.files: list[_Part] = []
 
     async def receive(self, request: Request) -> None:
-        """Store what a request sends; nothing is kept where it cannot be accepted."""
+        """Store the files of a request; keep nothing if it is refused."""
         kind = request.headers.get("content-type", "")
         if not kind.startswith("multipart/form-data") or "boundary=" not in kind:
             raise Problem(422, "Send logs as multipart/form-data, in the field `files`.", where="Content-Type")
@@ -156,7 +156,7 @@ class Upload:
             return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
     def accept(self, database: Database, author: str) -> dict[str, Any]:
-        """Sync all that is new and queue its job; what was uploaded before is left out."""
+        """Sync all new files and queue their job; files uploaded before are skipped."""
         profile = self.fields.get("profile", "")
         own = profile_path(self.settings, profile)
         earlier = self._earlier(database, profile, own)
@@ -229,11 +229,11 @@ class Upload:
         return {path.parent for path in usable if path.name == name and path.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
-        """Return where an upload lies; its path is that of before, where folders were moved."""
+        """Return the path of an upload, also if folders were moved since."""
         return self.settings.data / "logs" / job / path.rpartition(f"{os.sep}{job}{os.sep}")[2]
 
     def _sync(self, files: list[Path]) -> None:
-        """Return when content and names of files are on the disk."""
+        """Sync contents and names of files to disk."""
         folders = {parent for file in files for parent in file.parents if self.folder in (parent, *parent.parents)}
         map_in_threads(_sync_file, files)
         map_in_threads(sync_folder, [*folders, self.folder.parent] if files else [])
@@ -267,7 +267,7 @@ def _is_outdated(stored: StoredSource | None, source: Source, path: str) -> bool
 async def received(
     settings: Settings, request: Request, check: Check, folder: Path | None = None
 ) -> AsyncGenerator[Upload, None]:
-    """Store the files of a request for a block; nothing is kept of them where it fails.
+    """Store the files of a request for a block; remove them if it fails.
 
     ``check`` looks at the fields of the form before.
     """
@@ -284,7 +284,7 @@ async def received(
 
 
 def _parts(name: str) -> list[str]:
-    """Return a name from a request as names of folders and a file; none of them leads anywhere else."""
+    """Return a name from a request as names of folders and a file; none of them leads outside the upload folder."""
     parts = [folder_name(part) for part in name.replace("\\", "/").split("/") if part]
     if not parts or len(parts) > DEEPEST or any(len(part.encode()) > LONGEST_NAME for part in parts):
         raise Problem(

@@ -1,9 +1,9 @@
-"""Processes that work at jobs, one after the other, and the threads of their server that keep them.
+"""Processes that execute jobs one after the other, and the server threads that supervise them.
 
 A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last is one of
-`database.WORKS`. A byte on standard input says that a job waits, its end that the server ended: then the process
-ends, too, and another one takes the job when its lease has run out. What the functions of jobs write is whole at any
-moment, and they can be run again. One thread requests renewed reports once nothing else waits, and removes old files.
+`database.WORKS`. A byte on standard input signals a waiting job, end of file that the server has ended: then the
+process ends, too, and another one takes the job when its lease has expired. Job functions write atomically and can be
+repeated. One thread requests renewed reports once nothing else waits, and removes old files.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ BEAT_S = 1.0
 """Time between two heartbeats, and longest wait for a job [s]."""
 
 LOOK_S, TIDY_S = 1.0, 3600.0
-"""Time between two looks at the jobs, and between two removals [s]."""
+"""Polling interval for jobs, and interval between clean-ups [s]."""
 
 
 class Workers:
-    """The workers of a server; they end with it, in whatever way that ends."""
+    """The workers of a server; they end with it, however it ends."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self.settings, self.database = settings, database
@@ -47,18 +47,18 @@ class Workers:
         threading.Thread(target=self._renew, args=(renew,), daemon=True).start()
 
     def stop(self) -> None:
-        """End all; what they work at is another's when its lease has run out."""
+        """Stop all workers; their jobs are taken by others when the leases expire."""
         self._ended.set()
         for process in list(self._running):
             process.kill()
 
     def wake(self) -> None:
-        """Say that a job waits."""
+        """Signal that a job is waiting."""
         for process in list(self._running):
             try:
                 assert process.stdin is not None
                 process.stdin.write(b"\n")
-            except OSError:  # it has just ended, and its follower looks by itself
+            except OSError:  # it has just ended, and its successor polls by itself
                 pass
 
     def _keep(self, kinds: str) -> None:
@@ -100,12 +100,12 @@ class Workers:
 
 
 def _stages(database: Database) -> int:
-    """Return how often verdicts and costs of all that is stored were computed."""
+    """Return how often verdicts and costs of the whole store were computed."""
     return database.job_counts("kind = 'stages'").get("done", 0)
 
 
 def remove_old(settings: Settings, keys: set[str]) -> None:
-    """Remove old documents and reports that no job names any more; they can be made again."""
+    """Remove old documents and reports that no job names any more; they can be recomputed."""
     for folder in (settings.comparisons, settings.data / "documents"):
         for file in folder.glob("*"):
             if file.is_file() and file.stem not in keys and time.time() - file.stat().st_mtime > KEPT_S:
@@ -120,7 +120,7 @@ def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[obj
     def beat() -> None:
         while not done.wait(BEAT_S):
             if not database.heartbeat(job, owner, progress[0]):
-                # cancelled: files that were not complete have names that readers leave out
+                # cancelled: readers ignore the names of incomplete files
                 os._exit(EXIT_ERROR)
         database.close()
 
@@ -134,7 +134,7 @@ def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[obj
 
 
 def work(settings: Settings, database: Database, owner: str, kinds: str = " ".join(WORKS)) -> bool:
-    """Do the next job; return whether there was one."""
+    """Execute the next job; return whether there was one."""
     job = database.claim(owner, kinds)
     if job is None:
         return False
@@ -150,12 +150,12 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
         except OSError as error:
             problem = Problem(503, str(error)).document
         except Exception:
-            # a defect ends this process with its traceback, in the server's log; another one does what waits
+            # a defect ends this process, with a traceback in the server's log; another one does the waiting jobs
             detail = f"A defect of the program; the server's log has the details of job {job['id']}."
             database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
     if job["kind"] != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
-        # it may have stored stages of the trials of before over those of now
+        # it may have overwritten current stages with those of earlier trials
         database.add_job("stages", {}, "stages")
     database.finish(job["id"], owner, result, problem)
     return True

@@ -42,7 +42,7 @@ def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "
 def plan(
     service: Shared, request: Request, run: str = "", goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
-    """Show which walls of an experiment to try next, what each decides, and how far its limits are known."""
+    """Show the next walls of an experiment, their purpose, and the accuracy of its limits so far."""
     known = [run_of(e["device"], e["experiment"]) for e in service.catalogue.experiments]
     chosen = run or next(iter(known), "")
     if run and run not in known:
@@ -61,7 +61,7 @@ def plan(
 
 
 def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
-    """Return what the template shows of some experiments, each as `frame.run_of` names it."""
+    """Return the content of the template for experiments, each named as by `frame.run_of`."""
     names = [word for part in asked for word in part.split(",") if word]
     chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
     if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
@@ -94,7 +94,7 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
 
 
 def planes(runs: Sequence[Run]) -> dict[str, str]:
-    """Return the planes in which limits can be drawn over each other, by name, and what they are called.
+    """Return the planes in which limits can be drawn over each other, by name, with their titles.
 
     In K and B if all have the same kind of motion, in alpha and beta if the mass of each is known.
     """
@@ -107,7 +107,7 @@ def planes(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
-    """Return what two experiments differ in, second minus first; None, and why, where devices cannot be compared."""
+    """Return the differences of two experiments, second minus first; None and the reason if they are not comparable."""
     scales = None
     if first[0] != second[0]:
         own, others = _units(first[2]), _units(second[2])
@@ -132,7 +132,7 @@ def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
 
 
 def _units(document: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the units of stiffness and damping that alpha and beta of 1 stand for; None without a theory."""
+    """Return the stiffness and damping for alpha = 1 and beta = 1; None without a theory."""
     theory = document["experiments"][0]["theory"]
     if theory is None:
         return None

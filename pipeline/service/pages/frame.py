@@ -1,4 +1,4 @@
-"""What all pages share: templates, addresses, and forms that are of this server and this browser alone."""
+"""What all pages share: templates, addresses, and forms that are valid only for this server and this browser."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from pipeline.store.names import folder_name
 HERE = Path(__file__).parent
 
 LONGEST_REASON = 90
-"""Letters of the reason why logs were refused, in the list of jobs."""
+"""Number of characters of a refusal in the list of jobs."""
 
 LOOK_S = 0.02
-"""Time between two looks at a job that a page waits for [s]."""
+"""Polling interval for a job that a page waits for [s]."""
 
 
 @cache
@@ -73,7 +73,7 @@ def _short(value: float | None) -> str:
 
 
 def _in_digits(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return value and ends of an estimate of a document, with the digits that the interval asks for."""
+    """Return value and ends of an estimate of a document, with the number of digits justified by the interval."""
     return labels.estimate_texts(Estimate.model_validate(estimate))
 
 
@@ -82,7 +82,7 @@ def _when(seconds: float) -> str:
 
 
 def _did(job: Mapping[str, Any]) -> str:
-    """Return in a few words what a job came to; empty before its end."""
+    """Return the outcome of a job in a few words; empty before its end."""
     result = job["result"] or {}
     if job["state"] == "failed":
         return str((job["problem"] or {}).get("detail", ""))
@@ -98,7 +98,7 @@ def _did(job: Mapping[str, Any]) -> str:
 
 
 def _ago(since: float) -> str:
-    """Return how long ago something was."""
+    """Return the time elapsed since an event, in words."""
     return _lasted(max(time.time() - since, 0.0))
 
 
@@ -116,7 +116,7 @@ _WORDS = {
 
 
 def _about(job: Mapping[str, Any]) -> str:
-    """Return in words what a job does."""
+    """Return a description of a job."""
     asked = job["request"].get("request", {})
     places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
     places += [list(asked["against"].values())] if asked.get("against") else []
@@ -125,7 +125,7 @@ def _about(job: Mapping[str, Any]) -> str:
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:
-    """Return the address of the same trials sorted by a column, the other way where they are."""
+    """Return the address of the same trials sorted by a column, reversed if already sorted by it."""
     return urlencode({**state, "sort": f"-{name}" if state["sort"] == name else name})
 
 
@@ -146,7 +146,7 @@ def experiment_url(device: str, experiment: str) -> str:
 
 
 def _rest(of: Sequence[str]) -> str:
-    """Return where REST has a trial, an experiment or a device (that word, and names)."""
+    """Return the REST address of a trial, an experiment or a device (given by that word and names)."""
     return "/".join((f"{of[0]}s", *map(segment, of[1:])))
 
 
@@ -163,12 +163,12 @@ def page_of(service: Service, request: Request, template: str, status: int = 200
 
 
 def part_of(template: str, **content: object) -> Markup:
-    """Return a part of a page that is the same for all who ask."""
+    """Return a part of a page that is the same for all users."""
     return Markup(_environment().get_template(template).render(**content))
 
 
 def check(service: Service, request: Request, token: str) -> None:
-    """Refuse a form that is not of this server and this browser."""
+    """Refuse a form that was not issued by this server to this browser."""
     if not is_form(service.database, request.cookies, token):
         raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
 
@@ -187,9 +187,9 @@ Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
 def kept(service: Service, ask: Callable[[], Any], wait_s: float = 0.0) -> dict[str, Any]:
-    """Return a document that is kept (``drawn``), or the job that makes it, or the problem: why there is neither.
+    """Return a stored document (``drawn``), the job that makes it, or the problem if there is neither.
 
-    A job that ends within some time is waited for.
+    Wait for up to `wait_s` for the job.
     """
     until = time.monotonic() + wait_s
     try:

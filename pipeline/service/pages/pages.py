@@ -1,4 +1,5 @@
-"""Pages for people: made here, whole without scripts, with their state in the address; and their forms."""
+"""Pages for people: rendered on the server, usable without scripts, with their state in the address; and their
+forms."""
 
 from __future__ import annotations
 
@@ -49,16 +50,16 @@ PLOTTABLE = ("stiffness", "damping", *REPORTED)
 """Quantities of a trial that are plotted over each other."""
 
 SHOWN, LISTED, OVERLAID = 100, 20, 6
-"""Trials in a table, on the page of an experiment, and over each other at most."""
+"""Largest number of trials in a table, on the page of an experiment, and in an overlay."""
 
 _STATE = {*WORDS, *api.RANGES, "q", "sort"}
-"""What of an address says which trials are listed."""
+"""Query parameters that select the listed trials."""
 
 WAITED_S = 0.9
-"""Longest wait of a page for its drawing [s]: a worker that has the experiment takes less."""
+"""Longest wait of a page for its drawing [s]: a worker that has loaded the experiment takes less."""
 
 PLOTTED = 3000
-"""Most trials of a plane that link to their pages: more cannot be distinguished."""
+"""Largest number of trials of a plane with links to their pages: more cannot be distinguished."""
 
 
 _STATIC = {"service.js": "text/javascript", "trial.js": "text/javascript", "icon.svg": "image/svg+xml"}
@@ -197,7 +198,7 @@ def one_experiment(
 
 
 def chosen_of(trials: Sequence[Mapping[str, Any]], view: TrialView) -> list[Mapping[str, Any]]:
-    """Return the trials that have the verdict and tag that are asked for."""
+    """Return the trials with the requested verdict and tag."""
     return [
         trial
         for trial in trials
@@ -215,7 +216,7 @@ def number_of(trial: Mapping[str, Any], quantity: str) -> float | None:
 
 
 def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
-    """Return a plot of two quantities over trials, each mark a link to its trial; empty where none has both."""
+    """Return a plot of two quantities over trials, each mark a link to its trial; empty if none has both."""
     both = [(number_of(trial, x), number_of(trial, y), trial) for trial in trials]
     points = [(a, b, trial) for a, b, trial in both if a is not None and b is not None]
     if not points:
@@ -387,7 +388,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
 
 
 def _unclear(problem: Problem) -> str:
-    """Return why a profile is kept only if it is confirmed in words; empty where words do not help."""
+    """Return why a profile needs a confirmation in words; empty if a confirmation does not help."""
     about = problem.document
     if problem.status == 404 and about.get("where") == "sample":
         return "The sample is not kept any more, so that the profile cannot be tried on it."
@@ -460,12 +461,12 @@ def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
 
 
 _KEPT = (b"host", b"cookie", b"origin", b"x-forwarded-proto")
-"""Headers of a form that the request has that is made of it."""
+"""Headers of a form request that are copied to the REST request."""
 
 
 @pages.post("/do")
 async def do(service: Shared, request: Request, fields: Fields) -> Response:
-    """Make the REST request of a form, and lead to the page that follows; an error is a page.
+    """Execute the REST request of a form, and redirect to the next page; an error is shown as a page.
 
     Its fields are those of the document (`_document`), and ``method``, ``path`` below the API, ``match`` (the
     ETag that was known) and ``next``, in which ``{field}`` stands for a name.
@@ -552,9 +553,9 @@ def _door(service: Shared, request: Request, status: int) -> Response:
 
 
 def _own(address: str) -> str:
-    """Return the page that somebody wants: one of this server, else the first one.
+    """Return the requested page if it belongs to this server, otherwise the start page.
 
-    Browsers take a backslash for a slash, drop blanks, and read two slashes as another server.
+    Browsers read a backslash as a slash, drop blanks, and read two slashes as another server.
     """
     own = address.startswith("/") and address[1:2] not in ("/", "\\") and all(" " < sign != "\\" for sign in address)
     return address if own else "/"
