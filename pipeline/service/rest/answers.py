@@ -1,4 +1,4 @@
-"""What the API answers, for its schema: a record of each document, and the problems that any route may answer with."""
+"""Answers of the API, for its schema: a record of each document, and the problems that any route may return."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Item = TypeVar("Item")
 
 
 class Answer(BaseModel):
-    """Base of all; a field that is not named here is a defect."""
+    """Base of all answers; an undeclared field is a defect."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class Page(Answer, Generic[Item]):
-    """A part of a list; without `next_cursor` the last one."""
+    """A page of a list; without `next_cursor` the last one."""
 
     items: list[Item]
     next_cursor: str | None
@@ -66,7 +66,7 @@ class Cost(Answer):
 
 
 class RecordingFinding(Answer):
-    """A fault of the recording of a trial: what, where, what shows it, what to do, and the sentence of every page."""
+    """A fault of the recording of a trial: kind, place, evidence, remedy, and the sentence shown on pages."""
 
     code: str
     first_row: int | None
@@ -78,7 +78,7 @@ class RecordingFinding(Answer):
 
 
 class Trial(Answer):
-    """A trial; stiffness and damping in SI. One that is ``excluded`` by hand (why) has that word for a verdict."""
+    """A trial; stiffness and damping in SI. A trial ``excluded`` by hand (with the reason) has that word as verdict."""
 
     id: str
     device: str
@@ -99,13 +99,13 @@ class Trial(Answer):
 
 
 class NotedTrial(Trial):
-    """A trial with what people wrote on it."""
+    """A trial with its notes and tags."""
 
     notes: str
 
 
 class Written(Answer):
-    """Who wrote something last, and when."""
+    """Author and time of the last change."""
 
     author: str | None
     changed: float | None
@@ -124,14 +124,14 @@ class WrittenTags(Written):
 
 
 class TrialPage(Page[Trial]):
-    """A part of a list of trials, with how many there are in all, and of each property."""
+    """A page of a list of trials, with the total number, and the number for each property."""
 
     total: int
     facets: dict[str, dict[str, int]]
 
 
 class Samples(Answer):
-    """Samples of a trial, columns in SI; null where a row has none."""
+    """Samples of a trial, columns in SI; null if a row has none."""
 
     trial: Trial
     units: dict[str, str]
@@ -139,7 +139,7 @@ class Samples(Answer):
 
 
 class ProblemDocument(BaseModel):
-    """Why a request was not answered (RFC 9457)."""
+    """Reason why a request failed (RFC 9457)."""
 
     model_config = ConfigDict(extra="allow")
     title: str
@@ -168,7 +168,7 @@ class Job(Answer):
 
 
 class UploadedFile(Answer):
-    """What became of a file of an upload."""
+    """Outcome for a file of an upload."""
 
     name: str
     size: int
@@ -184,23 +184,23 @@ class Accepted(Answer):
 
 
 class Queued(Answer):
-    """The job that makes what was asked for."""
+    """The job that makes the requested document."""
 
     job: str
 
 
 class Made(Answer):
-    """The key of a comparison that is there."""
+    """The key of an existing comparison."""
 
     key: str
 
 
 class QueuedComparison(Queued, Made):
-    """The job that makes a comparison, and the key under which it will be found."""
+    """The job that makes a comparison, and the future key of its result."""
 
 
 class Comparison(Answer):
-    """A comparison that was made: its key, when, for whom, and what was asked."""
+    """A finished comparison: key, time, user and request."""
 
     key: str
     made: float
@@ -218,7 +218,7 @@ class Deleted(Answer):
 
 
 class Deed(Answer):
-    """What somebody did by hand, and when."""
+    """A manual action, with its time and user."""
 
     number: int
     time: float
@@ -255,7 +255,7 @@ PARTS: dict[str, Any] = {
     "optima": dict[str, Optimum],
     "causes": list[Cause],
 }
-"""Parts of an experiment's document, and what each is."""
+"""Parts of an experiment's document, with a description of each."""
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -268,27 +268,27 @@ EVERYWHERE = problems(400, 401, 403, 408, 409, 413, 422, 429, 503, 507)
 """Answers that every route may give."""
 
 NAMED = problems(404)
-"""Answer of a route that names something."""
+"""Answer of a route whose address names a resource."""
 
 LATER: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.", "model": Queued}, **NAMED}
 """Answers of a route that waits for a job."""
 
 
 def only_known(request: Request) -> None:
-    """Refuse a parameter in an address that its route does not have: a filter with a slip would ask for all."""
+    """Refuse an unknown query parameter: a mistyped filter would select everything."""
     operation = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
     refuse_unknown(request.query_params, [p["name"] for p in operation.get("parameters", ()) if p["in"] == "query"])
 
 
 def refuse_unknown(given: Iterable[str], known: Collection[str]) -> None:
-    """Refuse the first name of parameters that is not known."""
+    """Refuse the first unknown parameter name."""
     for name in given:
         if name not in known:
             raise Problem(422, "There is no such parameter.", where=name, expected=sorted(known) or "none", found=name)
 
 
 def describe(app: FastAPI) -> dict[str, Any]:
-    """Return the schema of the API; that of problems is no route's own, and added here."""
+    """Return the schema of the API; that of problems belongs to no route, and is added here."""
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, routes=app.routes)
         schema["components"]["schemas"][ProblemDocument.__name__] = ProblemDocument.model_json_schema()

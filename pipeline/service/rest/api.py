@@ -1,4 +1,4 @@
-"""REST: ``/api/v1/...``. Nothing is computed in a request; what is not stored yet is asked for as a job."""
+"""REST: ``/api/v1/...``. Nothing is computed in a request; missing results are requested as jobs."""
 
 import asyncio
 import base64
@@ -39,7 +39,7 @@ MOST = 1000
 EVENTS = "text/event-stream"
 EVENT = {"type": "object", "required": ["event", "data"], "properties": {"event": {}, "data": {"type": "string"}}}
 EVENT_S = 0.3
-"""Time between two looks at a job that somebody watches [s]."""
+"""Polling interval for a job that a user watches [s]."""
 
 REPORT_POLICY = (
     "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
@@ -50,7 +50,7 @@ BACK = (
     '<p style="margin: 0; padding: .75rem 1.25rem 0"><a href="/reports">All reports</a> · '
     '<a href="/">Experiments</a></p>'
 )
-"""The way back from a report, which knows of no server."""
+"""Link back from a report, which has no reference to a server."""
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
 Name = Annotated[str, Query(max_length=500)]
@@ -58,7 +58,7 @@ CURSOR = "^[A-Za-z0-9_=-]+$"
 Place = Annotated[str, Field(max_length=2000, pattern=CURSOR, description="`next_cursor` of the page before.")]
 Cursor = Annotated[Place | None, Query(alias="cursor")]
 Segment = Annotated[str, AfterValidator(name_of_folder)]
-"""A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
+"""A name in an address: a name with a slash or % is converted by `names.folder_name` and then quoted."""
 
 Word = Annotated[str, Field(max_length=500)]
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
@@ -67,7 +67,7 @@ RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
 
 
 def files_of(**fields: dict[str, Any]) -> dict[str, Any]:
-    """Return what the schema says of a form with files, and other fields; `uploads` reads it."""
+    """Return the schema of a form with files and other fields, which `uploads` reads."""
     files = {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}}
     schema = {"type": "object", "required": ["files"], "properties": {"files": files, **fields}}
     return {"requestBody": {"required": True, "content": {"multipart/form-data": {"schema": schema}}}}
@@ -77,7 +77,7 @@ LOGS = files_of(profile={"type": "string", "maxLength": 100})
 
 
 def cursor(value: object) -> str | None:
-    """Return a place in a list as a word for an address; None stays so."""
+    """Return a place in a list encoded for an address; None stays None."""
     return None if value is None else base64.urlsafe_b64encode(json.dumps(value).encode()).decode()
 
 
@@ -93,13 +93,13 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
 
 
 def latest(read: Callable[[int, int], tuple[list[Any], int | None]], limit: int, word: str | None) -> dict[str, Any]:
-    """Return a part of a list by number (`Database.latest`), and the cursor of the next one."""
+    """Return a page of a list by number (`Database.latest`), and the cursor of the next one."""
     items, last = read((place(word, (int,)) or [NEWEST])[0], limit)
     return {"items": items, "next_cursor": cursor(None if last is None else [last])}
 
 
 def parted(items: list[dict[str, Any]], names: tuple[str, ...], limit: int, word: str | None) -> dict[str, Any]:
-    """Return a part of a list that is sorted by names, behind those that a cursor has, and the next cursor."""
+    """Return a page of a list sorted by names, after those of a cursor, and the next cursor."""
     after = place(word, (str,) * len(names))
     keys = [tuple(natural_key(item[name]) for name in names) for item in items]
     behind = None if after is None else tuple(map(natural_key, after))
@@ -109,7 +109,7 @@ def parted(items: list[dict[str, Any]], names: tuple[str, ...], limit: int, word
 
 
 class TrialQuery(BaseModel):
-    """Which trials are asked for, and in which order."""
+    """Selection and order of requested trials."""
 
     device: Word | None = None
     experiment: Word | None = None
@@ -206,7 +206,7 @@ def samples(
     trial: str,
     format: Literal[tuple(FORMS)] | None = None,  # type: ignore[valid-type]
 ) -> Response:
-    """Return the samples of a trial in the form that Accept names; by `format` as a file to keep."""
+    """Return the samples of a trial in the format of the Accept header; with `format` as a download."""
     accept = request.headers.get("accept", "*/*")
     taken = [format] if format else [MEDIA.get(one.partition(";")[0].strip().lower()) for one in accept.split(",")]
     form = next(filter(None, taken), None)
@@ -247,7 +247,7 @@ def one_job(service: Shared, job: str) -> dict[str, Any]:
 
 @api.delete("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
 def cancel(service: Shared, request: Request, job: str) -> dict[str, Any]:
-    """Cancel a job that has not ended; for who asked for it, and admins."""
+    """Cancel a job that has not ended; permitted for the user who requested it, and admins."""
     shown, who = one_job(service, job), request.state.who
     if request.state.role != "admin" and shown["author"] != who:
         raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown["author"], found=who)
@@ -285,14 +285,14 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
     responses={202: {"description": "A job makes it.", "model": answers.QueuedComparison}, **answers.NAMED},
 )
 def compare(service: Shared, who: Who, asked: ComparisonRequest) -> JSONResponse:
-    """Ask for a comparison; one that is there is named at once."""
+    """Request a comparison; an existing one is returned immediately."""
     key, job = service.comparison(asked, who)
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
 
 
 @api.get("/comparisons", response_model=list[answers.Comparison])
 def comparisons(service: Shared) -> list[dict[str, Any]]:
-    """List the comparisons that were made, the latest first; of equal ones the newest."""
+    """List finished comparisons, the latest first; of equal ones only the newest."""
     return [
         {"key": job["result"]["key"], "made": job["changed"], "author": job["author"], "asked": job["request"]["asked"]}
         for job in service.database.reports(MOST_REPORTS)
@@ -333,7 +333,7 @@ for part, shape in answers.PARTS.items():
 
 
 async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
-    """Return a document that is kept or made in time; else raise `Later` with the job that makes it."""
+    """Return a document that is stored or made in time; otherwise raise `Later` with the job that makes it."""
     until = time.monotonic() + service.settings.wait_s
     while True:
         document, job = await run_in_threadpool(ask)
@@ -344,7 +344,7 @@ async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
                 raise Later(job)
             await asyncio.sleep(0.1)
         if shown["problem"]:
-            status = shown["problem"]["status"]  # that of a defect is its own job's, and not to be had here
+            status = shown["problem"]["status"]  # a defect belongs to its job and has no status here
             raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
 
 
@@ -357,7 +357,7 @@ async def receive(service: Service, request: Request, check: Check = lambda _: N
 
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:
-    """Return a file of a comparison; the scripts of a page run isolated, as those of another site."""
+    """Return a file of a comparison; the scripts of a page run isolated, like those of another site."""
     file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
         raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)

@@ -1,4 +1,5 @@
-"""REST for what a lab brings and asks: profiles, refused logs, next walls, figures, theory (with a device in SI)."""
+"""REST for the data and requests of a lab: profiles, refused logs, next walls, figures, theory (with a device in
+SI)."""
 
 import os
 import secrets
@@ -34,16 +35,16 @@ class ProfileText(Form):
 
 
 class Tried(ProfileText):
-    """A profile, and the sample of a draft that it is to read."""
+    """A profile, and the sample of a draft that it should read."""
 
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
 
 
 class KeptProfile(ProfileText):
-    """A profile, and the sample of a draft that it is to agree with.
+    """A profile, and the sample of a draft that it must agree with.
 
     The command of a sample may obey another stiffness, damping or step than the profile states. The profile is then
-    kept only with a confirmation: why it is right nevertheless, in words.
+    stored only with a confirmation that explains why it is right.
     """
 
     sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")] | None = None
@@ -63,7 +64,7 @@ class DeviceText(Form):
 
 
 class Retry(Form):
-    """The profile by which a refused log is to be read, empty for that which claims it."""
+    """The profile for reading a refused log again; empty for the one that claims it."""
 
     profile: Annotated[str, Field(max_length=100)] = ""
 
@@ -82,7 +83,7 @@ def profile(service: Shared, name: ProfileName) -> dict[str, str]:
 
 @lab.put("/profiles/{name}", response_model=ProfileText, responses=answers.problems(404, 409, 422, 504))
 def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile) -> dict[str, str]:
-    """Keep a profile of the lab, in place of an earlier one of its name; a sample must not contradict it."""
+    """Store a profile of the lab, replacing an earlier one of its name; a sample must not contradict it."""
     text, version = profiles.checked_text(service.settings, name, asked.profile)
     action: dict[str, Any] = {"name": name, "version": version}
     if asked.sample is not None:
@@ -98,7 +99,7 @@ def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile
 
 
 def _contradictions(service: Service, asked: KeptProfile) -> list[profiles.Contradiction]:
-    """Return where the sample of a profile contradicts it; with a confirmation also that it cannot be tried."""
+    """Return the contradictions of a profile with its sample; with a confirmation, also failures to try it."""
     try:
         return profiles.contradictions(preview(service, Tried(profile=asked.profile, sample=asked.sample or "")))
     except Problem as problem:
@@ -115,7 +116,7 @@ def device_text(device: Segment) -> dict[str, str]:
 
 @lab.put("/devices/{device}/file", response_model=DeviceText, responses=answers.problems(404, 409, 422))
 def put_device(service: Shared, who: Who, device: Segment, asked: DeviceText) -> dict[str, str]:
-    """Keep the file of a device; the next comparison, theory and plan use it."""
+    """Store the file of a device; the next comparison, theory and plan use it."""
     device_files.keep(device, asked.file)
     service.database.note(who, "kept a device file", {"device": device})
     return {"file": asked.file}
@@ -146,7 +147,7 @@ async def drafted(service: Service, request: Request, check: Check = lambda _: N
 
 @lab.post("/profiles/preview", response_model=list[Any], responses=answers.problems(404, 504))
 def preview(service: Shared, asked: Tried) -> list[Any]:
-    """Return what a profile would read of the sample of a draft, as `pipeline profile check --json` does."""
+    """Return what a profile would read from the sample of a draft, as `pipeline profile check --json` does."""
     folder = profiles.samples_folder(service.settings, asked.sample)
     if not folder.is_dir():
         raise Problem(404, "The sample is not kept any more. Draft again.", where="sample", found=asked.sample)
@@ -177,7 +178,7 @@ def _paths_of(service: Service, which: str) -> dict[str, str]:
 
 @lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, responses=answers.NAMED)
 def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]:
-    """Read refused logs (ids with commas between) again, by another profile where one is given."""
+    """Read refused logs (ids with commas between) again, with another profile if one is given."""
     paths = _paths_of(service, which)
     for path in paths:
         if not path_of_text(path).exists():
@@ -190,7 +191,7 @@ def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]
 
 @lab.delete("/quarantine/{which}", status_code=204, response_class=Response, responses=answers.NAMED)
 def dismiss(service: Shared, who: Who, which: str) -> Response:
-    """Remove refused logs (ids with commas between) from quarantine, and from the uploads where they came by these."""
+    """Remove refused logs (ids with commas between) from quarantine, and from the uploads if they were uploaded."""
     paths = _paths_of(service, which)
     for path in paths:
         log = path_of_text(path)
@@ -206,7 +207,7 @@ def dismiss(service: Shared, who: Who, which: str) -> Response:
 async def plan(
     service: Shared, device: Name, experiment: Name, goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
-    """Return which walls to try next, as `pipeline plan --json`."""
+    """Return the walls to try next, as `pipeline plan --json`."""
     return JSONResponse(await awaited(service, lambda: service.plan(device, experiment, goal)))
 
 
@@ -226,7 +227,7 @@ async def figure(service: Shared, device: Segment, experiment: Segment, name: st
 
 SLOW = answers.problems(404, 504)
 LONGEST_DELAY, MOST_POINTS = 64.0, 500
-"""Samples, and walls; more is for the command line."""
+"""Largest delay [samples] and number of walls; larger ones need the command line."""
 
 OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
 """Criteria that have an optimum."""
@@ -244,7 +245,7 @@ def requested_loop(
     device: Device = None,
     experiment: Name | None = None,
 ) -> tuple[Any, ...]:
-    """Return which loop is asked for, as `theory.document` takes it."""
+    """Return the requested loop, as input of `theory.document`."""
     if device is None:
         if delay is None:
             raise Problem(422, "Give the delay in samples, or a device.", where="delay")
@@ -270,7 +271,7 @@ async def optimum(
     criterion: Literal[OPTIMA],  # type: ignore[valid-type]
     signal: Literal["continuous", "discrete"] | None = None,
 ) -> Any:
-    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`; 202 where it takes longer."""
+    """Return the point of least cost by a criterion, as `pipeline theory optimum --json`; 202 if it takes longer."""
     return JSONResponse(await awaited(service, lambda: service.optimum(of, criterion, signal)))
 
 

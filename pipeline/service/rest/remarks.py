@@ -1,4 +1,4 @@
-"""REST for what people say of what is stored: notes, tags, exclusions, moves, deletions; who did what."""
+"""REST for remarks on stored data and their correction: notes, tags, exclusions, moves, deletions; audit."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any
@@ -38,26 +38,26 @@ class Tags(Form):
 
 
 class Exclusion(Form):
-    """Why a trial, or all of an experiment, is to be used for no number; null: it is used again."""
+    """Reason why a trial, or a whole experiment, is excluded from all results; null: it is used again."""
 
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
 
 
 class DeviceChange(Form):
-    """The name that a device gets."""
+    """The new name of a device."""
 
     device: Name
 
 
 class Change(Form):
-    """Where an experiment, or a trial, is to count; what is not given stays."""
+    """New place of an experiment or a trial; omitted fields stay unchanged."""
 
     device: Name | None = None
     experiment: Name | None = None
 
 
 class InBin(Form):
-    """Which trials of the bin are meant: a device, of it an experiment, or a trial."""
+    """Selection of trials in the bin: a device, one of its experiments, or a trial."""
 
     device: Name | None = None
     experiment: Name | None = None
@@ -65,30 +65,30 @@ class InBin(Form):
 
 
 def of_trial(service: Shared, trial: str) -> list[str]:
-    """Return what notes of a trial belong to."""
+    """Return the owner of the notes of a trial."""
     service.found(trial)
     return ["trial", trial]
 
 
 def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list[str]:
-    """Return what notes of an experiment belong to."""
+    """Return the owner of the notes of an experiment."""
     service.experiments(device, [experiment])
     return ["experiment", device, experiment]
 
 
 def of_device(service: Shared, device: Segment) -> list[str]:
-    """Return a device as what is renamed and deleted."""
+    """Return a device as the object to rename or delete."""
     service.experiments(device, None)
     return ["device", device]
 
 
 def tag_of(found: dict[str, Any]) -> str:
-    """Return the ETag of notes or tags: another one after each change."""
+    """Return the ETag of notes or tags, which differs after each change."""
     return f'"{digest([found["value"], found["changed"]])}"'
 
 
 def keep_words(service: Service, kind: str, of: list[str], value: object, who: str, known: str | None) -> None:
-    """Store notes or tags, unless they are not those any more that the sender knew by their ETag."""
+    """Store notes or tags, unless they have changed since the ETag that the sender knew."""
     with service.database.transaction():
         found = service.database.words(kind, of)
         if known not in (None, "*", tag_of(found)):
@@ -101,23 +101,23 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
 
 
 def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags], answer: type[BaseModel]) -> None:
-    """Add the routes of notes or tags, of which the path ends with the kind and the form has one field."""
+    """Add the routes of notes or tags, whose path ends with the kind and whose form has one field."""
     owned = Annotated[list[str], Depends(of)]
     kind, (name,) = path.rpartition("/")[2], form.model_fields
 
     @remarks.get(path, response_model=answer, responses=answers.NAMED)
     def words(service: Shared, of: owned) -> Response:
-        """Return what was written, by whom and when; its ETag goes into If-Match of a change."""
+        """Return notes or tags with author and time; use its ETag as If-Match of a change."""
         found = service.database.words(kind, of)
         shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
     def put_words(service: Shared, who: Who, of: owned, asked: Any, match: IfMatch = None) -> Response:
-        """Replace what was written, unless it changed since the ETag of If-Match."""
+        """Replace notes or tags, unless they changed since the ETag of If-Match."""
         keep_words(service, kind, of, getattr(asked, name), who, match)
         return words(service, of)
 
-    put_words.__annotations__["asked"] = form  # by which the framework reads the body
+    put_words.__annotations__["asked"] = form  # from which the framework reads the body
     remarks.put(path, response_model=answer, responses=STALE)(put_words)
 
 
@@ -151,7 +151,7 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
     owned = Annotated[list[str], Depends(of)]
 
     def move(service: Shared, who: Who, of: owned, asked: Any) -> dict[str, int]:
-        """Rename, or move to another place; notes and tags follow. Return how many trials."""
+        """Rename, or move to another place; notes and tags follow. Return the number of trials."""
         processed, names = service.settings.processed, list[str]()
         if of[0] == "trial":
             device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
@@ -170,13 +170,13 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
 
     @remarks.delete(owner, response_model=dict[str, int], responses=answers.NAMED)
     def delete(service: Shared, who: Who, of: owned) -> dict[str, int]:
-        """Put into the bin, from which it can be restored. Return how many trials."""
+        """Move to the bin, from which trials can be restored. Return the number of trials."""
         count = corrections.delete(service.settings.processed, words_for(of), CORRECT_S)
         return _corrected(service, who, "deleted", of, count)
 
 
 def words_for(of: Sequence[str]) -> str:
-    """Return what `store.corrections` calls a trial, an experiment or a device."""
+    """Return the name of a trial, an experiment or a device as used by `store.corrections`."""
     return of[1] if of[0] == "trial" else run_of(*of[1:])
 
 
@@ -196,7 +196,7 @@ _add_places(DEVICE, of_device, DeviceChange)
 
 
 class Chosen(Form):
-    """Some trials by their ids, and what is done with all of them: a reason to exclude them, or tags to add."""
+    """Trials by their ids, and the change to all of them: a reason to exclude them, or tags to add."""
 
     trials: Annotated[list[Name], Field(min_length=1, max_length=1000)]
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
@@ -205,7 +205,7 @@ class Chosen(Form):
 
 @remarks.post("/marks", response_model=dict[str, int], responses=answers.problems(404, 422))
 def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
-    """Exclude some trials for a reason, or add tags to them; return how many. All are looked for first."""
+    """Exclude trials for a reason, or add tags to them; return their number. All must exist."""
     if (asked.reason is None) == (not asked.tags):
         raise Problem(422, "Give a reason to exclude the trials, or tags to add to them.", where="reason")
     owners = [of_trial(service, trial) for trial in dict.fromkeys(asked.trials)]
@@ -222,7 +222,7 @@ def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
 
 @remarks.get("/bin", response_model=list[answers.Deleted])
 def bin_(service: Shared) -> list[dict[str, Any]]:
-    """List the deleted trials that are stored still."""
+    """List the deleted trials that are still stored."""
     names = {"trial_id", "device", "experiment"}
     found = corrections.in_bin(service.settings.processed)
     return [
@@ -241,12 +241,12 @@ def restore(service: Shared, who: Who, asked: InBin) -> dict[str, int]:
 
 @remarks.delete("/bin", response_model=dict[str, int])
 def empty_bin(service: Shared, who: Who) -> dict[str, int]:
-    """Remove what is in the bin from the store; logs are never touched."""
+    """Remove the trials in the bin from the store; logs are never touched."""
     count = corrections.empty_bin(service.settings.processed, CORRECT_S)
     return _corrected(service, who, "emptied the bin", (), count)
 
 
 @remarks.get("/audit", response_model=answers.Page[answers.Deed])
 def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
-    """List who did what by hand, the latest first."""
+    """List manual actions with their users, the latest first."""
     return latest(service.database.audit, limit, cursor_)
