@@ -1,1 +1,1 @@
-"""Studies by the package of itself: the tables of the thesis recomputed, and error against run time."""
+"""Studies of the package itself: recomputed tables of the thesis, and error against run time."""

@@ -1,4 +1,4 @@
-"""Tables D.1 to D.6: the printed rows of theory recomputed, and how far the printed measurements are from theory.
+"""Tables D.1 to D.6: recomputed rows of theory, and deviations of the printed measurements from theory.
 
 No logs are needed. Marks are those of `pipeline.studies.thesis_tables`.
 
@@ -28,7 +28,7 @@ from pipeline.theory.optimum import optimal_point
 from pipeline.theory.search import OptimalPoint
 
 DECIMALS = {"stiffness": 0, "damping": 2, "cost": 2}
-"""Printed decimals of Tables D.1 to D.5; Table D.6 has as many as its costs need."""
+"""Number of printed decimals of Tables D.1 to D.5; that of Table D.6 depends on its costs."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class PrintedOptimum:
     delay : float
         Total delay in samples.
     entries : tuple of Entry
-        Of theory: each printed number with the computed one. Of a measurement: empty.
+        For theory, each printed number with the computed one; empty for a measurement.
     printed : dict
         All printed numbers of the row: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost (overshoot in %).
     deviation_percent : float or None
-        Of a measurement: its printed cost against the printed one of the discrete theory; None where that is 0.
+        For a measurement, deviation of its printed cost from the printed one of the discrete theory; None if that is 0.
     """
 
     table: str
@@ -60,12 +60,12 @@ class PrintedOptimum:
 
 
 def printed_optima(table: str) -> tuple[int, Iterator[PrintedOptimum]]:
-    """Return the number of rows of a table, and its rows as they are finished.
+    """Return the number of rows of a table, and an iterator over its rows as they are finished.
 
     Raises
     ------
     ParameterError
-        For a table that is none of `MEASURED_TABLES`.
+        For a table outside `MEASURED_TABLES`.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def _recomputed(row: PublishedRow) -> PrintedOptimum:
 
 
 def _published_loop(row: PublishedRow) -> Loop:
-    """Return the loop that a table takes its theory from: of Table D.6 that of each delay."""
+    """Return the loop for the theory of a table; for Table D.6, the loop of each delay."""
     device = load_device(row.device)
     layout = next(table for table in device.tables if table.name == row.table)
     for experiment in device.experiments:
@@ -124,7 +124,7 @@ def _entry(name: str, text: str, computed: float, erratum: str | None) -> Entry:
 
 
 def optima_lines(table: str, rows: Sequence[PrintedOptimum], align: Callable[..., list[str]]) -> list[str]:
-    """Return a table as aligned lines, then the reason of each number that needs one, then an empty line."""
+    """Return a table as aligned lines, then the reason for each number that needs one, then an empty line."""
     names = [name for name in DECIMALS if any(name in row.printed for row in rows)]
     columns = ["criterion", "condition", "d", *(c for n in names for c in (n, f"{n} printed")), "deviation %"]
     lines = [f"Table {table}", *align([_cells(row, names) for row in rows], columns)]

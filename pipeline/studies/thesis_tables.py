@@ -1,9 +1,9 @@
-"""Tables B.1 to B.4, C.1 to C.3 and 5.1 recomputed, next to the printed numbers.
+"""Recomputed Tables B.1 to B.4, C.1 to C.3 and 5.1, next to the printed numbers.
 
-Every printed number gets one mark. ``equal``: the computed number rounds to it. ``within``: it differs by no more than
-the print allows, in one of three ways that are named with it (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be
-met, for a reason that is kept with the printed number. ``unexplained``: none of these. Nothing is tuned to the print:
-what is computed depends on the parameters of the loop and the criterion alone.
+Every printed number gets one mark. ``equal``: the computed number rounds to it. ``within``: it differs within one of
+three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be reproduced, for a reason
+stored with the printed number. ``unexplained``: none of these. Nothing is tuned to the print: computed numbers depend
+only on the parameters of the loop and the criterion.
 
 Source: Hulin 2017, Table 5.1, appendices B and C.
 """
@@ -36,28 +36,29 @@ FLAT = "flat optimum"
 """Among the points that round to the printed one, one has the optimal cost to the printed digits of the cost."""
 
 LIMIT = "limit"
-"""The optimum is a limit on alpha = -gamma, and the printed cost that of a point whose alpha rounds to -gamma."""
+"""The optimum is a limit on alpha = -gamma, and the printed cost is that of a point whose alpha rounds to -gamma."""
 
 _SLACK = 1e-6
-"""Share of a unit by which a difference of exactly half a unit may exceed it by rounding of the decimal fraction."""
+"""Tolerance, as a fraction of a unit, for differences of half a unit: rounding of the decimal fraction may make them
+larger."""
 
 _BOX = 11
-"""Points along each axis of the box of points that round to the printed one."""
+"""Number of points along each axis of the box of points that round to the printed one."""
 
 _LONGEST = 120
-"""Samples of a response; poles and energies, the criteria that are looked at, do not need them."""
+"""Largest number of samples of a response; poles and energies, the criteria evaluated here, do not need more."""
 
 _NEAR = 5e-5
-"""Largest alpha + gamma that rounds to 0 in the four digits in which Tables C print alpha."""
+"""Largest alpha + gamma that rounds to 0 in the four printed digits of alpha in Tables C."""
 
 
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
-"""What stands behind a computed number."""
+"""Sign after a computed number."""
 
 LEGEND = "~ within one unit of the last printed digit, or as stated below; ! erratum; ? unexplained"
 
 _MORE = 2
-"""Digits of a computed number beyond the printed ones: enough to see how it rounds."""
+"""Number of digits of a computed number beyond the printed ones: enough to show how it rounds."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Entry:
     tolerance : str or None
         For ``within``: `ROUNDING`, `FLAT` or `LIMIT`.
     reason : str or None
-        Of an erratum, and what `FLAT` and `LIMIT` found.
+        Reason of an erratum, or finding for `FLAT` and `LIMIT`.
     """
 
     name: str
@@ -114,7 +115,7 @@ def recompute(point: PublishedPoint) -> TheoryRow:
     Raises
     ------
     ParameterError
-        For a criterion that is not known.
+        For an unknown criterion.
     """
     loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     attained = True
@@ -166,7 +167,8 @@ def mark_of(computed: float, printed: PrintedNumber) -> tuple[Mark, str | None]:
 
 
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
-    """What is found among the points that round to the printed one, if it is the optimal cost to its printed digits."""
+    """Return the finding among the points that round to the printed one, if one of them has the optimal cost to the
+    printed digits."""
     loop, printed = NormalisedLoop.ideal(point.gamma, point.delta, point.delay), point.printed()
     continuous = point.criterion == "pole_radius" or criterion_of(point.criterion).family is ENERGY
     if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
@@ -184,9 +186,9 @@ def _flatness(point: PublishedPoint, optimal: float) -> str | None:
 
 
 def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, float], factor: float) -> str | None:
-    """What the cost is next to the line alpha = -gamma, if the printed one lies between that and its limit.
+    """Return the cost next to the line alpha = -gamma, in words, if the printed one lies between it and the limit.
 
-    ``factor`` is that between costs and the printed number: 1 for a cost.
+    ``factor`` converts costs to the printed number: 1 for a cost.
     """
     loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     if not point.criterion.startswith("energy_impulse_w0"):
@@ -201,7 +203,7 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
 
 
 def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Yield recomputed tables, in the order asked for: name, number of rows, and its rows as they are finished.
+    """Yield recomputed tables in the requested order: name, number of rows, and an iterator over finished rows.
 
     Raises
     ------
@@ -219,13 +221,13 @@ def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[s
 
 
 def count_marks(rows: Sequence[TheoryRow]) -> dict[Mark, int]:
-    """Return how many printed numbers have each mark."""
+    """Return the number of printed numbers with each mark."""
     found = Counter(entry.mark for row in rows for entry in row.entries)
     return {mark: found[mark] for mark in MARKS}
 
 
 def table_lines(name: str, rows: Sequence[TheoryRow], align: Callable[..., list[str]]) -> list[str]:
-    """Return a table as aligned lines, then the reason of each number that needs one, then an empty line."""
+    """Return a table as aligned lines, then the reason for each number that needs one, then an empty line."""
     names = [quantity for quantity in QUANTITIES if any(e.name == quantity for row in rows for e in row.entries)]
     columns = ["criterion", "d", "gamma", "delta", *(c for n in names for c in (n, f"{n} printed"))]
     lines = [f"Table {name}: {_counts(rows)}", *align([_cells(row, names) for row in rows], columns)]
@@ -250,7 +252,7 @@ def _cells(row: TheoryRow, names: Sequence[str]) -> dict[str, Any]:
 
 def _computed(entry: Entry) -> str:
     digits = PrintedNumber(entry.printed).digits + _MORE
-    # adding 0.0 turns the -0.0 that rounding can leave into 0.0
+    # adding 0.0 turns a -0.0 by rounding into 0.0
     return f"{round(entry.computed, digits) + 0.0:.{digits}f}{SIGNS[entry.mark]}"
 
 
@@ -267,12 +269,12 @@ def _counts(rows: Sequence[TheoryRow]) -> str:
 
 
 def summary_line(rows: Sequence[TheoryRow]) -> str:
-    """Return what it comes to: how many of the printed numbers have each mark."""
+    """Return a summary: how many of the printed numbers have each mark."""
     return f"{sum(len(row.entries) for row in rows)} printed numbers: {_counts(rows)}. ({LEGEND}.)"
 
 
 def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
-    """Return rows and counts as a document that JSON can store."""
+    """Return rows and counts as a JSON document."""
     return {
         "marks": list(MARKS),
         "tolerances": {

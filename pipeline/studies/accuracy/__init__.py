@@ -1,1 +1,1 @@
-"""Error against run time of every numerical method: of theory, and of the measured branch on simulated truth."""
+"""Error against run time of every numerical method: of theory, and of the measured branch on simulated data."""

@@ -1,4 +1,4 @@
-"""Stiff and extreme cases: error of each method along paths towards the limits of double precision."""
+"""Stiff and extreme cases: error of each method along parameter paths towards the limits of double precision."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _T = TypeVar("_T")
 
 
 def sweeps(quick: bool) -> Iterator[Sweep]:
-    """Yield all paths, each by all methods; a quick run ends at delays of `QUICK_DELAY`."""
+    """Yield all paths, each with all methods; a quick run stops at a delay of `QUICK_DELAY`."""
     paths: dict[str, list[Row]] = reference()["sweeps"]
     longest = QUICK_DELAY if quick else LARGEST_DELAY
     paths = {name: [row for row in rows if row.get("delay", 0) <= longest] for name, rows in paths.items()}
@@ -52,7 +52,7 @@ def sweeps(quick: bool) -> Iterator[Sweep]:
 
 
 def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | None = None) -> float | None:
-    """Return the first x, in the order of the path, at which a result is wrong."""
+    """Return the first x along the path at which a result is wrong."""
     for i, (place, error) in enumerate(zip(x, errors, strict=True)):
         if error is None or error > WRONG or (wrong is not None and wrong[i]):
             return place
@@ -60,13 +60,13 @@ def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | Non
 
 
 def worst(errors: Errors) -> float | None:
-    """Return the largest error, None if a result is missing."""
+    """Return the largest error; None if a result is missing."""
     known = [e for e in errors if e is not None]
     return max(known) if known and len(known) == len(errors) else None
 
 
 def _attempt(function: Callable[..., _T], *arguments: Any) -> _T | None:
-    """Result of a method, None where it cannot give one."""
+    """Return the result of a method; None if it fails."""
     try:
         with np.errstate(all="ignore"):
             return function(*arguments)
@@ -93,7 +93,7 @@ def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Row) ->
 
 
 def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Row]) -> Sweep:
-    """Error of the spectral radius, and wrong verdicts; ours does not judge by the radius."""
+    """Return errors of the spectral radius, and wrong verdicts; this package does not judge by the radius."""
     walls = [(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in path]
     found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
     stable = [radius is not None and radius < 1 for radius in found]
@@ -106,7 +106,7 @@ def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence
 
 
 def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float | None]:
-    """Relative error of each weight at one point; None of a weight without a number."""
+    """Return the relative error of each weight at one point; None for a weight without a number."""
     found = np.asarray(of(case, np.array([row["alpha"]]), np.array([row["beta"]])))[:, 0]
     exact = [row[f"energy_step_w{w}"] for w in range(3)]
     return [abs(f - e) / e if np.isfinite(f) else None for f, e in zip(found.tolist(), exact, strict=True)]

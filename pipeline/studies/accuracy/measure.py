@@ -1,7 +1,7 @@
-"""Tables of methods, and how a row is measured: its error against the truth, and its run time.
+"""Tables of methods, and the measurement of a row: its error relative to the truth, and its run time.
 
-A table asks for quantities whose exact values are known; a row is a method with its settings. `Table.rungs` is the only
-place that runs and times.
+A table lists quantities with known exact values; a row is a method with its settings. Only `Table.rungs` runs and times
+methods.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
 """Exceptions of a method that cannot compute a number; any other exception is a defect."""
 
 _SHORT = 2e-3
-"""Run time [s] below which a single run is too short for the clock; it is repeated inside the timed loop."""
+"""Run time [s] below which a single run is too short for the clock; it is then repeated inside the timed loop."""
 
 _T = TypeVar("_T")
 Values = dict[str, Floats]
 """Values or errors by quantity, shape (n,) each."""
 
 Summary = Callable[[Floats], tuple[float | None, float | None]]
-"""What of the errors counts, and the share of missing values where it is given."""
+"""Summary of the errors, and the share of missing values if available."""
 
 
 def largest(error: Floats) -> tuple[float | None, None]:
@@ -46,7 +46,7 @@ def median(error: Floats) -> tuple[float | None, float]:
 
 
 def mean(error: Floats) -> tuple[float | None, float]:
-    """As `median`, the mean: for whole numbers, whose median error is 0 as soon as more than half are exact."""
+    """Return the mean instead, as `median` does: for integers, the median error is 0 if more than half are exact."""
     known = np.abs(error[np.isfinite(error)])
     return (float(known.mean()) if len(known) else None), 1 - len(known) / max(len(error), 1)
 
@@ -59,16 +59,16 @@ class Row:
     ----------
     name : str
     run : callable
-        Gives values by quantity at a setting; without argument where there is one setting alone.
+        Returns values by quantity at a setting; without argument if there is only one setting.
     words : str
-        Setting in words, with a place for its value.
+        Setting in words, with a placeholder for its value.
     settings : sequence
     quick : int or None
-        Number of settings of a quick run; None for all.
+        Number of settings in a quick run; None for all.
     given : callable, optional
-        Makes the argument of ``run`` from a setting, beforehand and outside of the time.
+        Makes the argument of ``run`` from a setting, before the timing starts.
     of : tuple of str
-        Quantities of the table that the method gives; all of them where empty.
+        Quantities of the table that the method computes; all if empty.
     needs : str
         Optional library; without it the row is left out.
     """
@@ -83,7 +83,7 @@ class Row:
     needs: str = ""
 
     def runs(self, quick: bool) -> Iterator[tuple[str, Callable[[], Values]]]:
-        """Yield each setting in words with the call that runs it; nothing where the library is not installed."""
+        """Yield each setting in words with the call that runs it; empty if the library is not installed."""
         if self.needs and find_spec(self.needs) is None:
             return
         if not self.settings:
@@ -94,7 +94,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Quantities with their truth, and the methods that are compared with it.
+    """Quantities with their truth, and the methods compared with it.
 
     Parameters
     ----------
@@ -103,9 +103,9 @@ class Table:
     summary : callable
         Of the errors.
     scale : mapping of str to float64
-        What errors are relative to, where it is not the truth.
+        Reference of relative errors, if other than the truth.
     trials : int
-        Trials that one run works on; the time of a rung is that of one of them.
+        Number of trials per run; the time of a rung is per trial.
     """
 
     exact: Mapping[str, Floats]
@@ -115,7 +115,7 @@ class Table:
     trials: int = 1
 
     def rungs(self, quick: bool, budget: float) -> Iterator[Rung]:
-        """Yield an error and a time for each row, setting and quantity, each run repeated for ``budget`` seconds."""
+        """Yield error and time of each row, setting and quantity; each run is repeated for ``budget`` seconds."""
         for row in self.rows:
             for setting, run in row.runs(quick):
                 begin, errors = time.perf_counter(), {}
@@ -138,7 +138,7 @@ class Table:
 
 
 def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[str, list[Rung]]:
-    """Return rungs by quantity or by method, in the order in which these begin."""
+    """Return rungs by quantity or by method, in the order of first appearance."""
     found: dict[str, list[Rung]] = {}
     for rung in rungs:
         found.setdefault(getattr(rung, of), []).append(rung)
@@ -146,9 +146,9 @@ def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[st
 
 
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
-    """Return the result of a call and the least time [s] of repeated calls after a first, uncounted one.
+    """Return the result of a call and the shortest time [s] of repeated calls, after an untimed first one.
 
-    No repetition begins after ``budget`` seconds; a call longer than that is timed by its first run.
+    No repetition starts after ``budget`` seconds; a longer call is timed by its first run.
     """
     begin = time.perf_counter()
     result = run()

@@ -1,7 +1,8 @@
-"""Estimates and costs of logs: each method as a row of a table, against the truth that was simulated.
+"""Estimates and costs from logs: each method as a row of a table, compared with the simulated truth.
 
-The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors of estimates are
-medians over trials, of costs means; relative, but for delays [samples] and overshoot (of the final displacement).
+The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors are medians over
+trials for estimates and means for costs. They are relative, except for delays [samples] and overshoot (relative to the
+final displacement).
 """
 
 from __future__ import annotations
@@ -35,25 +36,26 @@ from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.poles import spectral_radius
 
 DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)
-"""Delay [samples], and those of the trials whose delay is estimated: that of a real controller is no whole number."""
+"""Delay [samples], and delays of the trials whose delay is estimated: the delay of a real controller is not an
+integer."""
 
 USUAL_ROWS, ROWS = 400, (60, 100, 200, 400, 1000)
-"""Rows of a Falcon's log, and of the logs that are compared; 20 of them are the baseline."""
+"""Number of rows of a Falcon log, and of the compared logs; 20 of these rows are the baseline."""
 
 WINDOWS_MS = (5, 10, 15, 30, 80)
 """Windows of the momentum balance [ms]: a delay of 4 samples fills one of 5 ms."""
 
 QUANTA = (2e-6, 10e-6, 60e-6)
-"""Sensor quantum [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
+"""Sensor resolution [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
 
 SENSOR = Sensor(quantum=2e-6, noise=0.5e-6)
-"""That of the shipped Falcon [m]; other quanta have a quarter of noise, too."""
+"""Sensor of the shipped Falcon [m]; with other resolutions the noise is a quarter of the resolution, too."""
 
 SLOWEST, SLOWEST_COST = 0.999, 0.985
-"""Largest spectral radius of a trial, and of one whose costs are asked for: 0.3 % of the motion is left after it."""
+"""Largest spectral radius of a trial, and of a trial with costs: 0.3 % of the motion remains at its end."""
 
 LONGEST = 20000
-"""Samples within which the exact responses have settled: a radius of `SLOWEST_COST` needs 1,000."""
+"""Number of samples within which the exact responses settle: a radius of `SLOWEST_COST` needs 1,000."""
 
 DELAY_OF, MASS, DAMPING = (f"{name} of a trial" for name in ("delay", "mass", "damping"))
 
@@ -63,12 +65,12 @@ MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
     "largest reading",
     "bias off, tail added",
 )
-"""Methods that comparisons prefer; they are emphasised in the picture."""
+"""Methods that comparisons prefer; they are highlighted in the figure."""
 
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """Simulated trials with what every estimator starts from; ``delay`` (n,) is the true one [samples]."""
+    """Simulated trials with the input of all estimators; ``delay`` (n,) is the true delay [samples]."""
 
     trials: Trials
     delay: Floats
@@ -82,7 +84,7 @@ class Logs:
         return cls(trials, delay, responses, tuple(map(judge, trials, responses)))
 
     def shortened(self, rows: int) -> Logs:
-        """Return the trials as if recording had stopped after some rows."""
+        """Return the trials as if recording had stopped after ``rows`` rows."""
         return Logs.of(Trials.of(trial.window(0, rows) for trial in self.trials), self.delay)
 
     @property
@@ -92,12 +94,12 @@ class Logs:
 
     @property
     def measured(self) -> Iterator[tuple[Trial, Response, Verdict]]:
-        """Each trial with its response and verdict."""
+        """Yield each trial with its response and verdict."""
         return zip(self.trials, self.responses, self.verdicts, strict=True)
 
 
 def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoop]:
-    """Return the simulated device with a constant delay, its units, and its loop, whose costs are the truth."""
+    """Return the simulated device with constant delay, its units, and its loop, which determines the true costs."""
     device = load_device("falcon")
     setup = setup_of(device, find_experiment(device, "1")).with_loop(jitter_samples=(), delay_samples=delay_samples)
     return setup, LoopUnits.of(setup.loop), NormalisedLoop.of(setup.loop)
@@ -147,7 +149,7 @@ def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
     usual, words = logs.shortened(USUAL_ROWS), ("{} rows", lengths)
 
     def by_first_change() -> Values:
-        """Middle of the period in which the position changes first (6.3)."""
+        """Return the middle of the period of the first position change (6.3)."""
         factor = np.array([first_change(trial, response).delay_samples for trial, response, _ in usual.measured])
         return {name: np.where(factor >= 0, factor + 0.5, np.nan)}
 
@@ -162,7 +164,7 @@ def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
 
 
 def by_model(of: Logs) -> Values:
-    """Return mass, damping and delay of each trial by the likelihood of all that have the same delay."""
+    """Return mass, damping and delay of each trial by maximum likelihood over all trials of equal delay."""
     values = np.full((len(of.delay), 2 * len(OWN)), np.nan)
     for delay in np.unique(of.delay):
         some = np.flatnonzero(of.delay == delay)
@@ -204,7 +206,7 @@ def _costs(
     settings: tuple[Any, ...],
     given: Callable[[Any], Logs],
 ) -> Table:
-    """Return the table of all costs over settings of which the trials are ``given``; mass and delay are known."""
+    """Return the table of all costs over settings; ``given`` makes their trials, mass and delay are known."""
     energies, weight, shared = tuple(COSTS)[2:], truth()[0].loop.mass, cache(given)
 
     def settling(of: Logs) -> list[Floats]:
@@ -244,7 +246,7 @@ def _costs(
 
 
 def reading_errors(of: Logs) -> list[ReadingError]:
-    """Return the error of the readings of each trial, with sensor and usual gain of all."""
+    """Return the reading error of each trial, with the sensor and usual gain of all trials."""
     names = ("sensor_noise", "sensor_quantum", "edge_row")
     sensor = sensor_error(*(np.array([getattr(response, name) for response in of.responses]) for name in names))
     logs = [(trial, response, of.samples) for trial, response, _ in of.measured]
@@ -253,7 +255,7 @@ def reading_errors(of: Logs) -> list[ReadingError]:
 
 
 def whole_sum(of: Logs, weight: float) -> list[Floats]:
-    """Return the discrete energy costs summed to the end of the log, as a plain script has them, by weight.
+    """Return the discrete energy costs summed to the end of the log, as in a simple script, by weight.
 
     sum of k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], k from the command edge plus the delay.
     """

@@ -1,7 +1,7 @@
-"""Ways of others to limits, responses, costs and optima: what `pipeline accuracy` measures this package against.
+"""Common methods for limits, responses, costs and optima, with which `pipeline accuracy` compares this package.
 
 They are written as a careful user of numpy, scipy or python-control would write them, vectorised where possible, and
-share nothing with the exact methods of the theory branch. Loops have an integer delay.
+share no code with the exact methods of the theory branch. Loops have an integer delay.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from scipy.signal import cont2discrete, dlsim
 from pipeline.records.trials import Floats
 
 _NODES = 24
-"""Gauss points over a sample for the energy; exact to rounding for the plants of the ladder."""
+"""Number of Gauss points per sample for the energy; exact to rounding for the plants of the ladder."""
 
 _GRID = 11
-"""Grid points along an axis in each round of an iterative gridding; the next round spans two cells around the best."""
+"""Number of grid points per axis and round of an iterative gridding; the next round spans two cells around the best."""
 
 BAND = 0.02
-"""Settling band of the ladder; that of the reference values."""
+"""Settling band of the ladder and of the reference values."""
 
 Points = Callable[[Floats, Floats], Floats]
-"""A number of each point (alpha, beta)."""
+"""Function that returns a number for each point (alpha, beta)."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def numerator(plant: Floats) -> tuple[float, float]:
 
 
 def printed_numerator(gamma: float, delta: float) -> tuple[float, float]:
-    """Return the same from the formula that the source prints.
+    """Return the same from the printed formula of the source.
 
     Source: Hulin 2017, eqs. 3.7 and 3.8. Divides by gamma and c_1.
     """
@@ -89,7 +89,7 @@ def printed_numerator(gamma: float, delta: float) -> tuple[float, float]:
 
 
 def radius_by_roots(case: Case, alpha: Floats, beta: Floats) -> Floats:
-    """Return the largest root modulus of each characteristic polynomial, one `np.roots` at a time.
+    """Return the largest root modulus of each characteristic polynomial, by one call of `np.roots` each.
 
     Source: Hulin 2017, eq. 3.11.
     """
@@ -104,12 +104,12 @@ def radius_by_roots(case: Case, alpha: Floats, beta: Floats) -> Floats:
 
 
 def held(delay: int) -> tuple[int, int]:
-    """Return the places in the state of the two positions that the force of a sample depends on."""
+    """Return the indices of the two positions in the state that determine the force of a sample."""
     return (0, 2) if delay == 0 else (delay + 1, delay + 2)
 
 
 def step_state(delay: int) -> Floats:
-    """Return the state at the step, shape (delay + 3,): all positions one away from the final one, at rest."""
+    """Return the state at the step, shape (delay + 3,): all positions at distance one from the final one, at rest."""
     start = np.full(delay + 3, -1.0)
     start[1] = 0.0
     return start
@@ -144,7 +144,7 @@ def radius_by_squaring(matrix: Floats, squarings: int) -> Floats:
 
 
 def _systems(case: Case, alpha: Floats, beta: Floats) -> Iterator[tuple[Any, ...]]:
-    """State spaces (A, B, C, D, T) of the loop without input, whose output is the position."""
+    """Yield state spaces (A, B, C, D, T) of the loop without input; the output is the position."""
     size = case.delay + 3
     for matrix in matrices(case, alpha, beta):
         yield matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0
@@ -166,7 +166,7 @@ def response_by_dlsim(case: Case, alpha: Floats, beta: Floats, samples: int) -> 
 def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return deviation, velocity and input at the start of each sample of a step, shape (samples, 3, n).
 
-    Deviations from the final position, relative to the final displacement.
+    Deviations are from the final position, relative to the final displacement.
     """
     plant, states = plant_by_expm(case.gamma, case.delta), np.empty((samples, 3, len(alpha)))
     x, v = np.full(len(alpha), -1.0), np.zeros(len(alpha))
@@ -180,14 +180,14 @@ def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
 
 
 def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> tuple[Floats, Floats]:
-    """Return position and velocity of a step at ``fine`` points a sample, each of shape (samples fine, n)."""
+    """Return position and velocity of a step at ``fine`` points per sample, each of shape (samples fine, n)."""
     rows = np.array([expm(generator(case.gamma, case.delta) * k / fine)[:2] for k in range(fine)])
     both = np.einsum("fri,kin->rkfn", rows, response(case, alpha, beta, samples), optimize=True)
     return both[0].reshape(samples * fine, -1), both[1].reshape(samples * fine, -1)
 
 
 def settling_of(position: Floats, fine: int, band: float = BAND) -> Floats:
-    """Return the last entry into the band, interpolated along straight lines; NaN where there is none."""
+    """Return the last entry into the band, linearly interpolated; NaN without one."""
     outside = np.abs(position) > band
     last = len(position) - 1 - np.argmax(outside[::-1], axis=0)
     column = np.arange(position.shape[1])
@@ -211,7 +211,8 @@ def energy_of(position: Floats, velocity: Floats, case: Case, alpha: Floats, fin
 
 @cache
 def _forms(case: Case) -> list[tuple[Floats, Floats]]:
-    """Integrals of tau^w p p' over a sample, for position and velocity, by Gauss quadrature, for each weight."""
+    """Return the integrals of tau^w p p' over a sample, for position and velocity, by Gauss quadrature, for each
+    weight."""
     nodes, weights = leggauss(_NODES)
     time = 0.5 * (nodes + 1)
     rows = np.array([expm(generator(case.gamma, case.delta) * t)[:2] for t in time])
@@ -233,7 +234,7 @@ def truncated_energy(case: Case, alpha: Floats, beta: Floats, samples: int) -> F
 
 
 def lyapunov_energy(case: Case, alpha: Floats, beta: Floats) -> Floats:
-    """Return the energy costs of a step from discrete Lyapunov equations (scipy), one after another, shape (3, n)."""
+    """Return the energy costs of a step from discrete Lyapunov equations (scipy), one per point, shape (3, n)."""
     start, parts = step_state(case.delay), _forms(case)
     rows, (now, before) = np.zeros((3, len(start))), held(case.delay)
     rows[0, 0] = rows[1, 1] = 1.0
@@ -251,7 +252,8 @@ def lyapunov_energy(case: Case, alpha: Floats, beta: Floats) -> Floats:
 
 
 def sampled_costs(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
-    """Return settling time, overshoot and the three energies of the samples of a step of fixed length, shape (5, n)."""
+    """Return settling time, overshoot and the three energies from the samples of a step of fixed length, shape (5,
+    n)."""
     x = response(case, alpha, beta, samples)[:, 0]
     k, energy = (
         np.arange(samples, dtype=np.float64),
@@ -277,7 +279,7 @@ def bisect_limit(radius: Points, beta: Floats, high: float, tolerance: float) ->
 
 
 def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Floats:
-    """Return the largest stable alpha for each beta as the source does: poles on ever finer grids.
+    """Return the largest stable alpha for each beta as in the source: by poles on increasingly fine grids.
 
     Source: Hulin 2017, sec. 3.4: poles of the transfer function (3.9) at each grid point.
     """
@@ -295,7 +297,7 @@ def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Float
 
 
 def grid_optimum(cost: Points, high: tuple[float, float], tolerance: float) -> tuple[float, float]:
-    """Return the best point of ever finer grids, each two cells to either side of the best one so far.
+    """Return the best point of increasingly fine grids, each two cells to either side of the best one so far.
 
     Source: Hulin 2017, sec. 5.1.2 (gridding with thresholds as in 3.4).
     """
@@ -309,7 +311,7 @@ def grid_optimum(cost: Points, high: tuple[float, float], tolerance: float) -> t
 
 
 def nelder_mead(cost: Points, start: tuple[float, float], tolerance: float) -> tuple[float, float]:
-    """Return where the simplex search of Nelder and Mead ends, from one start, with a tolerance relative to it."""
+    """Return the result of a Nelder-Mead simplex search from one start, with a tolerance relative to the start."""
     options = {"xatol": tolerance * min(start), "fatol": np.inf, "maxiter": 400}
     found = minimize(lambda p: float(cost(p[:1], p[1:])[0]), start, method="Nelder-Mead", options=options)
     return float(found.x[0]), float(found.x[1])

@@ -1,4 +1,4 @@
-"""Measures all methods: the tables, the extreme cases, what is left out, and their page."""
+"""Measurement of all methods: tables, extreme cases, omitted methods, and their page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pipeline.studies.accuracy.measured import RECOMMENDED, measured_tables
 from pipeline.studies.accuracy.theory import theory_tables
 
 BUDGETS = {"theory": (0.12, 0.03), "measured": (0.02, 0.02)}
-"""Seconds that a run is repeated for, and those of a quick one: thousands of trials in a call leave nothing to warm."""
+"""Time [s] for which a run is repeated, and that of a quick run: calls with thousands of trials need no warm-up."""
 
 Say = Callable[[str], None]
 
@@ -44,7 +44,7 @@ def measure(
     quick : bool
         Fewer settings, trials and repetitions.
     say : callable
-        Gets the name of each part when it begins.
+        Called with the name of each part when it starts.
     theory, measured : bool
         Which branches are measured; the other one stays empty.
     """
@@ -70,7 +70,7 @@ def measure(
 
 
 def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float, float]) -> tuple[Rung, ...]:
-    """Return the rungs of all tables, one quantity after the other."""
+    """Return the rungs of all tables, quantity by quantity."""
     rungs: list[Rung] = []
     for table in tables:
         say(next(iter(table.exact)))
@@ -79,19 +79,20 @@ def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float,
 
 
 def left_out() -> tuple[LeftOut, ...]:
-    """Return the methods of theory that are not measured here, with reasons; those not installed first."""
+    """Return the methods of theory that are not measured here, with reasons; methods that are not installed come
+    first."""
     entries = [entry for entry in words()["left_out"] if "library" not in entry or find_spec(entry["library"]) is None]
     return tuple(LeftOut(**{name: entry[name] for name in LeftOut.model_fields}) for entry in entries)
 
 
 COLUMNS = 3
-"""Panels of the picture side by side."""
+"""Number of panels per row of the figure."""
 
 WIDTH, HEIGHT = 4.0, 3.0
 """Size of a panel [in]."""
 
 SMALLEST = 1e-17
-"""Error that stands for 0 on a logarithmic axis: below the rounding of a double near 1."""
+"""Replacement of a zero error on a logarithmic axis: below the rounding of a double near 1."""
 
 
 def render(report: AccuracyReport) -> str:
@@ -113,7 +114,7 @@ def render(report: AccuracyReport) -> str:
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
-    """Return one row a quantity: error and time of this package, and the quickest other method within `WRONG`."""
+    """Return one row per quantity: error and time of this package, and of the fastest other method within `WRONG`."""
     rows = []
     for quantity, rungs in grouped(report.rungs, "quantity").items():
         ours = next((r for r in rungs if r.method == OURS), None)
@@ -132,8 +133,8 @@ def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
 
 
 def picture(rungs: Sequence[Rung], identifier: str) -> str:
-    """Return error (abscissa) against run time, a panel a quantity with several methods, a line each, as ``<svg>``."""
-    import matplotlib  # takes half a second that other commands do without
+    """Return a plot of error (abscissa) and run time as ``<svg>``: one panel per quantity, one line per method."""
+    import matplotlib  # takes half a second; other commands do not need it
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
 
@@ -164,7 +165,7 @@ def picture(rungs: Sequence[Rung], identifier: str) -> str:
 
 
 def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:
-    """Extreme cases with what happened to each method."""
+    """Yield the extreme cases with the outcome of each method."""
     for name, path in words()["sweeps"].items():
         rows = [
             {

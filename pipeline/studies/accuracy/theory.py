@@ -1,8 +1,8 @@
-"""Limits, responses, costs and optima of loops: what is true, and each method as a row of a table.
+"""Limits, responses, costs and optima of loops: reference values, and a table with one row per method.
 
-Truth is in the reference values that ship with the package (docs/make_reference.py). An error is the largest one over
-all reference points: relative, but for overshoot, which is relative to the final displacement already. A result that a
-method could not give counts as an error of 1.
+The truth is given by the reference values shipped with the package (docs/make_reference.py). An error is the largest
+one over all reference points; it is relative, except for overshoot, which is relative to the final displacement
+already. A missing result counts as an error of 1.
 """
 
 from __future__ import annotations
@@ -45,13 +45,14 @@ QUANTITIES = ("plant", "boundary", "spectral radius", *COSTS, *OPTIMA, "map", *G
 PEER = "python-control"
 
 DENSE_SAMPLES = 2048
-"""Horizon of the dense simulation: the slowest reference point has decayed to 1e-7 there."""
+"""Horizon of the dense simulation, at which the slowest reference point has decayed to 1e-7."""
 
 SEARCH_SAMPLES, SEARCH_FINE = 256, 8
-"""Horizon and points a sample inside the searches for an optimum, whose best points settle within 30 samples."""
+"""Horizon and points per sample in the searches for an optimum; the optima settle within 30 samples."""
 
 SEARCH_BOX, START = (0.3, 1.0), (0.05, 0.3)
-"""Largest alpha and beta of the searches for d = 1, whose optima lie at (0.070, 0.471) and (0.045, 0.304); a start."""
+"""Largest alpha and beta of the searches for d = 1, with optima at (0.070, 0.471) and (0.045, 0.304), and the start of
+a search."""
 
 _TOLERANCE, _SAMPLES = "tolerance {:.0e}", "{} samples"
 _FINE = "{} points a sample", (1, 4, 16, 64), 3
@@ -67,12 +68,12 @@ def reference() -> dict[str, Any]:
 
 
 def case_of(entry: dict[str, Any]) -> Case:
-    """Return the loop of reference values, as the methods of others take it."""
+    """Return the loop of reference values in the format of the common methods."""
     return Case(entry["gamma"], entry["delta"], entry["delay"])
 
 
 def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
-    """Return the loop of reference values, as this package takes it."""
+    """Return the loop of reference values in the format of this package."""
     numbers = {"lag": entry.get("lag", 0.0), "load_mass": entry.get("far_mass", 0.0)}
     if numbers["load_mass"]:
         numbers |= {"spring": entry["spring"], "spring_damping": entry["damper"]}
@@ -82,7 +83,7 @@ def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
 
 
 def unknown(loop: NormalisedLoop) -> NormalisedLoop:
-    """Return a loop of which nothing is kept from earlier calls: each has a damping some roundings larger."""
+    """Return a loop without cached results of earlier calls: its damping is larger by a few roundings."""
     return loop.with_delta(loop.delta + next(_repetition) * 2.0**-57)
 
 
@@ -93,12 +94,12 @@ def own_numerator(gamma: float, delta: float) -> tuple[float, float]:
 
 
 def installed(ways: dict[str, _Way]) -> dict[str, _Way]:
-    """Return ways without that of an optional library that is not installed."""
+    """Return the methods without those of optional libraries that are not installed."""
     return {name: way for name, way in ways.items() if name != PEER or find_spec("control")}
 
 
 def own_costs(loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Mapping[str, str]) -> Values:
-    """Return costs by quantity as this package has them."""
+    """Return costs by quantity as computed by this package."""
     found = point_costs_by_name(loop, alpha, beta, list(names.values()), LONGEST)
     return {quantity: found[name] for quantity, name in names.items()}
 
@@ -110,7 +111,7 @@ PLANTS: dict[str, Callable[[float, float], tuple[float, float]]] = {
     "Runge-Kutta, 128 steps": lambda *loop: peers.numerator(peers.plant_by_runge_kutta(*loop)),
     OURS: own_numerator,
 }
-"""Ways to the numerator of the sampled plant."""
+"""Methods for the numerator of the sampled plant."""
 
 RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     "polynomial roots": peers.radius_by_roots,
@@ -119,7 +120,7 @@ RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     PEER: peers.radius_by_control,
     OURS: lambda case, *wall: spectral_radius(normalised_loop(vars(case)), *wall),
 }
-"""Ways to the spectral radius."""
+"""Methods for the spectral radius."""
 
 ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     "truncated recurrence, 512 samples": partial(peers.truncated_energy, samples=512),
@@ -127,7 +128,7 @@ ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
     "Lyapunov equations (scipy)": peers.lyapunov_energy,
     OURS: lambda case, a, b: np.array([*own_costs(normalised_loop(vars(case)), a, b, OWN_ENERGIES).values()]),
 }
-"""Ways to the energies of a step, shape (3, n)."""
+"""Methods for the energies of a step, shape (3, n)."""
 
 
 def theory_tables() -> Iterator[Table]:
@@ -155,12 +156,12 @@ def theory_tables() -> Iterator[Table]:
 
 
 def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., Values]:
-    """Return what gives a quantity by a function of a setting."""
+    """Return a function that wraps the result of ``run`` at a setting as values of a quantity."""
     return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
 
 
 def _edge(case: Case, loop: NormalisedLoop) -> Table:
-    """Boundary: largest alpha at some beta."""
+    """Return the table of the boundary: largest alpha at given beta."""
     edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
 
@@ -182,7 +183,7 @@ def _edge(case: Case, loop: NormalisedLoop) -> Table:
 
 
 def _costs(case: Case, loop: NormalisedLoop, points: Mapping[str, Floats]) -> Table:
-    """Costs of the responses behind some walls."""
+    """Return the table of costs of the responses at given walls."""
     wall = points["alpha"], points["beta"]
 
     def simulated(fine: int) -> Values:
@@ -211,7 +212,7 @@ def _costs(case: Case, loop: NormalisedLoop, points: Mapping[str, Floats]) -> Ta
 
 
 def _optimum(quantity: str, criterion: str) -> Table:
-    """Place of the least cost by a criterion."""
+    """Return the table of the optimal point by a criterion."""
     best = reference()["optimum"]
     cost = partial(_simulated_cost, case_of(best), tuple(COSTS.values()).index(criterion))
 
@@ -232,7 +233,8 @@ def _optimum(quantity: str, criterion: str) -> Table:
 
 
 def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floats:
-    """Cost of points by dense simulation, infinite where not stable or not settled; ``place`` is that in `COSTS`."""
+    """Return the cost of points by dense simulation, infinite if not stable or not settled; ``place`` is the index in
+    `COSTS`."""
     result = np.full(len(alpha), np.inf)
     use = np.flatnonzero(alpha > 0)
     use = use[peers.radius_by_eigenvalues(case, alpha[use], beta[use]) < 1]
@@ -245,7 +247,7 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
 
 
 def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
-    """Costs of the samples over a grid, all criteria in a row."""
+    """Return the table of costs of the samples over a grid, all criteria in one row."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
     usable = axes[0] > 0  # at alpha = 0 the wall exerts no restoring force
     alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))
@@ -271,11 +273,12 @@ def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
 
 
 def _with_parts() -> Iterator[Table]:
-    """Yield the tables of a loop with filter, lag, mode and fractional delay, and of loops that end a method early."""
+    """Yield the tables of a loop with filter, lag, mode and fractional delay, and of loops at which methods fail
+    early."""
     known, hard = reference()["device"], reference()["hard"]
     shape, (edge, radius) = normalised_loop(known["loop"]), GENERAL
     beta, wall = np.array(known["limit_beta"]), (np.array(known["alpha"]), np.array(known["beta"]))
-    # a Butterworth filter of order 2 delays slow motion by sqrt(2) over its cut-off
+    # a Butterworth filter of order 2 delays slow motion by sqrt(2)/cut-off
     late = shape.delay + shape.lag + np.sqrt(2) / (2 * np.pi * known["loop"]["cutoff"])
 
     def bisection(tolerance: float) -> Values:
