@@ -1,7 +1,7 @@
 """Limits of walls on a general loop: at given dampings, and along the whole region.
 
-The limit at a damping is the upper end of the stable interval that begins at alpha -> 0; what is stable beyond an
-unstable gap, or where soft walls are not, is an island.
+The limit at a damping is the upper end of the stable interval that begins at alpha -> 0; a stable interval beyond an
+unstable gap, or above unstable soft walls, is an island.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from pipeline.theory.crossings import (
 )
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
-"""Places between two dampings at which stretches change: next to both, where limits still have 11 digits, and where
-corners are noticed."""
+"""Relative positions between two dampings at which intervals change: next to both, where limits still have 11 digits,
+and between, to detect corners."""
 
 _MIDDLE = len(_NODES) // 2
 
 _ASIDE = 1e-12
-"""Relative distance from a corner to both sides at which limits are taken."""
+"""Relative distance on both sides of a corner at which limits are computed."""
 
 _MOST_CORNERS = 8
-"""Corners between two neighbours that are separated; more than one is rare."""
+"""Largest number of corners resolved between two neighbours; more than one is rare."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +48,11 @@ class Limits:
     Parameters
     ----------
     alpha : float64, shape (n,)
-        Stiffest wall of the interval that begins at alpha -> 0; nan where there is none.
+        Stiffest wall of the interval that begins at alpha -> 0; nan without such an interval.
     angle : float64, shape (n,)
-        Angle of the pole that leaves the unit circle there [rad/sample], pi of a real one.
+        Angle of the pole that leaves the unit circle there [rad/sample]; pi for a real pole.
     low, low_angle : float64, shape (n,)
-        Its other end, -gamma where it begins on that line, and the angle there, nan on the line.
+        Lower end of the interval, -gamma if it begins on that line, and the angle there, nan on the line.
     islands : float64, shape (i, 3)
         Further stable intervals: beta, lowest and highest alpha > 0.
     """
@@ -64,7 +64,7 @@ class Limits:
     islands: Floats
 
     def part(self, which: Booleans) -> Limits:
-        """Return those of some dampings, islands of all."""
+        """Return the limits at a subset of dampings, with all islands."""
         return Limits(self.alpha[which], self.angle[which], self.low[which], self.low_angle[which], self.islands)
 
 
@@ -79,15 +79,16 @@ class Outline:
     limits : Limits
         There.
     part : int, shape (n,)
-        Number of the unbroken range of dampings that each belongs to.
+        Number of the contiguous range of dampings to which each belongs.
     islands : float64, shape (i, 3)
-        As of `Limits`: at these beta, and between the first and the last at which anything is stable.
+        As in `Limits`: at these beta, and between the first and the last beta with any stable wall.
     tried : float64, shape (t,)
-        In order, dampings at which islands were looked for: both sides of each at which any begins or ends are of them.
+        Sorted dampings at which islands were searched, including both sides of each damping at which one begins or
+        ends.
     alpha_max, beta_at_alpha_max : float
-        The stiffest wall of all, islands left out; nan where there is none.
+        The stiffest wall of all, islands excluded; nan without any.
     ends : tuple of float
-        Infimum and supremum of beta, to the last bit, where a limit is only defined next to it.
+        Infimum and supremum of beta, to the last bit, if the limit is defined only next to them.
     """
 
     beta: Floats
@@ -113,9 +114,10 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
     loop : NormalisedLoop
     beta : float64, shape (n,)
     exact : bool
-        Whether crossings are polished in many digits; those of doubles else.
+        Whether crossings are polished in many digits; else they have double precision.
     floor : float
-        Softest wall, -gamma to 0: intervals that begin there, or contain it, are no islands; none below it counts.
+        Softest wall, -gamma to 0: intervals that begin there or contain it are not islands; intervals below it are
+        ignored.
     """
     found = stable_intervals(loop, beta)
     above = np.flatnonzero(found.high > floor)
@@ -133,7 +135,7 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
 
 
 def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outline:
-    """Return the limit of walls over all dampings at which there is one.
+    """Return the limit of walls over all dampings that have one.
 
     Parameters
     ----------
@@ -146,15 +148,15 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
 
     Notes
     -----
-    Nothing is sampled to find where limits begin, end, jump or turn: `crossings.turning_dampings` are all of these but
-    corners, and corners are met where neighbours are bounded by other branches.
+    Begins, ends, jumps and extrema of limits are not searched by sampling: `crossings.turning_dampings` are all of
+    these except corners. A corner is detected if neighbouring dampings are bounded by different branches.
     """
     turning, nodes = turning_dampings(loop), _nodes(loop)
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
     levels = np.unique(np.append(nodes, marks))
     islands = limits(loop, levels, exact=False, floor=floor).islands
-    # the middle of a gap decides for all of it
+    # the middle of a gap is representative of all of it
     holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
     inside = np.concatenate([[False], holds, [False]])
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
@@ -177,8 +179,8 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
 
 
 def _nodes(loop: NormalisedLoop) -> Floats:
-    """Return dampings between those at which anything turns, shape (gaps, nodes)."""
-    # evenly where dampings are of the usual size: far beyond, an island next to the end of a gap would not be met
+    """Return dampings between the turning dampings, shape (gaps, nodes)."""
+    # evenly spaced at usual dampings: with far larger ones an island next to the end of a gap would be missed
     turning = turning_dampings(loop)
     usual = float(np.median(np.abs(np.append(turning, 1.0)))) or 1.0
     evenly = np.arcsinh(turning / usual)
@@ -186,7 +188,7 @@ def _nodes(loop: NormalisedLoop) -> Floats:
 
 
 def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
-    """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
+    """Return both sides of each damping, between sorted levels, at which the bounding branches change."""
     known = _bounds(loop, levels)
     low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
     corners = [np.zeros(0)]
@@ -196,7 +198,7 @@ def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
         if not len(low):
             break
         good, bad = bisect(partial(_are_bounded, loop, left), low, high)
-        # a little aside: at the corner itself rounding decides
+        # slightly off the corner, where rounding would decide
         corners += [np.maximum(good - _ASIDE * np.abs(good), low), np.minimum(bad + _ASIDE * np.abs(bad), high)]
         low, left = bad, _bounds(loop, bad)
     return np.concatenate(corners)
@@ -207,33 +209,33 @@ def _are_bounded(loop: NormalisedLoop, by: Integers, beta: Floats) -> Booleans:
 
 
 def _bounds(loop: NormalisedLoop, beta: Floats) -> Integers:
-    """Return a number for the branches that bound what is stable at each beta."""
+    """Return a number that identifies the branches that bound the stable intervals at each beta."""
     found, result = stable_intervals(loop, beta), np.zeros(len(beta), np.intp)
     np.add.at(result, found.index, (found.bounds + 1) ** 2)
     return result
 
 
 _FEWEST = 8
-"""Points of an outline of which only the islands are asked for: they are known whatever its points."""
+"""Number of points of an outline computed only for its islands, which do not depend on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Stability boundary: the edge of all that is stable, over the damping.
+    """Stability boundary: the edge of the stable set over the damping.
 
     Parameters
     ----------
     alpha, beta, theta : float64, shape (n,)
-        Points in order of beta, then back along what bounds the region from below; nan between separate regions. The
+        Points sorted by beta, then back along the lower edge of the region; nan between separate regions. The
         angle is that of the pole that leaves the unit circle there, nan where it is unknown.
     alpha_max, beta_at_alpha_max : float
-        Largest stable alpha and its beta, islands left out here and below.
+        Largest stable alpha and its beta, islands excluded here and below.
     beta_max, alpha_at_beta_max : float
         Largest stable beta and its alpha.
     beta_min : float
         Infimum of stable beta.
     islands : float64, shape (i, 3)
-        Other stable intervals, as of `Outline`.
+        Other stable intervals, as in `Outline`.
     """
 
     alpha: Floats
@@ -264,7 +266,7 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
 
     Notes
     -----
-    Mostly it is one branch: it starts at theta -> 0 on the line alpha = -gamma, and ends where it meets that line
+    Usually it is one branch: it starts at theta -> 0 on the line alpha = -gamma, and ends where it meets that line
     again. Where several branches bound the region (a plant that resonates within the delay, damping above about 2 m/T
     without delay, filters), it is followed over the damping, with both sides of each corner.
 
@@ -277,7 +279,7 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
 
 
 def has_islands(loop: NormalisedLoop) -> bool:
-    """Return whether walls are stable somewhere beyond an unstable stretch of softer ones, down to alpha -> 0."""
+    """Return whether any stable wall lies beyond an unstable range of softer ones, down to alpha -> 0."""
     return first_branch(loop) is None and len(outline(loop, _FEWEST).islands) > 0
 
 
@@ -287,14 +289,14 @@ def stabilises(loop: NormalisedLoop) -> bool:
 
 
 def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
-    """Boundary by the angle, whose largest damping is that of its end."""
+    """Return the boundary parametrised by the angle; its largest damping is at its end point."""
     # cosine spacing: dense at both ends, where the branch meets the line alpha = -gamma
     share = 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
     place, turns = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end), stiffness_turns(loop)
     peak_at = np.log(turns[:1])
     place = np.append(np.sort(np.append(place, peak_at)), first.end)
     p, peak = circle_points(loop, place), circle_points(loop, peak_at)
-    alpha = np.append(p.alpha[:-1], 0.0 - loop.gamma)  # by definition of the end
+    alpha = np.append(p.alpha[:-1], 0.0 - loop.gamma)  # by the definition of the end
     ends = float(p.beta[-1]), float(alpha[-1]), first.start
     return Boundary(alpha, p.beta, angle_of(place), float(peak.alpha[0]), float(peak.beta[0]), *ends)
 
@@ -329,8 +331,8 @@ def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
 def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
 
-    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Those of neighbouring levels are of
-    one region by their order, and where their number changes if they overlap; an edge ends where regions join.
+    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Intervals of neighbouring levels are
+    matched by their order, or by overlap if their number changes; an edge ends where regions join.
     """
     chains: list[list[int]] = []
     joined = np.zeros(len(rows), np.bool_)
@@ -340,7 +342,9 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         ends = np.array([c[-1] for c in before], dtype=np.intp)
         low, high = rows[ends, 1:3].T
         meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
-        meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets  # none begins, ends or joins
+        meets = (
+            np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets
+        )  # no region begins, ends or joins
         for i, met in zip(here, meets, strict=True):
             if met.sum() == 1 and meets[:, met].sum() == 1:
                 before[int(met.argmax())].append(i)
@@ -351,7 +355,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     for chain in chains:
         off = rows[chain, 1] > line
         off[-1] |= off.any()
-        # what follows the line needs its ends alone
+        # an edge along the line needs only its ends
         kept = off | np.append(off[1:], False) | np.append(False, off[:-1])
         up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
         found += [gap, up, gap[: int(joined[chain[-1]])], down]
@@ -369,7 +373,7 @@ def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 
     Notes
     -----
-    Right up to rounding of the boundary: nothing is promised for spectral radii nearer to 1 than 1e-12.
+    Exact up to rounding of the boundary: no guarantee for spectral radii closer to 1 than 1e-12.
 
     Source: Hulin 2017, sec. 3.4.
     """
@@ -379,10 +383,10 @@ def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 def is_well_inside(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True
 ) -> Booleans:
-    """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
+    """Return which points are stable and stay stable if alpha moves either way by a share of alpha + gamma, shape (n,).
 
-    Costs of points closer to the boundary are sums over billions of samples, and rounding errors. Without ``islands``
-    a wall counts only if every softer one at its damping is stable too, down to alpha -> 0.
+    Costs of points closer to the boundary are sums over billions of samples, dominated by rounding. Without ``islands``
+    a wall counts only if every softer one at its damping is stable, too, down to alpha -> 0.
     """
     away = share * (alpha + loop.gamma)
     return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
@@ -391,7 +395,7 @@ def is_well_inside(
 def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
     """Return the alpha up to which every softer wall is stable at each beta, down to alpha -> 0; both (n,).
 
-    -inf where there is none. Errors as of `is_inside`.
+    -inf without such an alpha. Accuracy as for `is_inside`.
 
     Source: Hulin 2017, sec. 3.4.
     """
@@ -404,7 +408,7 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
-    """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
+    """Return the distance of alpha to the nearer end of its stable interval, negative outside of any, shape (n,)."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
     kept = np.flatnonzero(islands | (found.low <= 0))
@@ -412,7 +416,7 @@ def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool
     result = np.full(len(alpha), -np.inf)
     counts = np.bincount(index, minlength=len(levels))
     start = np.cumsum(counts) - counts
-    for number in range(int(counts.max(initial=0))):  # as many rounds as a line has stable intervals: few
+    for number in range(int(counts.max(initial=0))):  # one round per stable interval of a line: few
         has = np.flatnonzero(counts[of] > number)
         row = start[of[has]] + number
         result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
@@ -420,30 +424,31 @@ def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool
 
 
 _STIFFNESSES = 65
-"""Springs of the first sweep, denser towards both ends; the limit is a smooth function of gamma between a few kinks."""
+"""Number of springs in the first sweep, denser towards both ends; the limit is smooth in gamma between a few kinks."""
 
 _ROUNDS = 4
-"""Rounds that look closer around the worst spring of each beta."""
+"""Number of refinements around the worst spring of each beta."""
 
 _FINER = 8
-"""New springs per round in each gap next to a worst one: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
+"""Number of new springs per round in each gap next to a worst one: finally 8^4 finer, an error of 1e-9 at a smooth
+minimum."""
 
 
 _POINTS = 40
-"""Dampings up to that of the device, and beyond it, at which an outline is computed."""
+"""Number of dampings of an outline below the device damping, and above it."""
 
 
 def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
-    """Return the outline of the region that is stable with every spring: alpha, beta and the worst spring gamma, (n,).
+    """Return the outline of the region stable with every spring: alpha, beta and the worst spring gamma, shape (n,).
 
-    Empty where there is none, as for delta = 0. Parameters and errors as for `robust_limits`.
+    Empty without such a region, as for delta = 0. Parameters and errors as for `robust_limits`.
 
     Source: Hulin 2017, Fig. 4.5.
     """
     beyond = np.geomspace(1.0, 1 + 4 / (delta * (delay + 0.5)), _POINTS) if delta > 0 else np.empty(0)
     beta = delta * np.concatenate([np.linspace(-1.0, 1.0, _POINTS), beyond[1:]])
     alpha, gamma = robust_limits(delta, delay, beta)
-    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is what rounding leaves of 0
+    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is 0 up to rounding
     return alpha[inside], beta[inside], gamma[inside]
 
 
@@ -468,10 +473,10 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
 
     Notes
     -----
-    gamma runs from 0 to pi^2 + delta^2/4 (4.15). Every alpha between 0 and the limit is robustly stable: for each
-    spring the end of the stable interval that starts at or below 0 is taken, and of these the smallest. Found by a
-    sweep over gamma, refined around the worst springs. At long delays it is low, that is conservative: by 0.5 % at
-    d = 128 and 0.7 % at d = 256.
+    gamma runs from 0 to pi^2 + delta^2/4 (4.15). Every alpha between 0 and the limit is robustly stable: the limit is
+    the smallest upper end, over all springs, of the stable interval that starts at or below 0. It is found by a sweep
+    over gamma, refined around the worst springs. At long delays it is too low (conservative) by 0.5 % at d = 128 and
+    0.7 % at d = 256.
 
     Source: Hulin 2017, sec. 4.3.3.
     """
@@ -491,7 +496,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         new = (gamma[gaps, None] + (gamma[gaps + 1] - gamma[gaps])[:, None] * share).ravel()
         rows = np.full((len(new), len(b)), np.inf)
         nearest = gamma[np.argmin(limits, axis=0)]
-        for row, value in zip(rows, new, strict=True):  # each spring only for the beta whose worst one is next to it
+        for row, value in zip(rows, new, strict=True):  # each spring only for the beta with a neighbouring worst spring
             near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
             if len(near):
                 row[near] = stiffness_limit(NormalisedLoop.ideal(float(value), delta, delay), b[near])
@@ -503,23 +508,24 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
 
 
 def _reach(gamma: Floats, value: float) -> float:
-    """Width of the gap between springs that a value lies in."""
+    """Return the width of the gap between springs that contains a value."""
     at = int(np.clip(np.searchsorted(gamma, value), 1, len(gamma) - 1))
     return float(gamma[at] - gamma[at - 1])
 
 
 _SLIDING = 0.5
-"""Largest friction, as a share of the mass's own force at the turning points, at which motion is taken for a sine."""
+"""Largest friction, relative to the inertial force at the turning points, for which motion is approximated by a
+sine."""
 
 _EQUIVALENTS = 12
-"""Equivalent dampings that are tried: neighbours differ by half or less."""
+"""Number of equivalent dampings tried: neighbours differ by at most half."""
 
 _SEEN = 0.1
-"""Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
+"""Smallest limit, relative to the largest, of the dampings that determine the range of equivalent dampings."""
 
 
 def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
-    """Return the limit at dampings for oscillations as large as a step's way, F_0/(K + k); nan where not valid.
+    """Return the limit at dampings for oscillations with the amplitude of a step, F_0/(K + k); nan where not valid.
 
     Parameters
     ----------
@@ -530,12 +536,12 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
 
     Notes
     -----
-    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency themselves. So limits at several
-    equivalent dampings are found, with the friction that each belongs to, and joined by lines: to about a hundredth of
-    what the friction adds. Valid where motion slides all through: f_c <= m omega^2 A/2.
+    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency. Therefore limits are computed at
+    several equivalent dampings, each with its friction, and interpolated linearly: to about 1 % of the effect of
+    friction. Valid if the motion slides throughout: f_c <= m omega^2 A/2.
 
-    The describing function replaces the square wave of the friction by its first harmonic. The wall is the less
-    stable the larger the oscillation, so the linear limit is what remains for large ones.
+    The describing function replaces the square wave of the friction by its first harmonic. A larger oscillation makes
+    the wall less stable, so the linear limit remains for large ones.
 
     Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
     """
@@ -549,7 +555,7 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
     shares = np.pi * angle * added / (4 * (alpha + loop.gamma))
     result = np.full(len(beta), np.nan)
     for i in range(len(beta)):
-        over = np.flatnonzero(shares[:, i] >= share)  # the first: softer walls let the oscillation fade
+        over = np.flatnonzero(shares[:, i] >= share)  # the first: with softer walls the oscillation decays
         if len(over) and over[0] > 0:
             some = slice(over[0] - 1, over[0] + 1)
             stiff, turn = (np.interp(share, shares[some, i], values[some, i]) for values in (alpha, angle))
@@ -559,7 +565,7 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
 
 
 def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> float:
-    """Return the stiffness up to which a quantum causes no limit cycle: 2 f_c/(g quantum), in SI.
+    """Return the stiffness up to which the sensor resolution causes no limit cycle: 2 f_c/(g quantum), in SI.
 
     Parameters
     ----------
@@ -572,7 +578,7 @@ def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> fl
 
     Notes
     -----
-    Sufficient, not necessary: stiffer walls are not judged.
+    The condition is sufficient, not necessary: stiffer walls may be free of limit cycles, too.
 
     Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
     """

@@ -1,7 +1,7 @@
-"""Answers of theory for command line, REST and Python: limits, costs of listed walls, optima.
+"""Results of theory for command line, REST and Python: limits, costs of listed walls, optima.
 
-Each answer is a record, with its JSON document by ``to_json`` and its rows by ``columns``. A number that cannot be
-computed is NaN in a record and None in a document, with the reason. `pipeline.theory.costs` makes maps of the same.
+Each result is a record, with its JSON document by ``to_json`` and its rows by ``columns``. A number that cannot be
+computed is NaN in a record and None in a document, with the reason. `pipeline.theory.costs` makes maps.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pipeline.theory.poles import spectral_radius, stable_by_radius
 from pipeline.theory.reachable import COST_OF_DELAY, Reachable, reachable
 from pipeline.theory.settling_overshoot import LONGEST
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
     from pipeline.records.models import Device, Experiment, Motion
 
 WALL_COLUMNS = ("stiffness", "damping")
@@ -38,11 +38,11 @@ POINT_COSTS = tuple(
     for name in ("settle_2pct", "overshoot", *(c.name for c in CRITERIA.values() if c.family is ENERGY))
     for suffix in ("", DISCRETE)
 )
-"""Costs of a listed point, where no others are asked for."""
+"""Default costs of a listed point."""
 
 MARGINAL = 1e-12
 """Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
-and energy costs grow with the inverse distance to the power of w + 1, so hardly three digits would be left."""
+and energy costs grow with the inverse distance to the power of w + 1, so fewer than three digits would remain."""
 
 _ISLANDS = (
     "not searched: walls beyond an unstable stretch (at their damping, softer ones are unstable), which exist for this "
@@ -63,11 +63,11 @@ class Case:
     ----------
     loop : NormalisedLoop
     units : LoopUnits, optional
-        Of the wall, where it is given in SI.
+        Units of the wall, if it is given in SI.
     names : dict
-        Further entries of every document; without units the normalised parameters.
+        Further entries of every document; the normalised parameters if there are no units.
     motion : {"translation", "rotation"}, optional
-        Of a device: decides the units that files name.
+        Motion of a device; determines the units in files.
     """
 
     loop: NormalisedLoop
@@ -82,18 +82,18 @@ class Case:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Stiffness and damping that alpha = 1 and beta = 1 stand for."""
+        """Stiffness and damping for alpha = 1 and beta = 1."""
         return (1.0, 1.0) if self.units is None else (self.units.stiffness, self.units.damping)
 
     @property
     def said(self) -> dict[str, Any]:
-        """What every document says of the loop."""
+        """Entries on the loop in every document."""
         plant = {} if self.units is not None else {name: getattr(self.loop, name) for name in CASE_COLUMNS[2:]}
         return {**plant, **self.names}
 
 
 def case_of(device: Device, experiment: Experiment) -> Case:
-    """Return the loop of a device's experiment; where its delay jitters at the mean, with the range in `Case.names`."""
+    """Return the loop of a device's experiment; at the mean if its delay jitters, with the range in `Case.names`."""
     loop, table = device.loop_for(experiment), device.loop_table(experiment)
     low, high = loop.delay_range
     names = {
@@ -110,7 +110,7 @@ def case_of(device: Device, experiment: Experiment) -> Case:
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Points of a CSV file: values, shape (n, columns), in the order of the columns, and the row of each."""
+    """Points of a CSV file: values, shape (n, columns), in the order of the columns, and their row numbers."""
 
     path: Path
     values: Floats
@@ -124,12 +124,12 @@ class PointCosts:
     Parameters
     ----------
     names : tuple of str
-        Columns of a wall, and of its loop where that is normalised.
+        Columns of a wall, and of its loop if that is normalised.
     walls : float64, shape (n, names)
     stable : bool, shape (n,)
     spectral_radius : float64, shape (n,)
     costs : dict of float64, shape (n,)
-        By criterion; NaN where there is none.
+        Costs by criterion; NaN without a cost.
     reason : tuple of str or None, n
         Why costs are NaN.
     left_out : tuple of str, optional
@@ -152,7 +152,7 @@ class PointCosts:
         return {**walls, **told, **costs, "reason": list(self.reason)}
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Return the document of ``theory points``: a row of the columns for each wall."""
+        """Return the document of ``theory points``: one row of the columns per wall."""
         columns, more = self.columns(), {} if self.left_out is None else {"left_out": list(self.left_out)}
         return [dict(zip(columns, row, strict=True)) | more for row in zip(*columns.values(), strict=True)]
 
@@ -192,7 +192,7 @@ def costs_of_cases(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> Point
 
 
 def one_case(cases: Cases) -> Case:
-    """Return the loop of all rows with `CASE_COLUMNS`, of which a picture is drawn.
+    """Return the common loop of all rows with `CASE_COLUMNS`, for a figure.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def costs_of_walls(case: Case, walls: Floats, criteria: Sequence[str] = POINT_CO
 
 
 def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: list[str]) -> str | None:
-    """Return why a wall has no costs by some criteria, None where none is missing."""
+    """Return why a wall lacks costs by some criteria; None if none is missing."""
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
     if radius >= 1:
@@ -274,9 +274,9 @@ class Boundary:
     ----------
     case : Case
     stiffness, damping : float64, shape (n,)
-        Points along it; NaN between separate regions.
+        Points along the limit; NaN between separate regions.
     stiffest, most_damped : (float, float), optional
-        Stiffness and damping at the largest stiffness, and at the largest damping; None where there is none.
+        Stiffness and damping at the largest stiffness, and at the largest damping; None without a stable wall.
     islands : float64, shape (i, 3)
         Stable intervals beyond an unstable gap: damping, smallest and largest stiffness.
     """
@@ -290,11 +290,11 @@ class Boundary:
 
     @property
     def stiffness_max(self) -> float:
-        """Largest stable stiffness; NaN where there is none."""
+        """Largest stable stiffness; NaN without a stable wall."""
         return math.nan if self.stiffest is None else self.stiffest[0]
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the points of a table: stiffness, damping, and the number of the separate region, from 0 on."""
+        """Return the points of a table: stiffness, damping, and the number of the separate region, from 0."""
         known = ~np.isnan(self.stiffness)
         values = {name: part[known].tolist() for name, part in zip(self.case.axes, self.curve, strict=True)}
         return {**values, "region": np.cumsum(~known)[known].tolist()}
@@ -318,7 +318,7 @@ class Boundary:
 def limits_of_walls(case: Case, points: int = 400) -> Boundary:
     """Return the limit of walls.
 
-    Normalised it is the whole boundary; in SI that of walls with stiffness, over damping, and islands.
+    A normalised case gives the whole boundary; a case in SI the limit of walls with K > 0 over damping, and islands.
 
     Raises
     ------
@@ -357,12 +357,12 @@ def _listed(values: Floats) -> list[float | None]:
 
 
 def named_islands(islands: Floats) -> list[dict[str, float]]:
-    """Return stable intervals in SI, shape (n, 3), by name."""
+    """Return stable intervals in SI, shape (n, 3), as named numbers."""
     return [dict(zip(("damping", "stiffness_low", "stiffness_high"), row, strict=True)) for row in islands.tolist()]
 
 
 def check_robust(parts: str) -> None:
-    """Raise ParameterError where a loop has parts, in words, for which the robust region is not known (4.3.3)."""
+    """Raise ParameterError if a loop has parts, given in words, for which the robust region is unknown (4.3.3)."""
     if parts:
         raise ParameterError(
             "walls that are stable with every spring are known for mass, damper, spring and delay alone, and this loop "
@@ -394,7 +394,7 @@ def robust_boundary(case: Case) -> Boundary:
 
 
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
-    """Return what is wrong with the wall of a tuning rule; None where it and all softer ones are stable."""
+    """Return the fault of the wall of a tuning rule; None if it and all softer ones are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
     if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:
         return (
@@ -416,7 +416,7 @@ class Optimum:
     stiffness, damping : float
     cost : float, optional
     reason : str, optional
-        Why there is no cost, or that it is a limit that no stable point reaches.
+        Why there is no cost, or that the optimum is a limit that no stable point reaches.
     note : str, optional
         Walls that were not searched, a negative stiffness, or an unstable tuning.
     box : tuple of float, optional
@@ -434,7 +434,7 @@ class Optimum:
 
     @property
     def reachable(self) -> Reachable | None:
-        """What the delay alone allows (5.19); None for criteria whose cost does not grow with delay."""
+        """Lowest cost that the delay allows (5.19); None for criteria whose cost does not grow with delay."""
         whole = self.case.names.get("delay_samples", self.case.loop.delay)
         return reachable(self.criterion, whole) if is_criterion(self.criterion, COST_OF_DELAY) else None
 
@@ -468,7 +468,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class BestDamping:
-    """The best damping for a stiffness that the scene gives, in the units of a case.
+    """The best damping for a given stiffness, in the units of a case.
 
     Parameters
     ----------
@@ -476,9 +476,9 @@ class BestDamping:
     criterion : str
     stiffness : float
     damping, cost : float, optional
-        None where no damping makes the wall stable, or none has a cost; `reason` says why.
+        None if no damping makes the wall stable, or none has a cost; `reason` states why.
     low, high : float, optional
-        Ends of the equally good dampings, of which `damping` is the middle.
+        Ends of the range of equally good dampings, with `damping` in the middle.
     critical, amplitude : float
         Damping by the rules for continuous time (5.17): critical, and optimal for the amplitude (ratio 1/sqrt 2).
     reason : str, optional
@@ -510,12 +510,12 @@ class BestDamping:
 
 
 def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDamping:
-    """Return the best damping for a stiffness, and that of the rules for continuous time.
+    """Return the best damping for a stiffness, and the dampings by the rules for continuous time.
 
     Raises
     ------
     ParameterError
-        For a criterion without optimal curve, or a stiffness that is not positive with the device's own.
+        For a criterion without optimal curve, or if the sum of the stiffness and that of the device is not positive.
 
     Source: Hulin 2017, secs. 5.1 and 5.2, eq. 5.17.
     """
@@ -549,7 +549,7 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
 
 
 def criterion_for(criterion: str, signal: str | None) -> str:
-    """Return the name of a criterion for the response that `signal` names; criteria of the poles have no sampled one.
+    """Return the name of a criterion for the response named by `signal`; criteria of the poles have no sampled version.
 
     Raises
     ------
@@ -578,12 +578,12 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
     criterion : str
         One of `CRITERIA` or `POINT_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
     signal : {"continuous", "discrete"}, optional
-        Which response the cost is taken from; by default as the criterion's name says.
+        Response that determines the cost; by default according to the criterion's name.
 
     Raises
     ------
     ParameterError
-        For a criterion or signal that is not supported, or where both contradict each other.
+        For an unsupported criterion or signal, or if both contradict each other.
     """
     name = criterion_for(criterion, signal)
     loop, (k, b) = case.loop, case.scale

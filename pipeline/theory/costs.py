@@ -1,4 +1,4 @@
-"""Costs of walls by the name of the criterion, computed together where they share work; over a grid for figures."""
+"""Costs of walls by criterion, computed together if they share work; also over a grid for figures."""
 
 from __future__ import annotations
 
@@ -29,40 +29,41 @@ from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.settling_overshoot import first_reached, transient_costs
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
-"""Criteria of a map; those of a response also as ``_discrete``."""
+"""Criteria of a map; criteria of a response also as ``_discrete``."""
 
 MAP_DEFAULT = tuple(name for name in REPORTED if CRITERIA[name].tabled)
 
 MAP_LONGEST = 1 << 14
-"""Samples after which a response on a map is given up; only cells along the boundary need more."""
+"""Largest number of samples of a response on a map; only cells along the boundary need more."""
 
 LARGEST_MAP = 4001
-"""Grid points along an axis, for the sake of time: minutes. Memory is that of a block, whatever the size."""
+"""Largest number of grid points along an axis, which takes minutes. Memory is that of a block, for any size."""
 
 BLOCK = 1 << 16
-"""Grid points of a block, but at least one row: some 100 MB while its costs are computed, a map of 251 x 251 in one."""
+"""Number of grid points of a block (at least one row): about 100 MB during computation; a 251 x 251 map is one
+block."""
 
 MARGIN = 1e-9
-"""Distance from the boundary, as a share of alpha + gamma, within which costs would be rounding errors."""
+"""Distance from the boundary, as a share of alpha + gamma, below which costs are dominated by rounding."""
 
 _FEWEST = 8
-"""Points of a boundary whose extremes alone are asked for."""
+"""Number of points of a boundary computed only for its extremes."""
 
 
 def point_costs_by_name(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
 ) -> dict[str, Floats]:
-    """Return costs of stable points by name, computing no more than what is asked for.
+    """Return the requested costs of stable points by name.
 
     Parameters
     ----------
     loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
-        Stable points with alpha + gamma > 0; of rise times it does not matter whether they are.
+        Stable points with alpha + gamma > 0; rise times are also defined for unstable ones.
     names : sequence of str
-        Of criteria with costs; those of a response also with ``_discrete`` appended.
+        Names of criteria with costs; those of a response also with ``_discrete`` appended.
     longest : int
-        Samples after which a response that still moves gets NaN for settling time and overshoot.
+        Number of samples after which a response still in motion gets NaN for settling time and overshoot.
     """
     of = {name: criterion_of(name) for name in names}
     found: dict[str, Floats] = {}
@@ -89,7 +90,7 @@ def point_costs_by_name(
 
 
 def check_criteria(names: Sequence[str]) -> None:
-    """Raise ParameterError if a name is none of `MAP_CRITERIA`, nor of those of a response with ``_discrete``."""
+    """Raise ParameterError if a name is not in `MAP_CRITERIA`, nor one of a response with ``_discrete``."""
     unknown = [name for name in names if not is_criterion(name, MAP_CRITERIA)]
     if unknown:
         raise ParameterError(
@@ -107,7 +108,7 @@ def cost_maps(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Seque
 
 
 def costs_at(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
-    """Return costs of the sampled step response, as of logs, by criteria that a log can be judged by.
+    """Return costs of the sampled step response, as for logs, by criteria that apply to logs.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def costs_inside(
 ) -> dict[str, Floats]:
     """Return costs of points by name, in the order of the names; shape (n,) each.
 
-    NaN where a point is not stable, within `MARGIN` of the boundary, or its response still moves after ``longest``
+    NaN if a point is unstable or within `MARGIN` of the boundary, or if its response still moves after ``longest``
     samples.
     """
     inside = np.flatnonzero(is_well_inside(loop, alpha, beta, MARGIN))
@@ -145,13 +146,13 @@ def costs_inside(
 
 def bounding_box(loop: NormalisedLoop) -> tuple[float, float, float, float]:
     """Return alpha_low, alpha_high, beta_low, beta_high of the stable region."""
-    border = boundary(loop, _FEWEST)  # its extremes are known whatever the points between
+    border = boundary(loop, _FEWEST)  # its extremes do not depend on the points between
     return -loop.gamma, border.alpha_max, border.beta_min, border.beta_max
 
 
 @dataclass(frozen=True, eq=False)
 class MapBlock:
-    """Rows of a map: all points of some beta, beta changing slowest; costs by name, NaN where there is none."""
+    """Rows of a map: all points of some beta, beta changing slowest; costs by name, NaN without a cost."""
 
     alpha: Floats
     beta: Floats
@@ -160,12 +161,12 @@ class MapBlock:
 
 
 AXES = ("alpha", "beta")
-"""Names of the columns of a point of a map."""
+"""Column names of a point of a map."""
 
 
 @dataclass(frozen=True)
 class CostMap:
-    """What a map shows: a grid over the bounding box of the stable region, both ends included.
+    """Specification of a map: a grid over the bounding box of the stable region, both ends included.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ class CostMap:
     criteria : sequence of str
         Any of `MAP_CRITERIA`; those of a response also with ``_discrete`` appended.
     longest : int
-        Samples after which a response that still moves gets no cost.
+        Number of samples after which a response still in motion gets no cost.
 
     Raises
     ------
@@ -184,7 +185,7 @@ class CostMap:
 
     Notes
     -----
-    Responses without overshoot are followed down to a deviation of 1e-13.
+    Responses without overshoot are simulated down to a deviation of 1e-13.
 
     Source: Hulin 2017, ch. 5, footnote 1 (grid of 251 x 251 points).
     """
@@ -207,14 +208,14 @@ class CostMap:
         return tuple(dict.fromkeys(self.criteria))
 
     def to_json(self) -> dict[str, Any]:
-        """Return what a document states of the map."""
+        """Return the entries of a document on the map."""
         return {"rows": self.size**2, "columns": [*AXES, "stable", *self.names]}
 
     def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
-        """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).
+        """Yield the map from the lowest beta, in blocks of about ``points`` points (at least one row).
 
         Costs are null where a point is not stable or (overshoot, settling time) its response still moves after
-        ``longest`` samples. A block's size changes no more than rounding of them.
+        ``longest`` samples. The block size affects only their rounding.
         """
         box = bounding_box(self.loop)
         alpha, beta = np.linspace(*box[:2], self.size), np.linspace(*box[2:], self.size)

@@ -1,11 +1,11 @@
-"""Walls that put a pole on the unit circle, all of them: the one search for roots of the theory.
+"""All walls with a pole on the unit circle: the only root search of the theory.
 
 On the circle, z = exp(j theta), a wall alpha + beta N = -1/G is real in alpha and beta: two equations, whose solutions
-are ratios of polynomials in s = tan^2(theta/2). Everything that changes along a loop's crossings is a positive root of
-such a polynomial: where beta turns or is infinite, where alpha turns or passes a level. `positive_roots` isolates them
-by Descartes' rule of signs on halved intervals, in doubles whose rounding is bounded; an interval that doubles cannot
-decide is halved in exact integers. No root is missed: between the roots every branch is monotone in beta, and what a
-branch adds to the unstable poles follows from the order of the roots alone.
+are ratios of polynomials in s = tan^2(theta/2). Every change along a loop's crossings is a positive root of such a
+polynomial: where beta turns or is infinite, where alpha turns or passes a level. `positive_roots` isolates them by
+Descartes' rule of signs on halved intervals, in doubles with bounded rounding errors; an interval that doubles cannot
+decide is halved in exact integers. No root is missed: between the roots every branch is monotone in beta, and the order
+of the roots determines how a branch changes the number of unstable poles.
 
 The place of a crossing is x = ln s, so that both ends of the circle keep their digits. Values on the circle come from
 polynomials in w = j sqrt(s), above |w| = 1 in powers of 1/w, which are exact before they are rounded
@@ -42,30 +42,30 @@ EPSILON = 2.0**-52
 """Rounding of a double."""
 
 FLOOR = 1e-300
-"""Size below which a coefficient counts as unknown: doubles lose digits there."""
+"""Absolute value below which a coefficient counts as unknown: doubles lose digits there."""
 
 DEEPEST, NARROWEST = 160, 44
-"""Halvings of an interval in doubles: in all, and below the leading digit of its place."""
+"""Largest number of halvings of an interval in doubles: in total, and below the leading digit of its position."""
 
 ENCLOSED = 1e-9
-"""Relative distance to either side of a root at which doubles have to know the sign."""
+"""Relative distance on either side of a root at which doubles must determine the sign."""
 
 _ENCLOSED = Decimal(ENCLOSED)
 
 MAX_STEPS = 200
-"""More than the steps to any root or crossing: halving to rounding takes 60."""
+"""Largest number of steps to a root or crossing: bisection down to rounding takes 60."""
 
 _EXACT_HALVINGS = 200, 60
-"""The same in integers, after which roots count as one: they then differ by 1e-18."""
+"""The same in integers; roots not separated by then count as one: they differ by 1e-18."""
 
 _MIDDLE = Decimal("0.98765432101")
-"""Value that separates small roots from large ones. It and its binary fractions are no root that filters have."""
+"""Value that separates small from large roots. Neither it nor its binary fractions are roots of usual filters."""
 
 _TOGETHER = 1e-13
-"""Relative distance within which roots count as one place."""
+"""Relative distance within which roots count as equal."""
 
 _NOISE_DIGITS = 20
-"""Last digits of the coefficients that are rounding, relative to the largest."""
+"""Number of last digits of the coefficients, relative to the largest, that are rounding."""
 
 
 # --- roots of a polynomial -------------------------------------------------------------------------------------------
@@ -73,7 +73,7 @@ _NOISE_DIGITS = 20
 
 @inlined
 def sign_changes(node: Floats) -> tuple[int, int]:
-    """Return the least and the largest number of sign changes of coefficients with error bounds, at most 2 and 3."""
+    """Return the smallest and largest number of sign changes of coefficients with error bounds, at most 2 and 3."""
     least, unknown, before, open_run = 0, 0, 0.0, 0
     for k in range(node.shape[1]):
         if abs(node[0, k]) <= node[1, k]:
@@ -97,7 +97,7 @@ def sign_changes(node: Floats) -> tuple[int, int]:
 
 @inlined
 def value_in(node: Floats, share: float) -> tuple[float, float]:
-    """Return a polynomial in the Bernstein basis at a share of its interval, and a bound of its error."""
+    """Return the value of a Bernstein polynomial at a share of its interval, and an error bound."""
     n, rest, chances, reach = node.shape[1] - 1, 1.0 - share, 1.0, 1.0
     if n == 0:
         return node[0, 0], node[1, 0]
@@ -115,7 +115,7 @@ def value_in(node: Floats, share: float) -> tuple[float, float]:
 
 @inlined
 def enclosed_root(node: Floats, low: float, width: float) -> float:
-    """Return the one root of a node, or -1 where doubles do not show it within `ENCLOSED` of it."""
+    """Return the only root of a node, or -1 if doubles do not locate it within `ENCLOSED`."""
     n = node.shape[1] - 1
     left, right, first, last = 0.0, 1.0, node[0, 0], node[0, n]
     upward, middle = last > 0, 0.5
@@ -138,14 +138,14 @@ def enclosed_root(node: Floats, low: float, width: float) -> float:
 
 @compiled("void(f8[:,:,::1],f8[:,::1],f8[::1],i8[::1])")
 def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> None:
-    """Find all roots of a polynomial in (0, 1), in order; a count of -1 where doubles cannot decide.
+    """Find all roots of a polynomial in (0, 1), sorted; the count is -1 if doubles cannot decide.
 
     Parameters
     ----------
     stack : float64, shape (depth, 2, n + 1)
         Nodes: Bernstein coefficients over an interval, and bounds of their errors; the first one is given.
     places : float64, shape (depth, 2)
-        Low end and width of each interval; the first one is given.
+        Lower end and width of each interval; the first one is given.
     roots, count : float64, shape (n + 1,); int, shape (1,)
         Which are set.
     """
@@ -187,14 +187,14 @@ def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> No
 
 @dataclass(frozen=True, eq=False)
 class Roots:
-    """Positive real roots in order, to about 13 digits; multiplicities, shape (n,); sign before the first."""
+    """Sorted positive real roots, to about 13 digits; multiplicities, shape (n,); sign before the first."""
 
     value: Floats
     multiplicity: Integers
     first_sign: float
 
     def sign_at(self, place: Floats) -> Floats:
-        """Return the sign of the polynomial at places that are no roots."""
+        """Return the sign of the polynomial at points that are not roots."""
         return np.where(np.searchsorted(self.passed, place) % 2, -self.first_sign, self.first_sign)
 
     @property
@@ -211,13 +211,13 @@ def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Ro
     polynomial : Digits
         Coefficients, lowest power first.
     digits : int
-        Digits to which the coefficients are known. The decimal context has as many.
+        Number of known digits of the coefficients, and of the decimal context.
     sharp : bool
-        Whether roots are needed to the last digit of a double; to some 11 digits else.
+        Whether roots are needed to the last digit of a double; else to about 11 digits.
 
     Notes
     -----
-    Roots that differ by less than 1e-13, relatively, are one of their multiplicities' sum.
+    Roots with a relative difference below 1e-13 count as one, with the sum of their multiplicities.
     """
     largest = max((abs(c) for c in polynomial), default=Decimal(0))
     if largest == 0:
@@ -249,7 +249,7 @@ def _bernstein(degree: int) -> Floats:
 
 
 def _roots_below_one(polynomial: list[Decimal], digits: int, sharp: bool) -> list[tuple[float, int]]:
-    """Return the roots in (0, 1) and their multiplicities, in no order: in doubles where these decide."""
+    """Return the unsorted roots in (0, 1) and their multiplicities; in doubles if these suffice."""
     values, matrix = np.array([float(c) for c in polynomial]), _bernstein(len(polynomial) - 1)
     errors = (len(values) + 3) * EPSILON * (matrix @ np.abs(values)) + FLOOR
     found = _isolated(np.array([matrix @ values, errors]), 0.0, 1.0)
@@ -259,7 +259,7 @@ def _roots_below_one(polynomial: list[Decimal], digits: int, sharp: bool) -> lis
 
 
 def _isolated(node: Floats, low: float, width: float) -> Floats | None:
-    """Return the roots of a node, which are simple; None where doubles cannot decide."""
+    """Return the simple roots of a node; None if doubles cannot decide."""
     size = node.shape[1]
     stack, places = np.empty((DEEPEST + NARROWEST, 2, size)), np.empty((DEEPEST + NARROWEST, 2))
     roots, count = np.empty(size), np.empty(1, np.int64)
@@ -269,7 +269,7 @@ def _isolated(node: Floats, low: float, width: float) -> Floats | None:
 
 
 def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, int]]:
-    """Return simple roots to the last digit of a double, by a step of Newton's method in many digits."""
+    """Return simple roots to the last digit of a double, by one Newton step in many digits."""
     result = []
     for root in map(Decimal, roots.tolist()):
         value = slope = Decimal(0)
@@ -282,12 +282,12 @@ def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, in
 
 
 def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
-    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or roots are one place."""
+    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or roots count as equal."""
     scale, degree = Decimal(10) ** digits, len(polynomial) - 1
     whole, (deepest, finest) = [int(c * scale) for c in polynomial], _EXACT_HALVINGS
     chances, found = [math.comb(degree, k) for k in range(degree + 1)], []
     waiting = [(whole, 0, 0)]
-    while waiting:  # ends: depth is bounded, and each halving keeps the number of changes or splits it
+    while waiting:  # terminates: depth is bounded, and each halving keeps or splits the number of sign changes
         p, depth, place = waiting.pop()
         over = _shifted(p[::-1])[::-1]
         signs = [c > 0 for c in over if c]
@@ -320,13 +320,13 @@ def _shifted(polynomial: list[int]) -> list[int]:
 def bisect(
     is_true: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60
 ) -> tuple[Floats, Floats]:
-    """Return the last values towards ``bad`` at which a condition is true, and the next ones, to the last bit.
+    """Return the last values towards ``bad`` at which a condition is true, and the next values, to the last bit.
 
     Parameters
     ----------
     is_true : callable
     good, bad : float64, shape (n,)
-        Where it is true, and where it is not.
+        Values at which the condition is true, and false.
     halvings : int
     """
     for _ in range(halvings):
@@ -341,7 +341,7 @@ def bisect(
 
 @inlined
 def polynomial_at(polynomials: Floats, row: int, x: complex) -> complex:
-    """Return a polynomial, lowest power first."""
+    """Return the value of a polynomial, lowest power first."""
     value = 0j
     for k in range(polynomials.shape[1] - 1, -1, -1):
         value = value * x + polynomials[row, k]
@@ -350,9 +350,9 @@ def polynomial_at(polynomials: Floats, row: int, x: complex) -> complex:
 
 @inlined
 def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex, complex, complex, complex]:
-    """Return -1/G and N at a place of the unit circle, and their slopes over it."""
+    """Return -1/G and N at a place of the unit circle, and their derivatives by it."""
     size, far = math.exp(0.5 * place), place > 0
-    # ratios of polynomials of one degree; above |w| = 1 in powers of 1/w
+    # ratios of polynomials of equal degree; above |w| = 1 in powers of 1/w
     w, x, side = complex(0.0, size), complex(0.0, -1 / size if far else size), polynomials[1 if far else 0]
     motion, force, velocity, bottom = (
         polynomial_at(side, 0, x),
@@ -365,7 +365,7 @@ def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex
         polynomial_at(side, 5, x),
         polynomial_at(side, 6, x),
     )
-    # beyond |w| = 1 counted from theta = pi, where whole turns would take the digits
+    # beyond |w| = 1 relative to theta = pi, as whole turns would cost digits
     half = -math.atan(1 / size) if far else math.atan(size)
     sign = -1.0 if far and delay % 2 == 1 else 1.0
     lever = -sign * complex(math.cos(2 * delay * half), math.sin(2 * delay * half)) / force
@@ -377,14 +377,14 @@ def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex
 
 @compiled("void(f8[:,:,::1],i8,f8[::1],c16[:,::1])")
 def values_on_circle(polynomials: Floats, delay: int, place: Floats, values: Complexes) -> None:
-    """Set what `on_circle_at` returns, shape (4, n)."""
+    """Set the values of `on_circle_at`, shape (4, n)."""
     for n in range(len(place)):
         values[0, n], values[1, n], values[2, n], values[3, n] = on_circle_at(polynomials, delay, place[n])
 
 
 @dataclass(frozen=True, eq=False)
 class CirclePoints:
-    """Walls with a pole pair on the unit circle, and their slopes over the place, shape (n,)."""
+    """Walls with a pole pair on the unit circle, and their derivatives by the place, shape (n,)."""
 
     alpha: Floats
     beta: Floats
@@ -403,7 +403,7 @@ def angle_of(place: Floats) -> Floats:
 
 
 def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> Complexes:
-    """Return -1/G and N on the unit circle, and their slopes over the place, shape (2, 2, n): [value, slope]."""
+    """Return -1/G and N on the unit circle, and their derivatives by the place, shape (2, 2, n): [value, slope]."""
     values = np.empty((4, len(place)), np.complex128)
     values_on_circle(rounded(loop), loop.oldest_force, np.ascontiguousarray(place), values)
     return values.reshape(2, 2, len(place))
@@ -421,7 +421,8 @@ def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
 
 @lru_cache(maxsize=512)
 def rounded(loop: NormalisedLoop) -> Floats:
-    """Return the four polynomials and w times their derivatives, upwards and downwards, shape (2, 8, degree + 1)."""
+    """Return the four polynomials and w times their derivatives, in ascending and descending order, shape (2, 8, degree
+    + 1)."""
     g = loop.sampled
     result = np.zeros((2, 8, max(len(part) for part in (g.motion, g.velocity))))
     for i, part in enumerate((g.motion, g.force, g.velocity, g.filter)):
@@ -434,7 +435,7 @@ def rounded(loop: NormalisedLoop) -> Floats:
 # --- the ends of the circle ------------------------------------------------------------------------------------------
 
 _STIFF = Decimal("1e40")
-"""Wall that counts as endlessly stiff: 1/G is below 1e12 where device and wall are those of a machine."""
+"""Stiffness that counts as infinite: 1/G is below 1e12 for a realistic device and wall."""
 
 
 @dataclass(frozen=True)
@@ -446,11 +447,11 @@ class Ends:
     start : float
         beta at which the first branch leaves the line alpha = -gamma, theta -> 0.
     last, slope : float
-        alpha at which a pole lies at z = -1 is last - beta slope; infinite where there is none.
+        alpha at which a pole lies at z = -1 is last - beta slope; infinite without such a pole.
     bend : tuple of float
         The pole leaves the circle there as alpha rises where bend[0] + beta bend[1] > 0.
     unstable : int
-        Number of unstable poles of an endlessly stiff wall.
+        Number of unstable poles of an infinitely stiff wall.
     """
 
     start: float
@@ -468,7 +469,7 @@ def ends(loop: NormalisedLoop) -> Ends:
 
 
 def _start(loop: NormalisedLoop) -> float:
-    """-1/G is -(1 + 2 delay w) motion/force and N is 2 w velocity/filter, both up to w^2."""
+    """Return the start, from -1/G = -(1 + 2 delay w) motion/force and N = 2 w velocity/filter, both up to w^2."""
     g = loop.sampled
     if not g.velocity[0]:
         return float("nan")
@@ -484,7 +485,7 @@ def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, floa
     g = loop.sampled
     motion, force, velocity, bottom = (part[::-1] for part in (g.motion, g.force, g.velocity, g.filter))
     if abs(force[0]) <= Decimal(10) ** (30 - loop.digits) * np.abs(force).max():
-        return np.inf, 0.0, (1.0, 0.0)  # the device does not answer at half the sampling rate
+        return np.inf, 0.0, (1.0, 0.0)  # the device does not respond at half the sampling rate
     value_at = [-((-1) ** g.delay) * motion[0] / force[0], 2 * velocity[0] / bottom[0]]
     change = [
         -((-1) ** g.delay) * (_slope(motion, force) + 2 * g.delay * motion[0] / force[0]),
@@ -494,14 +495,15 @@ def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, floa
 
 
 def _slope(top: Digits, bottom: Digits) -> Decimal:
-    """Return the derivative at 0 of a ratio."""
+    """Return the derivative of a ratio at 0."""
     if len(top) == 1:
         return Decimal(0)
     return Decimal((top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2)
 
 
 def _unstable_when_stiff(loop: NormalisedLoop) -> int:
-    """Number of poles outside the circle, the right half of w, of an endlessly stiff wall without damping."""
+    """Return the number of poles outside the circle (right half plane of w) of an infinitely stiff wall without
+    damping."""
     g = loop.sampled
     up, down = as_exact([1, 1]), as_exact([1, -1])
     whole = total(product(power(up, g.delay), g.motion), _STIFF * product(power(down, g.delay), g.force))
@@ -512,7 +514,7 @@ def right_half(polynomial: Digits) -> int:
     """Return the number of roots with positive real part: sign changes of Routh's array."""
     upper, lower = polynomial[::-1][::2], polynomial[::-1][1::2]
     first = [upper[0]]
-    while len(lower):  # each step takes a coefficient away
+    while len(lower):  # each step removes a coefficient
         first.append(lower[0])
         rest = np.append(lower[1:], as_exact([0] * (len(upper) - len(lower))))
         upper, lower = lower, upper[1:] - upper[0] / lower[0] * rest
@@ -526,23 +528,23 @@ _END = 1e-36
 """Smallest s and reciprocal of the largest: angles of 2e-18."""
 
 _SHARPENINGS = 5
-"""Newton's steps from the digits of a double to many: each doubles them."""
+"""Number of Newton steps from double precision to many digits: each doubles the digits."""
 
 _POLISHINGS, _FARTHEST = 2, Decimal("1e-4")
-"""Newton's steps that polish a crossing, and the relative change that they may come to: where beta touches its value
-there is no slope."""
+"""Number of Newton steps that polish a crossing, and their largest relative change: where beta touches its value the
+slope is zero."""
 
 NO_WALL = 1e-8
-"""Largest alpha and beta that the least loss of a mode may keep stable, however light its near side; far below those of
-any wall."""
+"""Largest alpha and beta that the assumed loss of a mode may stabilise, however light its near side; far below any real
+wall."""
 
 CONVERGED, STRAIGHT, NARROW = 1e-8, 0.01, 1e-15
-"""Newton step in ln s, and relative change of the slope, after which the next one is below rounding; relative width of
-a bracket that is rounding."""
+"""Newton step in ln s, and relative change of the slope, after which the next step is below rounding; relative width of
+a bracket that counts as rounding."""
 
 
 def value_of(polynomial: Digits, x: Decimal) -> Decimal:
-    """Return a polynomial at a place."""
+    """Return the value of a polynomial at a place."""
     value = Decimal(0)
     for c in polynomial[::-1].tolist():
         value = value * x + c
@@ -554,8 +556,8 @@ class CircleCondition:
     """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
 
     beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
-    which is rise/((1 + s)^delay turn). ``free`` are the s at which N and -1/G both are real, so that each beta has a
-    crossing there, as often as both are; the polynomials are without these roots.
+    which is rise/((1 + s)^delay turn). ``free`` are the s at which both N and -1/G are real, so that each beta has a
+    crossing there, with their multiplicity; the polynomials exclude these roots.
     """
 
     free: list[Decimal]
@@ -570,7 +572,7 @@ class CircleCondition:
     filter: Digits
 
     def bend(self, over: Digits) -> Digits:
-        """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
+        """Return the derivative of over/((1 + s)^delay turn) without its positive factors."""
         plain = total(product(polyder(over), self.turn), -product(over, polyder(self.turn)))
         return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
 
@@ -603,7 +605,7 @@ def circle_condition(loop: NormalisedLoop) -> CircleCondition:
 
 
 def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
-    """Return the positive roots that two polynomials share, as often as they do, and both without them."""
+    """Return the common positive roots of two polynomials, with multiplicity, and both polynomials without them."""
     shared, roots = [], positive_roots(second, digits)
     for start, multiplicity in zip(roots.value.tolist(), roots.multiplicity.tolist(), strict=True):
         root, simple = Decimal(start), second
@@ -620,7 +622,7 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
 
 
 def squared(polynomial: Digits) -> Digits:
-    """Return the square of the size of a polynomial in w on the circle, as a polynomial in s."""
+    """Return the squared modulus of a polynomial in w on the circle, as a polynomial in s."""
     return _even(product(polynomial, _mirrored(polynomial)))
 
 
@@ -648,14 +650,14 @@ class Branches:
     Parameters
     ----------
     cells : tuple of float64, shape (cells,)
-        Intervals of places on which beta is monotone: ends, beta there (infinite at its poles), and the unstable poles
-        that alpha gains (2) or loses (-2) by rising through the branch.
+        Intervals of places with monotone beta: ends, beta there (infinite at its poles), and the change of the number
+        of unstable poles (2 or -2) as alpha rises through the branch.
     lines : tuple of float64, shape (lines,)
         Walls alpha - beta slope with poles at one place of the circle, at z = -1 first: alpha, slope, two parts of a
-        bend, unstable poles that alpha gains by rising where bend_0 + beta bend_1 > 0 and loses elsewhere, none where
-        the pole only touches the circle, and the place, nan for z = -1.
+        bend, number of unstable poles gained as alpha rises if bend_0 + beta bend_1 > 0 and lost otherwise (0 if the
+        pole only touches the circle), and the place, nan for z = -1.
     unstable : int
-        Unstable poles of an endlessly stiff wall.
+        Number of unstable poles of an infinitely stiff wall.
     """
 
     cells: tuple[Floats, ...]
@@ -691,18 +693,18 @@ def branches(loop: NormalisedLoop) -> Branches:
 
 
 def distinct(values: Floats) -> Floats:
-    """Return values in order, each once; `np.unique` would load numpy's masked arrays."""
+    """Return the sorted distinct values; `np.unique` would load numpy's masked arrays."""
     ordered = np.sort(values)
     return np.asarray(ordered[np.append(True, np.diff(ordered) > 0)[: len(ordered)]])
 
 
 def _no_poles(roots: Floats, poles: Roots) -> Floats:
-    """Return the roots that are no poles of beta."""
+    """Return the roots that are not poles of beta."""
     return roots[(np.abs(roots[:, None] - poles.value) > _TOGETHER * poles.value).all(axis=1)]
 
 
 def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
-    """Return a row of `Branches.lines`, where N and -1/G are both real."""
+    """Return a row of `Branches.lines`, at which both N and -1/G are real."""
     slope, side = polyval(root, c.level) / polyval(root, c.filter), -1 if sum(r > root for r in c.free) % 2 else 1
     bend = (-side * polyval(root, c.twist) / (1 + root) ** c.delay, -side * polyval(root, c.turn))
     turn = 2 * (c.free.count(root) % 2)
@@ -710,13 +712,13 @@ def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
 
 
 def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
-    """Return beta at places s, to the last digit of a double."""
+    """Return beta at given s, to the last digit of a double."""
     return np.array([float(c.beta(s)) for s in roots])
 
 
 @lru_cache(maxsize=64)
 def stiffness_turns(loop: NormalisedLoop) -> Floats:
-    """Return the s, in order, at which alpha has an extremum along a branch."""
+    """Return the sorted s at which alpha has an extremum along a branch."""
     c = circle_condition(loop)
     with many_digits(loop.digits):
         return _passed(loop, c.bend(c.rise))
@@ -724,7 +726,7 @@ def stiffness_turns(loop: NormalisedLoop) -> Floats:
 
 @lru_cache(maxsize=64)
 def level_passings(loop: NormalisedLoop, level: float) -> Floats:
-    """Return the s, in order, at which alpha passes a level along a branch."""
+    """Return the sorted s at which alpha passes a level along a branch."""
     c = circle_condition(loop)
     with many_digits(loop.digits):
         whole = product(power(as_exact([1, 1]), c.delay), c.turn)
@@ -732,7 +734,7 @@ def level_passings(loop: NormalisedLoop, level: float) -> Floats:
 
 
 def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
-    """Return the roots at which a polynomial changes its sign and that are no poles of beta."""
+    """Return the roots, except poles of beta, at which a polynomial changes its sign."""
     found, poles = (positive_roots(part, loop.digits) for part in (polynomial, circle_condition(loop).turn))
     roots = _no_poles(found.passed, poles)
     return roots[(roots > _END) & (roots < 1 / _END)]
@@ -740,11 +742,12 @@ def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
 
 @lru_cache(maxsize=64)
 def turning_dampings(loop: NormalisedLoop) -> Floats:
-    """Return every beta, in order, at which stable intervals may begin or end, join, or their ends have an extremum.
+    """Return, sorted, all beta at which stable intervals may begin, end or join, or at which their ends have an
+    extremum.
 
-    Between two of these each end of an interval is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all
-    stable or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. Only corners, where
-    two branches cross, lie between.
+    Between two of these, each end of an interval is monotone in beta, and soft walls (alpha -> 0 or -gamma) are either
+    all stable or all unstable: at these beta, alpha or beta turns along the branches, or alpha passes 0 or -gamma. Only
+    corners, where two branches cross, lie between.
     """
     b, levels = branches(loop), sorted({0.0, -loop.gamma})
     turns = np.concatenate([stiffness_turns(loop), *(level_passings(loop, level) for level in levels)])
@@ -762,16 +765,17 @@ def turning_dampings(loop: NormalisedLoop) -> Floats:
 def solved(
     polynomials: Floats, delay: int, cell: tuple[float, float, float, float], beta: float, first: float
 ) -> tuple[float, float, float]:
-    """Return the place at which beta has a value within a cell, alpha there, and the slope of beta.
+    """Return the place within a cell at which beta has a given value, alpha there, and the slope of beta.
 
-    Newton's method from a first place, or one interpolated in s; a step that leaves the bracket is replaced by halving.
+    Newton's method starts from a given place, or one interpolated in s; a step that leaves the bracket is replaced by
+    bisection.
     """
     low, high, beta_low, beta_high = cell
     share = (beta - beta_low) / (beta_high - beta_low)
     place = first
     if not low < place < high:
         place = high + math.log(math.exp(low - high) - share * math.expm1(low - high))
-    if not low < place < high:  # at an infinite end halves
+    if not low < place < high:  # bisection at an infinite end
         place = 0.5 * (low + high)
     alpha, slope = 0.0, 0.0
     for number in range(MAX_STEPS):
@@ -800,11 +804,11 @@ CELLS, LINES = "UniTuple(f8[::1],5)", "UniTuple(f8[::1],6)"
 def count_intervals(
     polynomials: Floats, about: Arrays, cells: Arrays, lines: Arrays, betas: Floats, out: Arrays, count: Integers
 ) -> None:
-    """Find the stable intervals of alpha at each beta by counting the unstable poles, down from a stiff wall.
+    """Find the stable intervals of alpha at each beta by counting the unstable poles, from a stiff wall downwards.
 
-    ``about`` are the delay, the unstable poles of an endlessly stiff wall, -gamma, and whether nothing damps a mode;
-    ``out`` the last solution of each cell (3, cells), events (4, cells + lines + 1), and the intervals, which are set:
-    index of beta, both ends, their places, and a number for the pair of branches that bound it.
+    ``about`` contains the delay, the number of unstable poles of an infinitely stiff wall, -gamma, and whether a mode
+    is undamped; ``out`` the last solution of each cell (3, cells), events (4, cells + lines + 1), and the resulting
+    intervals: index of beta, both ends, their places, and a number for the pair of branches that bound it.
     """
     delay, unstable, line, lossless = about
     known, events, intervals = out
@@ -828,7 +832,7 @@ def count_intervals(
             if not (math.isfinite(alpha) and alpha >= line):
                 continue
             if lossless and 0 < alpha < NO_WALL and abs(beta) < NO_WALL:
-                alpha = 0.0  # what the least loss of a mode keeps stable is none
+                alpha = 0.0  # intervals stabilised only by the assumed loss of a mode do not count
             at = number
             while at > 0 and events[0, at - 1] > alpha:
                 for row in range(4):
@@ -854,9 +858,9 @@ def count_intervals(
 
 @dataclass(frozen=True, eq=False)
 class StableIntervals:
-    """Stable intervals of alpha, shape (n,): index of their beta, ends, and places of the crossings there.
+    """Stable intervals of alpha, shape (n,): index of beta, ends, and places of the crossings there.
 
-    The place is nan at z = 1 and z = -1. ``bounds`` is a number for the pair of branches that bound an interval.
+    The place is nan at z = 1 and z = -1. ``bounds`` identifies the pair of branches that bound an interval.
     """
 
     index: Integers
@@ -868,17 +872,17 @@ class StableIntervals:
 
 
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
-    """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to about 11 digits.
+    """Return the stable intervals of alpha above -gamma at each beta, in ascending order; ends to about 11 digits.
 
     Parameters
     ----------
     loop : NormalisedLoop
-        Any. Its crossings are found once: in 2 ms with 8 samples of delay, in 0.1 s with 64, in 1 s with 256.
+        Any loop. Its crossings are computed once: in 2 ms for a delay of 8 samples, in 0.1 s for 64, in 1 s for 256.
     beta : float64, shape (n,)
         Finite.
     """
     known = branches(loop)
-    if first_branch(loop) is not None:  # inside it no pole is unstable, and nothing is stable elsewhere
+    if first_branch(loop) is not None:  # no pole is unstable inside it, and no wall is stable outside
         known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
     return _counted_intervals(loop, known, beta)
 
@@ -895,7 +899,7 @@ def _counted_intervals(loop: NormalisedLoop, b: Branches, beta: Floats) -> Stabl
 
 @dataclass(frozen=True)
 class FirstBranch:
-    """The branch from alpha = -gamma at theta -> 0 to where it meets that line again; beta rises all along it.
+    """The branch from alpha = -gamma at theta -> 0 to its next point on that line; beta rises along it.
 
     Parameters
     ----------
@@ -910,12 +914,12 @@ class FirstBranch:
 
 
 _SIDES = np.array([1e-9, 0.5, 1 - 1e-9])
-"""Places between two dampings at which branches turn, at which stable intervals are counted."""
+"""Relative positions, between two dampings at which branches turn, at which stable intervals are counted."""
 
 
 @lru_cache(maxsize=512)
 def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
-    """Return the first branch of a mass with damper and spring where it alone encloses what is stable."""
+    """Return the first branch of a mass with damper and spring if it alone encloses the stable set."""
     b, ends = branches(loop), level_passings(loop, -loop.gamma)
     _, high, start, top, gain = (column[0] for column in b.cells)
     plain = len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1
@@ -933,13 +937,13 @@ def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
 
 
 def _has_no_loss(loop: NormalisedLoop) -> bool:
-    """Return whether nothing damps a loop's mode but the wall."""
+    """Return whether only the wall damps a loop's mode."""
     plant = loop.plant
     return plant.has_mode and loop.delta == 0 and plant.spring_damping <= 2 * LEAST_RATIO * plant.spring**0.5
 
 
 def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
-    """Return alpha of crossings near places, shape (n,), to the last digit or two of a double."""
+    """Return alpha of crossings near given places, shape (n,), to the last one or two digits of a double."""
     c, result, lines = circle_condition(loop), [], set(branches(loop).lines[5])
     with many_digits(loop.digits):
         twist, turn = polyder(c.twist), polyder(c.turn)
