@@ -75,7 +75,7 @@ class Outline:
     Parameters
     ----------
     beta : float64, shape (n,)
-        In order; empty where no soft wall is stable.
+        Sorted; empty if no soft wall is stable.
     limits : Limits
         There.
     part : int, shape (n,)
@@ -257,7 +257,7 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
     ----------
     loop : NormalisedLoop
     points : int
-        About how many, >= 8.
+        Approximate number of points, >= 8.
 
     Raises
     ------
@@ -342,9 +342,8 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         ends = np.array([c[-1] for c in before], dtype=np.intp)
         low, high = rows[ends, 1:3].T
         meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
-        meets = (
-            np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets
-        )  # no region begins, ends or joins
+        # with equal numbers, no region begins, ends or joins
+        meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets
         for i, met in zip(here, meets, strict=True):
             if met.sum() == 1 and meets[:, met].sum() == 1:
                 before[int(met.argmax())].append(i)
@@ -572,7 +571,7 @@ def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> fl
     coulomb : float
         Coulomb friction f_c of the device [N, Nm].
     quantum : float
-        Of the sensor [m, rad], > 0.
+        Sensor resolution [m, rad], > 0.
     force_gain : float
         Force over command, g.
 

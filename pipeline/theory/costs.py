@@ -120,7 +120,7 @@ def costs_at(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequen
     Returns
     -------
     dict of float64, shape (n,)
-        NaN as of `costs_inside`.
+        NaN as in `costs_inside`.
 
     Source: Hulin 2017, secs. 5.2 and 6.1.4 (theoretical maps of Figs. 6.5 to 6.7, 6.10, 6.11).
     """

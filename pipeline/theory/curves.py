@@ -1,7 +1,7 @@
 """Optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
 
-All lines of a curve are searched at once (`theory.search`). Each line is searched afresh and not from its neighbour's
-result, so a curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
+All lines of a curve are searched at once (`theory.search`). Each line is searched independently of its neighbours, so a
+curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
 """
 
 from __future__ import annotations
@@ -22,28 +22,29 @@ from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, 
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 _LONGEST = 1024
-"""Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
+"""Number of samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
 
 _DECIDED = 60
-"""Samples, times d + 1, in which a response reaches its largest overshoot or deviation but for slow beats."""
+"""Number of samples, per d + 1, in which a response reaches its largest overshoot or deviation, except with slow
+beats."""
 
 _MARGIN = 0.02
-"""Share by which a line reaches beyond the polygon of boundary points, which lies up to 1e-3 inside the boundary."""
+"""Share by which a line extends beyond the polygon of boundary points, which lies up to 1e-3 inside the boundary."""
 
 _BOUNDARY_POINTS = 400
 
 _STEP_LOOK = 121
-"""Points of the first look at the deviation, which has no jumps; late deviations of slow responses ripple, and half as
-many points missed a sample in 170 (found by a search along random lines)."""
+"""Number of points of the first scan of the deviation, which has no jumps. Late deviations of slow responses ripple,
+and half as many points were off by one sample in one of 170 random lines."""
 
 _STEP_LEVELS = 12
-"""0.35^12 = 3e-6 of a first step: it decides whether a number of samples is possible, not where a corner is."""
+"""0.35^12 = 3e-6 of a first step: enough to decide whether a number of samples is possible; no corner is located."""
 
 _LINE = 1e-9
-"""Distance from alpha = -gamma, relative to a line, that stands for the limit on it."""
+"""Distance from alpha = -gamma, relative to a line, at which the limit on that line is evaluated."""
 
 _KINK_LEVELS = 30
-"""0.35^30 = 2e-14 of a first step: the cube root of that is how far the radius of a threefold pole is off."""
+"""0.35^30 = 2e-14 of a first step: the radius of a triple pole has an error of the cube root of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +56,12 @@ class Curve:
     given : float64, shape (n,)
         Values of the given parameter.
     best, cost : float64, shape (n,)
-        Best value of the other and the cost there (damping ratio, not its negative); NaN where ``found`` is False.
+        Best value of the other parameter and its cost (damping ratio, not its negative); NaN if ``found`` is False.
     low, high : float64, shape (n,)
-        Ends of the stretch of equally good values around it, of which ``best`` is the middle, for the discrete settling
-        time (steps), overshoot (region without) and damping ratio (region of 1); elsewhere equal to ``best``.
+        Ends of the range of equally good values, with ``best`` in the middle, for the discrete settling time (steps),
+        overshoot (region without any) and damping ratio (region of 1); otherwise equal to ``best``.
     found : bool, shape (n,)
-        False where no point of the line is stable, or none settles within 1024 samples.
+        False if no point of the line is stable, or none settles within 1024 samples.
     """
 
     given: Floats
@@ -126,7 +127,7 @@ def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_gi
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Lines through the stable region: value of the given parameter, ends of the other."""
+    """Lines through the stable region: value of the given parameter, ends of the other parameter."""
 
     loop: NormalisedLoop
     given: Floats
@@ -135,7 +136,7 @@ class _Lines:
     stiffness_given: bool
 
     def cost(self, cost: Callable[..., Floats], *of_line: Floats) -> LineCost:
-        """Cost along the lines, infinity where not stable; of points and of further values of each line."""
+        """Return the cost along the lines, infinity if not stable; ``of_line`` are further arguments of each line."""
         guarded = where_stable(self.loop, cost)
 
         def along(line: Integers, place: Floats, best: float) -> Floats:
@@ -151,7 +152,7 @@ class _Lines:
         return _Lines(self.loop, self.given[which], self.low[which], self.high[which], self.stiffness_given)
 
     def late_deviation(self, first: Floats) -> LineCost:
-        """Largest deviation from a sample on, which differs between lines."""
+        """Return the largest deviation from a sample on; the sample differs between lines."""
         decided = int(_DECIDED * (self.loop.delay + 1))
 
         def deviation(alpha: Floats, beta: Floats, _: float, begin: Floats) -> Floats:
@@ -161,11 +162,12 @@ class _Lines:
 
 
 def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
-    """Ends of the line at each given value inside the stable region, a little widened; NaN where it misses it."""
+    """Return the ends of the line through the stable region at each given value, slightly widened; NaN without one."""
     if stiffness_given:
         border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]
         level, other = border.alpha, border.beta
-        # one end included, so that a line through a corner meets one of its sides; nan between regions meets none
+        # one end included, so that a line through a corner intersects one of its sides; nan between regions never
+        # intersects
         meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
         rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
         at = other[:-1] + (value - level[:-1]) * (other[1:] - other[:-1]) / rise
@@ -180,7 +182,7 @@ def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[F
 
 
 def _optima(lines: _Lines, criterion: str) -> Floats:
-    """Best place, cost and ends of the stretch of equally good places, shape (4, lines)."""
+    """Return best value, cost and ends of the range of equally good values, shape (4, lines)."""
     return OPTIMA[criterion_of(criterion).family.name](lines, criterion)
 
 
@@ -235,17 +237,17 @@ def _plain(found: LineOptima) -> Floats:
 
 
 def _flat(lines: _Lines, cost: Cost, levels: int = LEVELS) -> Floats:
-    """Optima of a cost that is constant over a part of the region."""
+    """Return the optima of a cost that is constant over a part of the region."""
     found = lines.search(cost, levels)
     low, high = extents(lines.cost(cost), found, lines.low, lines.high)
-    # off the plateau rounding alone would decide how far the stretch reaches
+    # off the plateau only rounding would determine the extent of the range
     whole = np.isin(found.cost, (0.0, -1.0))
     low, high = np.where(whole, low, found.place), np.where(whole, high, found.place)
     return np.array([0.5 * (low + high), np.where(np.isfinite(found.place), found.cost, np.nan), low, high])
 
 
 def _impulse(lines: _Lines, criterion: str) -> Floats:
-    """Impulse energy w = 0, whose best stiffness may be the limit alpha -> -gamma."""
+    """Return the optima of the impulse energy w = 0, whose best stiffness may be the limit alpha -> -gamma."""
     loop = lines.loop
     found = lines.search(energy(loop, criterion, -np.inf if lines.stiffness_given else nearest_to_line(loop)))
     if lines.stiffness_given:
@@ -257,16 +259,16 @@ def _impulse(lines: _Lines, criterion: str) -> Floats:
 
 
 def _steps(lines: _Lines, criterion: str) -> Floats:
-    """Discrete settling time: each line's number of samples is lowered as long as a place with one less exists.
+    """Return the optima of the discrete settling time: each line's number of samples is lowered as long as possible.
 
-    A number of samples n is possible on a line where the largest deviation from sample n on, a continuous function of
-    the place, can be brought into the band.
+    A number of samples n is possible on a line if somewhere on it the largest deviation from sample n on, a continuous
+    function, lies inside the band.
     """
     band = band_of(criterion)
     first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
-    while len(open_lines):  # ends: a line that stays open needs a sample less, down to 1
+    while len(open_lines):  # terminates: a line that stays open needs one sample less, down to 1
         part = lines.some(open_lines)
         deviation = part.late_deviation(count[open_lines] - 1)
         found = search_lines(deviation, part.low, part.high, coarse=_STEP_LOOK, starts=3, levels=_STEP_LEVELS)
@@ -285,7 +287,7 @@ def _steps(lines: _Lines, criterion: str) -> Floats:
 
 
 OPTIMA = {"settling": _settling, "overshoot": _overshoot, "energy": _energy, "poles": _poles}
-"""What finds the optima along lines, by family."""
+"""Functions that find the optima along lines, by family."""
 
 CURVE_CRITERIA = tuple(c.name for c in CRITERIA.values() if c.family.name in OPTIMA and not c.optimum_only)
-"""Criteria with optimal curves; those of a response each also as ``_discrete``."""
+"""Criteria with optimal curves; criteria of a response also as ``_discrete``."""

@@ -1,8 +1,8 @@
 """Energy costs of the loop's step and impulse response, summed exactly to infinity.
 
-The energy of a sampling interval is a form of few numbers, the device's state at its start and the wall's forces in it;
-every energy cost follows from the sums of their products with the weights k^w. Those follow from the transforms of the
-sequences by Astroem's recursion: in doubles, and where rounding has a share in it, in more digits.
+The energy of a sampling interval is a quadratic form of few numbers, the device state at its start and the wall forces
+in it. Every energy cost follows from the sums of their products with the weights k^w. These sums follow from the
+transforms of the sequences by Astroem's recursion: in doubles, or with more digits if rounding matters.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pipeline.theory.poles import characteristic_parts
 Arrays = tuple[Any, ...]
 
 Five = tuple[float, float, float, float, float]
-"""A number of five parts, as of `_by_recursion`."""
+"""A number with five parts, as in `_by_recursion`."""
 
 POLYNOMIALS, WORK = (
     "Tuple((f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1]))",
@@ -37,22 +37,22 @@ EPSILON = 2.0**-52
 """Rounding of a double."""
 
 _IN_CACHE = 1 << 12
-"""Points whose sums are in memory at a time."""
+"""Number of points whose sums are in memory at a time."""
 
 _TOGETHER = 1 << 17
-"""Numbers of the recursion at a time: they fit a cache."""
+"""Number of values of the recursion at a time: they fit into a cache."""
 
 _LONG = 64
-"""Delay from which on polynomials in z keep more digits than those in w: their binomials of the delay are left out."""
+"""Smallest delay for which polynomials in z lose fewer digits than those in w: binomials of the delay are avoided."""
 
 LONGEST_SUM = 1 << 18
-"""Samples after which a sum with a weighting that is no whole number is given up: spectral radius about 1 - 1e-4."""
+"""Largest number of samples of a sum with a non-integer weighting: spectral radius about 1 - 1e-4."""
 
 _BLOCK_SAMPLES, _NOTHING = 64, 1e-17
-"""Samples of a block of such a sum, and the share of the sum below which a block adds nothing."""
+"""Number of samples per block of such a sum, and the share of the sum below which a block is negligible."""
 
 _ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
-"""Share that rounding may have in a sum by its estimate, mostly right within a factor of three."""
+"""Largest estimated relative rounding error of a sum; the estimate is usually right within a factor of three."""
 
 
 def energy_costs(
@@ -73,8 +73,8 @@ def energy_costs(
     Returns
     -------
     dict of float64, shape (n,)
-        ``energy_<signal>_w<w>`` and the same with ``_discrete`` appended; dimensionless. NaN of a point that is not
-        stable, and with another w than 0, 1 and 2 of one that still moves after `LONGEST_SUM` samples.
+        ``energy_<signal>_w<w>`` and the same with ``_discrete`` appended; dimensionless. NaN for an unstable point and,
+        with w other than 0, 1 and 2, for one that still moves after `LONGEST_SUM` samples.
 
     Raises
     ------
@@ -85,8 +85,8 @@ def energy_costs(
     -----
     Continuous: (1/E_0) times the integral of tau^w E(tau), tau in samples, along the exact motion between samples.
     Discrete: (1/E_0) sum_k k^w [(alpha+gamma)/2 (chi_k - chi_inf)^2 + (chi_k - chi_{k-1})^2/2], chi_{-1} = chi_0.
-    The energy is that of the sensed position and its velocity, with the mass of all: what the wall sees. A step's E_0
-    is that of the thesis; an impulse of unit momentum has E_0 = 1/2.
+    The energy is that of the sensed position and its velocity, with the total mass, as at the wall. A step's E_0 is
+    that of the thesis; an impulse of unit momentum has E_0 = 1/2.
 
     Source: Hulin 2017, eqs. 5.7, 5.14; discrete form as reproduced from Tables D.2, D.3, D.5 and D.6.
     """
@@ -102,7 +102,7 @@ def energy_costs(
 
 
 def _weighted(loop: NormalisedLoop, alpha: Floats, signal: str, potential: Floats, kinetic: Floats) -> Floats:
-    """Return costs of sums of potential and kinetic energy, the points along the last axis.
+    """Return costs from sums of potential and kinetic energy, with the points along the last axis.
 
     Deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1.
     """
@@ -129,7 +129,7 @@ def _exact_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str) -> Flo
         good, size = np.zeros(len(left), np.bool_), max(1, _TOGETHER // loop.states**2)
         for part in (slice(first, first + size) for first in range(0, len(left), size)):
             with np.errstate(all="ignore"), many_digits(loop.digits) as context:
-                context.clear_traps()  # what is no number is not good
+                context.clear_traps()  # NaN is not good
                 sums, good[part] = _by_recursion(loop, a[left[part]], b[left[part]], signal, kind)
             costs[left[part]] = weighted(sums.transpose(2, 0, 1), left[part])
         left = left[~good]
@@ -150,7 +150,8 @@ def _summed_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str, w: fl
 def _summed(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, w: float) -> Floats:
     """Return sums with any weighting, potential and kinetic energy, continuous and discrete, shape (2, 2, n).
 
-    Sample by sample, in blocks, until nothing is added: no transform of k^w is rational where w is no whole number.
+    The sum runs in blocks of samples until it no longer changes: for non-integer w the transform of k^w is not
+    rational.
     """
     law, turn, state = loop.law(alpha, beta), loop.matrix(alpha, beta), loop.starts(alpha, signal)
     rows = [loop.seen(law, np.broadcast_to(np.eye(loop.states), turn.shape))]
@@ -193,7 +194,7 @@ def _weights_from(loop: NormalisedLoop, w: float, first: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def _weights(loop: NormalisedLoop) -> Floats:
-    """Return what sums of `_sums` have of potential and kinetic energy, continuous and discrete, by w.
+    """Return the weights of `_sums` in potential and kinetic energy, continuous and discrete, by w.
 
     (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i: shape (2 2 3, 3 pairs).
     """
@@ -208,7 +209,7 @@ def _weights(loop: NormalisedLoop) -> Floats:
 
 
 def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> tuple[Floats, Booleans]:
-    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and where good."""
+    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and which are good."""
     bottom, top = _transforms(loop, signal, np.float64)
     q, powers = top.shape[2:]
     pairs, chances = q * (q + 1) // 2, (_chances((powers + 1,)), _chances((q, powers)))
@@ -250,14 +251,14 @@ def put(polynomial: Floats, i: int, x: Five) -> None:
 
 @inlined
 def add(polynomial: Floats, i: int, x: Five, sign: float) -> None:
-    """Add such a number to a coefficient, or take it away."""
+    """Add such a number to a coefficient, or subtract it."""
     for part in range(5):
         polynomial[i, part] += sign * x[part]
 
 
 @inlined
 def put_in(powers: Floats, chances: Floats, walls: Five, result: Floats) -> None:
-    """Set a polynomial at a wall: value, first and half the second derivative, two changes at random."""
+    """Set a polynomial at a wall: value, first and half the second derivative, two random perturbations."""
     for i in range(len(result)):
         for part in range(3):
             result[i, part] = 0.0
@@ -276,13 +277,13 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
     Parameters
     ----------
     polynomials : tuple
-        Bottom and top of `_transforms`, and their `_chances`.
+        Denominator and numerator of `_transforms`, and their `_chances`.
     walls : tuple
         alpha and beta, shape (n,).
     work : tuple
-        Arrays that are used: polynomials at a wall, lowest powers of the top, the same over a size, sums.
+        Work arrays: polynomials at a wall, lowest powers of the numerator, the same over a scale, sums.
     sums, good : float64, shape (n, 3, pairs); bool, shape (n,)
-        Which are set, sums where they are good.
+        Output: sums, and which of them are good.
     """
     bottom, top, bottom_chances, top_chances = polynomials
     a, b, first, scaled, total = work
@@ -329,12 +330,12 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
 
 
 def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
-    """Return the sums in a kind of numbers, and where they are good: of stable points, and nothing lost by rounding.
+    """Return the sums in a kind of numbers, and which are good: for stable points, without loss by rounding.
 
-    With H the transform of a sequence h, sum_k k^w h_k^2 is the w-th derivative by s, at 0, of the sum of those of
-    H(z exp(-s/2)), an integral along the imaginary axis of w. Numbers have five parts: value, first and half the second
-    derivative, and what two changes of the polynomials, each term by a share at random, make of the value: times the
-    rounding of a number of this kind they are what rounding does.
+    With H the transform of a sequence h, sum_k k^w h_k^2 is the w-th derivative by s, at 0, of the sum for H(z
+    exp(-s/2)), an integral along the imaginary axis of w. Numbers have five parts: value, first and half the second
+    derivative, and the effects of two random relative perturbations of the polynomial terms on the value. Multiplied by
+    the rounding unit of this kind of numbers, these effects estimate the rounding error.
 
     Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 3.1.
     """
@@ -358,7 +359,8 @@ def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str
 
 
 def _step_in_w(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return coefficients whose product over a size is a share of the sum, that size, whether stable, what is left."""
+    """Return coefficients whose product over a scale is a part of the sum, that scale, whether stable, and the
+    remainder."""
     first, odd = b[:, :, 0], a[:, 3::2]
     size, share, each = _times(a[:, 0], a[:, 1]), _ratio(a[:, 0], a[:, 1]), _ratio(first, a[:, None, 1])
     a, b = a[:, 1:], b[:, :, 1:]
@@ -368,7 +370,7 @@ def _step_in_w(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the same of polynomials in z, highest power first, that of the bottom 1.
+    """Return the same for polynomials in z, highest power first, with a monic denominator.
 
     Source: Astroem 1970, theorem 2.1.
     """
@@ -380,20 +382,21 @@ def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
-    """Return polynomials at walls with two more parts, changes at random; lowest power first, (5, ..., powers, n)."""
+    """Return polynomials at walls with two random perturbations as further parts; lowest power first, (5, ..., powers,
+    n)."""
     found = np.tensordot(np.moveaxis(polynomials, 1, -1), walls, 1)
     terms = np.tensordot(np.moveaxis(np.abs(polynomials[0]), 0, -1), np.abs(walls), 1)
     return np.concatenate([found, terms * _as(found.dtype.type, _chances(terms.shape[:-1])[..., None])])
 
 
 def _chances(shape: tuple[int, ...]) -> Floats:
-    """Return two changes of terms, as if at random, shape (2, terms)."""
+    """Return two pseudo-random perturbations of terms, shape (2, terms)."""
     number = np.arange(math.prod(shape)).reshape(shape)
     return np.cos([1.7 * number**2, 2.9 * number**2 + 1.0])
 
 
 def _times(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return products of numbers of five parts, along the first axis."""
+    """Return products of numbers with five parts along the first axis."""
     result = x[0] * y
     result[1:] += x[1:] * y[0]
     result[2] += x[1] * y[1]
@@ -410,11 +413,11 @@ def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the transforms of what an interval sees as ratios of polynomials in w, by kind of numbers.
+    """Return the transforms of an interval's inputs as ratios of polynomials in w, in a kind of numbers.
 
-    The bottom, (3, 3, powers): value, first and half the second derivative by s; what is free, times alpha, and times
-    beta; a factor 1 + w turns the sum into an integral along the axis. The tops, (3, 5, q, powers): also times alpha^2
-    and alpha beta.
+    The denominator, (3, 3, powers): value, first and half the second derivative by s; constant term, factor of alpha,
+    and factor of beta; a factor 1 + w turns the sum into an integral along the axis. The numerators, (3, 5, q, powers),
+    also have factors of alpha^2 and alpha beta.
     """
     with many_digits(loop.digits):
         if kind is not np.object_:
@@ -440,7 +443,7 @@ def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarra
 
 
 def _tops(loop: NormalisedLoop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
-    """Return the numerators of what an interval sees behind a wall, shape (q, powers of w)."""
+    """Return the numerators of an interval's inputs at a wall, shape (q, powers of w)."""
     long, bottom = loop.oldest_force > _LONG, parts[0] + alpha * parts[1] + beta * parts[2]
     bottom = bottom if long else from_w(bottom)[::-1]
     n = len(bottom) - 1
@@ -452,7 +455,7 @@ def _tops(loop: NormalisedLoop, parts: Digits, alpha: int, beta: int, signal: st
 
 
 def _by_s(polynomial: Digits) -> Digits:
-    """Return the derivative of p(w(z exp(-s/2))) by s, its common factor left out, along the last axis."""
+    """Return the derivative of p(w(z exp(-s/2))) by s, without its common factor, along the last axis."""
     result: Digits = np.zeros_like(polynomial)
     k = np.arange(polynomial.shape[-1])
     result[..., :-1] -= polynomial[..., 1:] * k[1:] / 4
@@ -475,7 +478,7 @@ def _as(kind: Any, values: np.ndarray) -> np.ndarray:
 
 
 def _sequences(loop: NormalisedLoop, alpha: int, beta: int, signal: str, count: int) -> Digits:
-    """Return the first samples of what an interval sees, shape (count, q)."""
+    """Return the first samples of an interval's inputs, shape (count, q)."""
     steps, p = loop.own, len(loop.device.sensor)
     start = as_exact(loop.starts(np.array([alpha]), signal)[0])
     state, forces = start[: len(steps.free)], list(start[len(steps.free) :][::-1])  # in order of time

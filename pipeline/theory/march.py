@@ -1,20 +1,21 @@
-"""The march of a step response, one wall at a time, in loops that numba compiles: settling, overshoot, rise.
+"""Simulation (march) of step responses, one wall at a time, in loops compiled by numba: settling, overshoot, rise.
 
-A response is followed sample by sample, exactly; between samples the motion is a polynomial over each piece of the
-interval (`pipeline.theory.motion`), which is looked at where the velocity changes sign. After some samples the poles
-bound all that is to come, in three steps.
+A response is simulated exactly, sample by sample; between samples the motion is a polynomial over each piece of the
+interval (`pipeline.theory.motion`), evaluated where the velocity changes sign. After some samples the poles bound the
+remaining motion, in three steps.
 
 1. The poles are the roots of a polynomial in zeta = z - 1 and z, found from those of a neighbour (Ehrlich and Aberth);
-   the eigenvectors follow from the adjugate. Where roots meet, eigenvectors of the whole matrix are passed in.
+   the eigenvectors follow from the adjugate. Where roots coincide, eigenvectors of the whole matrix are passed in.
 2. With mode m of size c_m over a sampling interval (Bernstein's hull of its polynomials) and decay s_m, the deviation
-   from sample k on is at most sum_m c_m exp(-s_m k): the response is inside a band for good where this sum is.
-3. It is moved to some samples before that, by its modes, and followed to the end: the last entry into the band. For the
-   overshoot it is followed for as long as the sum of the modes that can exceed the final position exceeds the peak.
+   from sample k on is at most sum_m c_m exp(-s_m k): once this sum is inside a band, the response stays inside.
+3. It is moved to some samples before that, by its modes, and simulated to the end, which gives the last entry into the
+   band. For the overshoot it is simulated as long as the sum of the modes that can exceed the final position exceeds
+   the peak.
 
 Deviations are relative to the final displacement, times in samples. A response that needs more samples than the limit
-ends with a status, not with a number. ``interval`` is the motion over a sampling interval (`motion.interval_motion`),
+ends with a status instead of a number. ``interval`` is the motion over a sampling interval (`motion.interval_motion`),
 ``first`` the first three own states, which a march keeps in registers: sensed position, velocity and last sample.
-``state`` has a row for each mode: its own states and the wall's forces of the last samples, newest first, at sample 0;
+``state`` has a row for each mode: its own states and the wall forces of the last samples, newest first, at sample 0;
 ``view`` is set by `outlook`.
 """
 
@@ -27,7 +28,7 @@ from pipeline.base.compiled import compiled, inlined, part
 from pipeline.records.trials import Floats
 
 Arrays = tuple[Any, ...]
-"""Arrays of a loop, a wall or a result, in the order of a signature below."""
+"""Arrays of a loop, a wall or a result, in the order of the signatures below."""
 
 Three = tuple[float, float, float]
 Forces = tuple[float, float]
@@ -42,46 +43,50 @@ MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[::1],c16[:,::1],f8[:,::1]))"
 WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
 
 MOVING, STILL, LATE = 0, 1, 2
-"""How a march ended: at its last sample, without motion, or at the cutoff outside all bands."""
+"""End of a march: at its last sample, at rest, or at the cutoff outside all bands."""
 
 KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
-"""What is known of a response: all; no settling time; no overshoot; nothing before modes by eigenvectors are given."""
+"""Status of a response: complete; no settling time; no overshoot; needs modes from eigenvectors."""
 
 CUTOFF_SAMPLES = 16
-"""Samples between two looks at the cutoff."""
+"""Number of samples between two checks of the cutoff."""
 
 TURN_STEPS = 5
-"""Newton steps to a turn from a first guess within a piece of at most one radian: each doubles its digits."""
+"""Number of Newton steps to a turning point, from a guess within a piece of at most one radian: each doubles the
+digits."""
 
 PASSING_STEPS, PASSING_SHARE = 55, 1e-13
-"""Steps to a passing, by Newton or halves, and the last step, as a share of a piece."""
+"""Largest number of steps to a level crossing, by Newton or bisection, and the size of the last step, as a share of a
+piece."""
 
 ROOT_STEPS, FIRST_TURN, LAST_STEP = 30, 1e-5, 1e-9
-"""Iterations to the poles at most, some two from those of neighbours; the share by which first guesses are turned, for
-real ones would stay real; and the relative change after which a third power of it is left."""
+"""Largest number of iterations to the poles (about two from those of neighbours); the relative rotation of first
+guesses, as real ones would stay real; and the relative change at which iteration stops, as its third power remains."""
 
 ROUNDED = 1e-12
-"""What rounding may leave: of a pole's step relative to its distance from z = 1, of a real one's imaginary part, and of
-the difference of the state at sample 0 and its modes, relative to these."""
+"""Tolerance for rounding: of a pole's step relative to its distance from z = 1, of a real pole's imaginary part, and of
+the relative difference between the state at sample 0 and its modes."""
 
 CANCELLED = 1e3
-"""Sizes of all modes over that of their sum from which on they cancel too many digits: rounding grows as the square."""
+"""Ratio of the sizes of all modes to the size of their sum above which cancellation costs too many digits: rounding
+grows as the square."""
 
 ROUNDED_SAMPLES = 64
-"""Samples in which a pole's rounding turns its mode by as much as modes and march may differ at first."""
+"""Number of samples in which a pole's rounding rotates its mode by the initial tolerance between modes and march."""
 
 GONE = 1e-30
 """Pole of a motion that ends at once."""
 
 OUTWEIGHED = 0.99
-"""Share of a leading negative mode that all others together may have for it to keep its sign."""
+"""Largest sum of all other modes, relative to a leading negative mode, for which the sign stays negative."""
 
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
-"""Samples in front of the end of an envelope that are followed first, and at most (an eighth of the square of the limit
-of samples, if that is less): it may lie far above the motion."""
+"""Number of samples simulated before the end of an envelope, at first and at most (an eighth of the squared sample
+limit, if that is less): the envelope may lie far above the motion."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
-"""Samples before it is looked again whether a response may exceed its peak, and the fewest that are left out."""
+"""Number of samples between two checks whether a response may exceed its peak, and the smallest number of skipped
+samples."""
 
 
 @inlined
@@ -102,7 +107,7 @@ def behind(rows: Floats, r: int, z: Floats, first: Three, forces: Forces) -> flo
 
 @inlined
 def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
-    """Return the forces that act, and the next place in the line; a new force takes that of the oldest."""
+    """Return the applied forces and the next index in the delay line; a new force replaces the oldest."""
     if not len(line):
         return (force, force), 0
     after = at + 1 if at + 1 < len(line) else 0
@@ -113,7 +118,7 @@ def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
 
 @inlined
 def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Forces) -> Three:
-    """Return the first three own states at the next sample; set the others in ``moved``."""
+    """Return the first three own states at the next sample; write the others to ``moved``."""
     for i in range(3, len(z)):
         moved[i] = behind(step, i, z, first, forces)
     return behind(step, 0, z, first, forces), behind(step, 1, z, first, forces), seen_by(step, 2, z, first)
@@ -165,7 +170,7 @@ def motion_at(curve: Floats, share: float) -> Three:
 
 @inlined
 def turn_of(curve: Floats) -> float:
-    """Return the share of a piece at which a motion that turns has no velocity; 1 where it does not turn."""
+    """Return the share of a piece at which the velocity is zero; 1 if the motion does not turn."""
     end = motion_at(curve, 1.0)[1]
     if curve[1] * end >= 0:
         return 1.0
@@ -178,13 +183,13 @@ def turn_of(curve: Floats) -> float:
 
 @inlined
 def passing(curve: Floats, level: float) -> float:
-    """Return the share of a piece at which a motion passes a level, from its turn on."""
+    """Return the share of a piece at which a motion passes a level, after its turning point."""
     share, low, high = turn_of(curve), 0.0, 1.0
     for number in range(PASSING_STEPS):
         value, slope, _ = motion_at(curve, share)
         miss, before = value - level, share
         low, high = (share, high) if miss * level > 0 else (low, share)
-        # from the turn, beyond which the motion comes back, there is no tangent
+        # at the turning point the slope is zero, so Newton's method cannot start there
         tangent = number and slope and low <= before - miss / slope <= high
         share = before - miss / slope if tangent else 0.5 * (low + high)
         if abs(share - before) <= PASSING_SHARE:
@@ -196,30 +201,30 @@ def passing(curve: Floats, level: float) -> float:
 def march(
     interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
 ) -> tuple[int, int]:
-    """Follow a response from a sample up to another, unless it comes to rest before; return where and how it ended.
+    """Simulate a response from one sample to another, or until rest; return the last sample and the kind of end.
 
     Parameters
     ----------
     interval : tuple
         Of `interval_motion`.
     body : tuple
-        Own states ``z``; delayed forces ``line``, that of sample k at k modulo the delay; two arrays that are used; of
-        all walls the rows of their laws, and the levers of own states on the position; the number of this wall; and
-        two arrays to keep the first two in.
+        Own states ``z``; delayed forces ``line``, that of sample k at k modulo the delay; two work arrays; for all
+        walls the rows of their laws, and the levers of own states on the position; the index of this wall; and two
+        arrays to save the first two in.
     notes : tuple
         For each band the last sample outside (``settled``) and the interval, piece and start of the last passing into
         it (``entry``); largest deviation between samples and of samples (``peak``); samples for which all motion was
         small compared with the bands, and with the peak too (``calm``).
     span : tuple of int
-        The two samples, the first of the bands that are looked at, and that behind the last.
+        The two samples, the first band to check, and the one after the last.
     asked : tuple
-        ``bands``, whether the overshoot and the motion between samples are asked for, samples that the loop remembers,
-        share of a band or peak that is small, deviation that is no overshoot, and cutoff.
+        ``bands``, whether overshoot and motion between samples are requested, memory of the loop in samples, share of a
+        band or peak that counts as small, deviation that does not count as overshoot, and cutoff.
 
     Notes
     -----
-    At one sample alone all states of the device may be small while a delayed force or a filter stores future motion:
-    a response is at rest when all motion was small for as long as the loop remembers.
+    At a single sample all states of the device may be small while a delayed force or a filter stores future motion. A
+    response is at rest when all motion was small for as long as the memory of the loop.
     """
     step, ends, curves, timing = interval
     z, line, moved, curve, laws, levers, n, _, _ = body
@@ -250,7 +255,7 @@ def march(
                     extreme = motion_at(curve, turn_of(curve))[0]
                     peak[0] = max(peak[0], extreme)
             for b in range(low, high):
-                # another march may have met a later one
+                # another march may have found a later one
                 if abs(after) <= bands[b] < max(abs(place), abs(extreme)) and not k < entry[b, 0]:
                     entry[b, 0], entry[b, 1] = k, j
                     entry[b, 2] = math.copysign(bands[b], extreme if abs(extreme) > bands[b] else place)
@@ -282,7 +287,7 @@ def march(
 
 @inlined
 def power_of(base: complex, exponent: int) -> complex:
-    """Return a whole power."""
+    """Return an integer power."""
     result = 1 + 0j
     while exponent:
         if exponent & 1:
@@ -294,21 +299,21 @@ def power_of(base: complex, exponent: int) -> complex:
 
 @inlined
 def over(top: complex, bottom: complex) -> complex:
-    """Return a ratio; without a number where the bottom is 0."""
+    """Return a ratio; NaN where the denominator is 0."""
     return top * bottom.conjugate() * (1 / square(bottom))
 
 
 @inlined
 def square(number: complex) -> float:
-    """Return the square of the size of a number."""
+    """Return the squared modulus of a number."""
     return number.real * number.real + number.imag * number.imag
 
 
 @part
 def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
-    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether they are known.
+    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether this converged.
 
-    ``forces`` is an array that is used.
+    ``forces`` is a work array.
     """
     determinant, _, _, walls, _, _ = modal
     delay = len(zeta) - len(forces) + 1
@@ -343,10 +348,10 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
 
 @compiled(f"void({MODAL},UniTuple(f8[::1],2),Tuple((c16[::1],c16[:,::1],b1[::1],f8[::1])))")
 def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
-    """Set z - 1 of all poles of each wall, and whether they are known.
+    """Set z - 1 of all poles of each wall, and whether they converged.
 
-    ``out``: those of a first wall, from which each search begins and which are replaced; poles, shape (n, states);
-    whether they are known, shape (n,); an array that is used.
+    ``out``: poles of a first wall, from which each search begins and which are replaced; poles, shape (n, states);
+    whether they converged, shape (n,); a work array.
     """
     guess, zeta, known, forces = out
     for n in range(len(known)):
@@ -358,7 +363,8 @@ def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
 
 @inlined
 def upper_half(zeta: Floats) -> int:
-    """Move real poles and those above the real axis to the front; return how many, 0 if the others are no pairs."""
+    """Move real poles and those above the real axis to the front; return their number, 0 if the others are not
+    conjugates."""
     count, pairs = 0, 0
     for m in range(len(zeta)):
         place = zeta[m]
@@ -372,9 +378,10 @@ def upper_half(zeta: Floats) -> int:
 
 @part
 def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats, state: Floats) -> None:
-    """Set what each mode has of the states at sample 0, by right and left eigenvectors; pole - 1 comes in ``pole``.
+    """Set the part of each mode in the states at sample 0, by right and left eigenvectors; pole - 1 is given in
+    ``pole``.
 
-    A mode above the real axis has what its pair below it has, too.
+    A mode above the real axis includes the part of its conjugate.
 
     With s the states without forces, G the gains of the oldest force and of z times the newer one: right ones are
     (adj G, D z^(delay - age)), left ones (law adj z^delay, law adj G z^(age - 1)); of the oldest force alone its own
@@ -414,7 +421,7 @@ def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats
 
 @inlined
 def are_complete(state: Floats, start: Floats) -> bool:
-    """Return whether modes make up the state at sample 0, and are no larger than what does not cancel."""
+    """Return whether modes sum to the state at sample 0, and are small enough not to cancel."""
     largest, off, sizes, size = 0.0, 0.0, 0.0, 0.0
     for i in range(len(start)):
         total, parts = 0.0, 0.0
@@ -428,10 +435,10 @@ def are_complete(state: Floats, start: Floats) -> bool:
 
 @part
 def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
-    """Set what modes have of the motion in the interval behind sample 0; return whether all fade.
+    """Set the contribution of modes to the motion in the interval after sample 0; return whether all decay.
 
-    Columns of ``view``: decay per sample, real part of the pole, largest size, how far below zero it stays, of a real
-    positive pole, a power of the pole (two), and its imaginary part.
+    Columns of ``view``: decay per sample, real part of the pole, largest size, distance that it stays below zero (for a
+    real positive pole), a power of the pole (two), and its imaginary part.
     """
     own, delay = law.shape[1], state.shape[1] - law.shape[1]
     for m in range(len(state)):
@@ -481,7 +488,7 @@ def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
 
 @inlined
 def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: float) -> bool:
-    """Return whether a response is where its modes say."""
+    """Return whether a response agrees with its modes."""
     z, levers, n = body[0], body[5], body[6]
     off, size = 0.0, 0.0
     grow(view, sample)
@@ -496,7 +503,8 @@ def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: f
 
 @inlined
 def envelope_end(view: Floats, band: float, sample: float) -> float:
-    """Return a time, from a sample on, from which on the sum of all sizes is inside the band, at most two too late."""
+    """Return a time, after a given sample, after which the sum of all sizes is inside the band; at most two samples too
+    late."""
     time, slowest = sample, 0
     for m in range(len(view)):
         slowest = m if view[m, 0] < view[slowest, 0] else slowest
@@ -518,7 +526,7 @@ def envelope_end(view: Floats, band: float, sample: float) -> float:
 
 @inlined
 def outweighs(view: Floats, lead: int, sample: float) -> bool:
-    """Return whether a mode below zero is larger than all that may be above it, for an interval."""
+    """Return whether a negative mode exceeds the sum of all modes that may be positive, for an interval."""
     others = 0.0
     for m in range(len(view)):
         if view[m, 3] == 0:
@@ -529,11 +537,12 @@ def outweighs(view: Floats, lead: int, sample: float) -> bool:
 
 @inlined
 def below_a_peak(view: Floats, peak: float, sample: float) -> float:
-    """Return samples, half of all or more, in which envelopes keep the motion below a peak; infinity if they always do.
+    """Return a number of samples, at least half of the largest, in which envelopes keep the motion below a peak;
+    infinity if they always do.
 
-    They do where all modes that may rise above the final position are smaller than the peak; also while a real mode
-    below it outweighs them. The ratio of a sum of exponentials to one exponential is convex in time: it suffices to
-    know it now and at a time; where the others are below the peak nothing can come any more.
+    They do if all modes that may rise above the final position are smaller than the peak, or while a real negative mode
+    outweighs them. The ratio of a sum of exponentials to one exponential is convex in time, so its values now and at
+    one later time suffice; once the other modes are below the peak it cannot be exceeded any more.
     """
     lead, largest, slowest, total = -1, -1.0, math.inf, 0.0
     for m in range(len(view)):
@@ -558,11 +567,11 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
 @inlined
 def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float) -> bool:
-    """Follow a response into a band before its end, known from modes; return whether it is not too far before it.
+    """Simulate a response into a band before its end, which is known from modes; return whether this is not too early.
 
-    One that is outside the band at the cutoff is not followed.
+    A response outside the band at the cutoff is not simulated.
 
-    ``ahead``: ``state`` and ``view`` of its modes, a sample, and what `climb` takes.
+    ``ahead``: ``state`` and ``view`` of its modes, a sample, and arguments of `climb`.
     """
     state, view, since, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
@@ -591,9 +600,9 @@ def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: 
 
 @inlined
 def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
-    """Follow a response for so long as it may exceed its peak; return whether it cannot any more.
+    """Simulate a response as long as it may exceed its peak; return whether it cannot any more.
 
-    ``ahead`` as of `settle`: also the samples that it is followed for.
+    ``ahead`` as in `settle`, with the number of samples to simulate.
     """
     state, view, k, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
@@ -629,14 +638,14 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, gi
     walls : tuple
         Of `_walls`.
     asked : tuple
-        That of `march`; samples after which a response is given up, those before its modes are looked at, and the
-        difference of a state and its modes, relative to its motion, up to which they agree.
+        That of `march`; largest number of samples of a response, number of samples before its modes are used, and
+        largest difference of a state and its modes, relative to its motion.
     given : tuple
-        Poles and states of modes, shapes (n, modes) and (n, modes, states), where polynomials do not give them; else
-        n = 0.
+        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not give them; else n =
+        0.
     out : tuple
-        Costs, shape (n, 2 bands + 2), which are set: of the samples and of the motion, each settling times and then the
-        overshoot; what is known, shape (n,); and arrays of `_work`.
+        Costs, shape (n, 2 bands + 2), as output: for the samples and for the motion, settling times, then overshoot;
+        status, shape (n,); and arrays of `_work`.
     """
     _, _, curves, timing = interval
     alpha, beta, laws, levers, start, guess = walls
@@ -701,10 +710,10 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, gi
 
 @compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
 def late_deviations(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, largest: Floats) -> None:
-    """Set the largest deviation of the samples of each response from one on.
+    """Set the largest deviation of each response from a given sample on.
 
-    ``asked``: these samples, shape (n,), the last one, what the loop remembers, and the share of the largest deviation
-    below which all motion has to stay for so long.
+    ``asked``: these samples, shape (n,), the last sample, the memory of the loop, and the share of the largest
+    deviation below which all motion has to stay for that long.
     """
     step, _, _, _ = interval
     alpha, _, laws, levers, start, _ = walls
@@ -727,9 +736,10 @@ def late_deviations(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays
 
 @compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
 def rises(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floats) -> None:
-    """Set when each response first reaches levels below zero, shape (2, levels, n): the motion, and samples by lines.
+    """Set the times at which each response first reaches levels below zero, shape (2, levels, n): of the motion, and of
+    linearly interpolated samples.
 
-    ``asked``: levels, the last sample, and whether the motion between samples is asked for.
+    ``asked``: levels, the last sample, and whether the motion between samples is requested.
     """
     step, ends, curves, timing = interval
     alpha, _, laws, _, start, _ = walls

@@ -1,4 +1,4 @@
-"""Modes of a closed loop in the form that the march takes them: polynomials for its poles, or eigenvectors."""
+"""Modes of a closed loop as input of the march: polynomials for its poles, or eigenvectors."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from pipeline.theory.motion import DEGREE, interval_motion, own_basis
 Complexes = NDArray[np.complex128]
 
 _LONGEST = 8
-"""States without delayed forces up to which polynomials keep their digits."""
+"""Largest number of states, without delayed forces, for which polynomials are accurate."""
 
 STILL_REPRODUCED = 1e-11
-"""Largest difference of a state and its modes, relative to its motion; as much again every `march.ROUNDED_SAMPLES`."""
+"""Largest difference of a state and its modes, relative to its motion; it may grow by as much in every
+`march.ROUNDED_SAMPLES`."""
 
 
 def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[Complexes, Complexes]:
-    """Return poles, shape (n, modes), and what each mode has of the states at sample 0, (n, modes, states), of steps.
+    """Return poles, shape (n, modes), and the part of each mode in the states at sample 0, (n, modes, states), for
+    steps.
 
-    States as in a march, then the wall's forces of the last samples, newest first; nan where eigenvectors do not span
-    them.
+    States as in a march, then the wall forces of the last samples, newest first; nan if eigenvectors do not span them.
     """
     pole, vectors = (part.astype(np.complex128) for part in np.linalg.eig(loop.matrix(alpha, beta)))
     apart = np.isfinite(np.linalg.slogdet(vectors)[1])
@@ -39,7 +40,7 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
 
 
 def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
-    """Return the same of no point: a march then takes modes from polynomials."""
+    """Return the same for zero points: a march then computes modes from polynomials."""
     n = loop.states
     return np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)
 
@@ -51,7 +52,7 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     Returns
     -------
     determinant : float64, shape (own + 1,)
-        Empty of a long filter, whose polynomials lose digits.
+        Empty for a long filter, whose polynomials lose digits.
     rows : float64, shape (2, own, own)
         Position and velocity times the adjugate: powers, states.
     columns : float64, shape (own + 1, own)
@@ -61,11 +62,11 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     gains : float64, shape (2, own)
         Of the oldest force, and of the one after it.
     hull : float64, shape (coefficients, p + s)
-        Of the position over all pieces: it lies between the least and the largest of them (Bernstein).
+        Of the position over all pieces: it lies between the smallest and largest coefficient (Bernstein).
     """
     steps, n = loop.own, len(loop.own.free)
     curves = interval_motion(loop, True)[2]
-    # of a higher degree, whose coefficients lie nearer to the curve
+    # with a raised degree, whose coefficients lie closer to the curve
     rows, powers = range(DEGREE + 1), range(curves.shape[1])
     change = np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in powers] for j in rows])
     hull = np.ascontiguousarray((change @ curves).reshape(-1, curves.shape[2]))

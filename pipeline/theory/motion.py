@@ -1,7 +1,8 @@
 """Motion of a device between samples: polynomials over pieces of a sampling interval.
 
 A piece is short compared with the oscillations of the device, and pieces halve towards the start of a segment, where a
-fast lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
+fast lag settles; so a polynomial of degree 12 through exact points interpolates the motion to a relative error of
+1e-12.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 
 DEGREE = 12
-"""Of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
+"""Degree of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
 
 _GAUSS = 14
-"""Points that integrate the square of such a polynomial times tau^2 exactly."""
+"""Number of Gauss points that integrate the square of such a polynomial times tau^2 exactly."""
 
 WEIGHTS = (0, 1, 2)
 
 _NEGLIGIBLE = 1e-20
-"""Coefficients of a motion, relative to the largest, that are left out."""
+"""Coefficients of a motion below this value, relative to the largest, are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +38,14 @@ class Piece:
     Parameters
     ----------
     age : int
-        Age of the wall's force in samples.
+        Delay of the wall force in samples.
     start, duration : float
         Within the sampling interval [T].
     transition, gain : float64, shapes (p, p), (p,)
         Exact motion of the device over the piece.
     place : float64, shape (13, p + 1)
-        From the device's state at the piece's start and its input to the coefficients of the sensed position over the
-        share of the piece, lowest power first.
+        Matrix from the device state at the start of the piece, and its input, to the coefficients of the sensed
+        position over the share of the piece, lowest power first.
     """
 
     age: int
@@ -56,7 +57,7 @@ class Piece:
 
     @cached_property
     def speed(self) -> Floats:
-        """As ``place``, of the velocity [1/T], shape (12, p + 1)."""
+        """Matrix like ``place``, for the velocity [1/T], shape (12, p + 1)."""
         return self.place[1:] * np.arange(1, DEGREE + 1)[:, None] / self.duration
 
 
@@ -78,7 +79,7 @@ def pieces(loop: NormalisedLoop) -> tuple[Piece, ...]:
 
 @lru_cache(maxsize=64)
 def energy_forms(loop: NormalisedLoop) -> Floats:
-    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `NormalisedLoop.seen`.
+    """Return the contributions of an interval to the sums of e^2 and v^2, as quadratic forms of `NormalisedLoop.seen`.
 
     Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
     sample, or the way to the next, with its weight 1^w.
@@ -98,14 +99,15 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
 
 @lru_cache(maxsize=64)
 def forms_at_nodes(loop: NormalisedLoop, power: float = 0.0) -> tuple[Floats, Floats]:
-    """Return nodes of an interval, shape (n,), and the forms whose sum over them is the integral of tau^power.
+    """Return nodes of an interval, shape (n,), and the quadratic forms whose sum over them is the integral with
+    tau^power.
 
     Shape (2, n, q, q): e^2 and v^2 as forms of `NormalisedLoop.seen`, times the weights of Gauss and Legendre; in the
     first piece, where tau^power may have no derivative, of Gauss and Jacobi.
     """
     times, forms, at_start = list[Floats](), list[list[Floats]](), leggauss(_GAUSS)
     if power:
-        from scipy.special import roots_jacobi  # takes longer to load than a theory command to run
+        from scipy.special import roots_jacobi  # takes longer to load than a theory command takes to run
 
         at_start = roots_jacobi(_GAUSS, 0.0, power)
     for piece, given in zip(pieces(loop), starts(loop), strict=True):
@@ -147,7 +149,7 @@ def _edges(loop: NormalisedLoop, duration: float) -> Floats:
 
 
 def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floats]:
-    """Return transition, gain, and the coefficients of the polynomial through exact places."""
+    """Return transition, gain, and the coefficients of the polynomial through exact points."""
     with many_digits(loop.digits):
         transition, gain = loop.moved(duration / DEGREE)
         sensor = as_exact(loop.device.sensor)
@@ -160,7 +162,8 @@ def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floa
 
 
 def _through(values: Digits) -> Digits:
-    """Return the coefficients of the polynomials through values at even steps of [0, 1] (Newton's differences)."""
+    """Return the coefficients of the polynomials through values at equidistant points of [0, 1] (Newton's
+    differences)."""
     differences = [values[0]]
     for order in range(1, len(values)):
         values = (values[1:] - values[:-1]) / order
@@ -178,19 +181,19 @@ def _through(values: Digits) -> Digits:
 
 @lru_cache(maxsize=64)
 def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
-    """Return the motion over a sampling interval, from own states and two forces, as a march takes it.
+    """Return the motion over a sampling interval, from own states and two forces, as input of a march.
 
-    Own states are those without delayed forces, in the basis of `own_basis`. The wall's forces in an interval are the
-    older and the newer one, of which the second does nothing where the delay is whole.
+    Own states are those without delayed forces, in the basis of `own_basis`. The wall forces in an interval are the
+    older and the newer one; the newer has no effect if the delay is an integer.
 
     Returns
     -------
     step : float64, shape (own, own + 2)
         Own states at its end.
     ends : float64, shape (2 (pieces - 1), own + 2)
-        Sensed position and its velocity at the end of each piece but the last.
+        Sensed position and its velocity at the end of each piece except the last.
     curves : float64, shape (pieces, degree + 1, own + 2)
-        Position over the share of each piece, lowest power first; where samples alone are asked for, zeros.
+        Position over the share of each piece, lowest power first; zeros if only samples are requested.
     timing : float64, shape (2, pieces)
         Start and duration of each piece.
     """
@@ -221,7 +224,7 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
 def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
     """Return the matrix from own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
 
-    Sensed position and its velocity, last sample, the device's states but the first two, the filter's.
+    Sensed position and its velocity, last sample, the device states except the first two, the filter states.
     """
     own, sensor = loop.states - loop.oldest_force, loop.device.sensor
     p = len(sensor)
@@ -231,7 +234,7 @@ def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
 
 
 _MOST_POINTS = 1 << 22
-"""Points of one response; more would take seconds."""
+"""Largest number of points of one response; more would take seconds."""
 
 
 def response(
@@ -245,7 +248,7 @@ def response(
     alpha, beta : float
         Normalised wall.
     signal : {"step", "impulse"}
-        A step is part of the command, an impulse a hit on the motor's side.
+        A step is part of the command, an impulse an impact on the motor side.
     samples, per_sample : int
         Length [samples] and evenly spaced points in each sampling interval, both at least 1.
 
@@ -257,7 +260,7 @@ def response(
     Raises
     ------
     ParameterError
-        For another signal, sizes out of range, or a motion that grows beyond all numbers.
+        For another signal, sizes out of range, or a motion that overflows.
 
     Source: Hulin 2017, secs. 3.1.5 and 5.2.
     """
@@ -277,7 +280,7 @@ def response(
     pushed, state = np.zeros(loop.states), loop.starts(wall[0], "impulse")[0] * (1 - step)
     pushed[:p] = step * as_floats(np.sum(loop.pushes[1], axis=0))
     found = [loop.device.sensor @ state[:p]]
-    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond numbers is refused below
+    with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected below
         for _ in range(samples):
             seen = loop.seen(law, state[None, :, None])[0, :, 0]
             seen[p:] += step
