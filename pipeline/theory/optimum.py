@@ -1,9 +1,9 @@
 """Optimal points of the loop for each criterion.
 
-Each kind of criterion has the search that its costs ask for: energy is smooth; settling time jumps where an extremum of
+Each kind of criterion has a search that suits its costs: energy is smooth; settling time jumps where an extremum of
 the response crosses the band, and its optimum sits in the corner of such a jump; the discrete settling time has steps;
-pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. Why each
-search finds the global optimum stands in `search` and `curves`.
+pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. `search` and
+`curves` explain why each search finds the global optimum.
 """
 
 from __future__ import annotations
@@ -39,34 +39,35 @@ from pipeline.theory.search import (
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
-"""Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
+"""Distance of a damping ratio from 1 that counts as rounding: a triple pole is split by 1e-5, which costs 2e-10."""
 
 _CLEAR = 1e-8
-"""Share of alpha + gamma to the edge of what is stable below which an optimum lies on it; a search stays clear by a
-tenth of it."""
+"""Distance from the edge of the stable set, as a share of alpha + gamma, below which an optimum counts as lying on it;
+a search keeps a tenth of this distance."""
 
 _ENDLESS = 60
-"""Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
+"""Number of samples, per d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d +
+1)."""
 
 _ENDLESS_LOSS = 1e-9
 """Distance of the smallest pole radius from 1 below which no response settles in a search."""
 
 _IMPULSE_INSET = 0.002
-"""Share of the width by which the first grid for an impulse stays clear of alpha = -gamma."""
+"""Distance of the first grid for an impulse from alpha = -gamma, as a share of the width."""
 
 _NEAR_LINE = 1e-4
-"""Distance from alpha = -gamma, relative to the width, from which its limit is extrapolated by a parabola: the cost is
-smooth in the distance, so this is off by about 1e-10, and sums over 1e4 samples and more keep as many digits."""
+"""Distance from alpha = -gamma, relative to the width, from which the limit is extrapolated by a parabola: the cost is
+smooth in the distance, so the error is about 1e-10, as is that of sums over 1e4 samples and more."""
 
 _CREEP = 1e-9
-"""Smallest (alpha + gamma) and |beta|, relative to the largest, where the best damping is looked for: with
-delay it lies next to the line alpha = -gamma (5.1.2)."""
+"""Smallest (alpha + gamma) and |beta|, relative to the largest, in the search of the largest damping ratio: with delay
+it lies next to the line alpha = -gamma (5.1.2)."""
 
 _CORNER = 1e-5
-"""Relative distance within which a closed form replaces what a search found."""
+"""Relative distance within which a closed form replaces the result of a search."""
 
 _KINK_LEVELS = 16
-"""0.35^16 = 5e-8 of a first step: beyond that, rounding of multiple poles decides between points."""
+"""0.35^16 = 5e-8 of a first step: below that, rounding of multiple poles decides between points."""
 
 
 @lru_cache(maxsize=1024)
@@ -83,12 +84,11 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     Returns
     -------
     OptimalPoint
-        Cost as the tables print it: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
-        [samples]; overshoot; energy. Where points tie: for the discrete settling time the centre of the bounding box
-        of all of them; for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False where
-        the optimum is a limit: at the edge of what is stable; E_0 of an impulse for alpha -> -gamma; with delay and
-        gamma = 0 the damping ratio, which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's
-        own are real).
+        Cost as printed in the tables: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
+        [samples]; overshoot; energy. If points tie: for the discrete settling time the centre of their bounding box;
+        for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False if the optimum is a limit: at
+        the edge of the stable set; E_0 of an impulse for alpha -> -gamma; with delay and gamma = 0 the damping ratio,
+        which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's own are real).
 
     Raises
     ------
@@ -103,17 +103,18 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
             "_discrete appended."
         )
     found = SEARCHES.get(criterion_of(criterion).family.name, _least)(loop, criterion)
-    # a vibration inside the band may cost nothing up to where it no longer fades
+    # a vibration inside the band may have no cost even close to instability
     inside = is_well_inside(loop, np.array([found.alpha]), np.array([found.beta]), _CLEAR)
     return found if inside[0] else replace(found, attained=False)
 
 
 def _least(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
+    """Return the smallest cost inside the stable region or, as a limit, along its edge, where the cost must be
+    continuous."""
     longest = int(_ENDLESS * (loop.delay + 1))
 
     def at(place: Floats) -> tuple[Floats, Floats]:
-        """The edge by its damping."""
+        """Return the edge at given dampings."""
         return stiffness_limit(loop, place), place
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
@@ -147,7 +148,7 @@ def _least_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cost:
-    """Return the energy cost of a search: infinity below an alpha, where a limit stands for it."""
+    """Return the energy cost for a search: infinity below an alpha, where a limit replaces it."""
     of = criterion_of(criterion)
     return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, of.signal, (of.weight,))[criterion], np.inf)
 
@@ -172,7 +173,7 @@ def band_of(criterion: str) -> float:
 
 
 def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
-    """Return the settling time of a search, by responses that are followed for so many samples."""
+    """Return the settling time for a search, from responses of at most ``longest`` samples."""
     band, continuous = band_of(criterion), not criterion.endswith(DISCRETE)
 
     def cost(a: Floats, b: Floats, best: float) -> Floats:
@@ -185,7 +186,7 @@ def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
 
 
 def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
-    """Smallest pole modulus; where three real poles meet there, their place in closed form."""
+    """Return the smallest pole modulus, in closed form if three real poles coincide there."""
     (low, high), place = region(inset=0.0), chart(loop).wall
     radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
     *at, cost = search_plane(lambda a, b, best: radius(*place(a, b), best), low, high, levels=_KINK_LEVELS)
@@ -199,10 +200,9 @@ def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
 
 
 def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
-    """Largest damping ratio; among points without any oscillation the stiffest.
+    """Return the largest damping ratio; among points without any oscillation the stiffest.
 
-    With delay the best points lie next to the line alpha = -gamma and to beta = 0, so both are searched by orders of
-    magnitude.
+    With delay the best points lie close to alpha = -gamma and beta = 0, so both are searched on logarithmic scales.
     """
     low, high = box(loop, inset=0.0)
     width, largest = float(high[0] - low[0]), float(max(high[1], -low[1]))
@@ -235,9 +235,10 @@ def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
 
 
 def _least_impulse_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
+    """Return the optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside if the cost is lower
+    there."""
     low, high = box(loop)
-    # closer to the line the limit stands for the cost, which a search must not gain on by rounding
+    # closer to the line the limit replaces the cost, so that a search cannot profit from rounding
     inside = search(loop, energy(loop, criterion, nearest_to_line(loop)), SMOOTH, region(_IMPULSE_INSET))
     end = np.array([low[1]]), np.array([high[1]])
     line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
@@ -247,12 +248,12 @@ def _least_impulse_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def nearest_to_line(loop: NormalisedLoop) -> float:
-    """Return the alpha below which the limit alpha -> -gamma stands for the impulse energy w = 0."""
+    """Return the alpha below which the limit alpha -> -gamma replaces the impulse energy w = 0."""
     return _NEAR_LINE * (float(box(loop)[1][0]) + loop.gamma) - loop.gamma
 
 
 def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
-    """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity where it is not stable.
+    """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity if unstable.
 
     Parameters
     ----------
@@ -263,9 +264,9 @@ def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "e
 
     Notes
     -----
-    Towards the line the potential energy falls with alpha + gamma and the time that it is stored rises with the
-    reciprocal: its integral has a positive limit, though it is zero on the line. The cost is a smooth function of the
-    distance; the limit is that of the parabola through three points close to the line.
+    Towards the line the potential energy decreases with alpha + gamma, and the time for which it is stored increases
+    with the reciprocal: its integral has a positive limit, though it is zero on the line. The cost is a smooth function
+    of the distance; the limit is extrapolated by a parabola through three points close to the line.
 
     Source: Hulin 2017, sec. 5.2.3.
     """
@@ -279,17 +280,17 @@ def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "e
 
 
 def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> OptimalPoint:
-    """Smallest discrete settling time and the bounding box of all points that have it.
+    """Return the smallest discrete settling time and the bounding box of all points that have it.
 
-    A number of samples n can be reached where the largest deviation of samples n, n+1, ... can be brought into the
-    band; that deviation is continuous, so its minimum can be searched for where the settling time itself has steps.
+    A number of samples n can be reached if somewhere the largest deviation of samples n, n+1, ... lies inside the band.
+    That deviation is continuous, so its minimum can be searched although the settling time has steps.
     """
     longest = int(_ENDLESS * (loop.delay + 1))
 
     def deviation(alpha: Floats, beta: Floats, _: float, first: int) -> Floats:
         return late_deviation(loop, alpha, beta, first, longest)
 
-    # a first number that can surely be had; below it, each number is tried in turn
+    # a first number that is certainly possible; then smaller numbers are tried in turn
     alpha, beta = chart(loop).wall(*grid(*region(), JUMPING.coarse))
     tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
     index = int(np.argmin(tried))
@@ -297,7 +298,7 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
         raise ParameterError(f"no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
-    while samples > 1:  # ends: each round that goes on needs a sample less
+    while samples > 1:  # terminates: each further round needs one sample less
         better = search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break
@@ -311,10 +312,10 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
 
 
 POINT_CRITERIA = ("alpha_max", "beta_max", "ziegler_nichols")
-"""Points of the plane that are no optimum of a cost."""
+"""Points of the plane that are not an optimum of a cost."""
 
 REFERENCE_DELAY = 8.0
-"""Delay factor at which the scaling factors of Table 5.1 were taken."""
+"""Delay factor for the scaling factors of Table 5.1."""
 
 
 def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
@@ -333,7 +334,7 @@ def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
     Notes
     -----
     Ziegler-Nichols for a PI controller of the velocity: critical gain beta_max, at which the loop oscillates with a
-    period of T_u = 2 pi/theta samples; 0.45 of it is the gain, T_u/1.2 the time of integration, so
+    period of T_u = 2 pi/theta samples; 0.45 of it is the gain, T_u/1.2 the integral time, so
     alpha = 0.54 beta_max/T_u. T_u = 4, 8, 12 for d = 0, 1, 2 without physical stiffness and damping.
 
     Source: Hulin 2017, secs. 3.4 and 5.3 (Fig. 5.14); Tables C.1 to C.3.
@@ -356,12 +357,12 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
     Parameters
     ----------
     criterion : str
-        Pole radius (the settling time that it stands for, 5.4), settling time or energy, responses also with
+        Pole radius (for the settling time that it predicts, 5.4), settling time or energy; responses also with
         ``_discrete`` appended.
     reference : float
         Delay factor at which the approximation is made exact.
     gamma, delta : float
-        Of the device; the table has 0.
+        Normalised stiffness and damping of the device; 0 in the table.
 
     Raises
     ------
@@ -378,20 +379,22 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
 
 
 _FAINT = 1e-60
-"""Deviation down to which a response is looked at for overshoot of any size. From there on the slowest modes have
-outlived every other: one that decays by a tenth faster has shrunk by six more decades."""
+"""Deviation down to which a response is checked for overshoot of any size. Below it the slowest modes dominate: one
+that decays 10 % faster is smaller by six more decades."""
 
 _FLOORS = (0.2, 0.05, 0.01)
-"""Shares of the stable stiffness from which on the edge is looked for; it lies near 0.35, and softer walls creep."""
+"""Lower ends of the search for the edge, as shares of the stable stiffness; it lies near 0.35, and softer walls
+creep."""
 
 _RIDGE = 73
-"""Samples of the edge of the region without overshoot around its highest part."""
+"""Number of samples of the edge of the region without overshoot around its highest part."""
 
 _TIPS = 3
-"""Tips of that edge that are followed."""
+"""Number of tips of that edge that are refined."""
 
 _CLIMBS = 7
-"""Zooms onto a tip: its damping is found to 0.4^7 = 2e-3 of a sample of the ridge, its stiffness to 1e-8."""
+"""Number of zooms onto a tip: its damping is found to 0.4^7 = 2e-3 of the spacing of the samples, its stiffness to
+1e-8."""
 
 _EQUAL = 1e-4
 """Relative stiffness within which two tips count as equal; the thesis's tables print four digits."""
@@ -400,14 +403,14 @@ _EQUAL = 1e-4
 def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     """Return the stiffest point whose step response has no overshoot; its cost is 0.
 
-    By the criterion the motion between samples counts or the samples only; and there may be none whatever its size
-    (`never_overshoots`), or at most 1e-12 as in the thesis.
+    The criterion determines whether the motion between samples counts or only the samples, and whether overshoot of any
+    size is excluded (`never_overshoots`) or up to 1e-12 is allowed as in the thesis.
 
     Source: Hulin 2017, sec. 5.2.2 with footnote 4.
     """
     base, (low, high) = criterion_of(criterion), box(loop)
     clean = CleanRegion(loop, criterion == base.name, base.optimum_only, float(high[0]))
-    # the spring of a device may be damped best by a negative damping
+    # the optimal damping for the spring of a device may be negative
     sides = [np.linspace(0.0, high[1], 61)[1:]]
     sides += [np.linspace(low[1], 0.0, 61)] if loop.gamma > 0 else []
     tips = [point for point in map(clean.stiffest, sides) if point is not None]
@@ -418,7 +421,7 @@ def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 @dataclass(frozen=True, eq=False)
 class CleanRegion:
-    """Walls of a loop without overshoot: of the motion or of samples, of any size or of what counts; up to an alpha."""
+    """Walls of a loop without overshoot of motion or samples, of any size or above the tolerance, up to an alpha."""
 
     loop: NormalisedLoop
     continuous: bool
@@ -435,13 +438,14 @@ class CleanRegion:
         return np.where(none, 0.0, np.inf)
 
     def contains(self, alpha: Floats, beta: Floats) -> Booleans:
-        """Return which stable walls are without overshoot."""
+        """Return which stable walls have no overshoot."""
         return np.isfinite(where_stable(self.loop, self.cost)(alpha, beta, np.inf))
 
     def edge(self, beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
-        """Return the largest alpha at each beta in [floor, top] (floor if none), by 24 sections a pass.
+        """Return the largest alpha at each beta in [floor, top] (floor if none), by 24 sections per pass.
 
-        Seen from small alpha, the region is left once: its lower part is clean throughout (checked by test).
+        With increasing alpha the region is left only once: its lower part is free of overshoot throughout (checked by a
+        test).
         """
         lower, upper = floor.copy(), top.copy()
         share, row = np.linspace(0, 1, 25), np.arange(len(beta))
@@ -454,7 +458,7 @@ class CleanRegion:
         return lower
 
     def stiffest(self, betas: Floats) -> OptimalPoint | None:
-        """Return the stiffest point between dampings, in order; None where none is without overshoot."""
+        """Return the stiffest point between sorted dampings; None if every point overshoots."""
         count, soft = len(betas), -self.loop.gamma
         stiff = self.alpha_max - soft
         for share in _FLOORS:
@@ -469,8 +473,8 @@ class CleanRegion:
         edges = self.edge(ridge, np.full(_RIDGE, floor), np.full(_RIDGE, ceiling), 3)
         tips = _local_maxima(edges)[:_TIPS]
         alpha, beta = self._climbed(edges[tips], ridge[tips], 1.5 * (ridge[1] - ridge[0]), 0.01 * highest)
-        # tips of practically equal stiffness: the least damping is reported, so that rounding cannot decide
-        known = self.contains(alpha, beta)  # a floor stands for no edge
+        # tips of practically equal stiffness: the smallest damping is reported, so that rounding does not decide
+        known = self.contains(alpha, beta)  # a floor means that there is no edge
         if not known.any():
             return None
         alpha, beta = alpha[known], beta[known]
@@ -479,7 +483,7 @@ class CleanRegion:
         return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
 
     def _climbed(self, alpha: Floats, beta: Floats, half: float, width: float) -> tuple[Floats, Floats]:
-        """Return tips of the edge, looked at ever closer."""
+        """Return tips of the edge, refined by zooming."""
         for _ in range(_CLIMBS):
             window, middle = beta[:, None] + half * np.linspace(-1, 1, 19), np.repeat(alpha, 19)
             values = self.edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
@@ -492,7 +496,7 @@ class CleanRegion:
 
 
 def _local_maxima(values: Floats) -> list[int]:
-    """Indices of inner local maxima, highest first."""
+    """Return the indices of inner local maxima, highest first."""
     inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])) + 1
     if not len(inner):
         inner = np.array([int(np.argmax(values))])
@@ -512,11 +516,11 @@ def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, conti
 
     Notes
     -----
-    In the long run the slowest mode decides: with a pole that is not real and positive the response crosses its final
-    position again and again, by less and less. So the largest pole must be real and positive, and the response
-    must stay below its final position until it has shrunk to 1e-60, which it does without loss of relative precision.
+    Finally the slowest mode decides: with a pole that is not real and positive, the response crosses its final position
+    again and again, with decreasing amplitude. So the largest pole must be real and positive, and the response must
+    stay below its final position until it has shrunk to 1e-60, which is computed without loss of relative precision.
 
-    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that reaches 3 to 4 % further.
+    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that extends 3 to 4 % further.
     """
     a, b = as_points(alpha, beta)
     z = poles(loop, a, b)
@@ -532,4 +536,4 @@ def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, conti
 
 
 SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}
-"""What finds the optimum of a family, where that is not the one search for all others."""
+"""Searches of the families that do not use the default search."""

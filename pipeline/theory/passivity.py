@@ -1,14 +1,14 @@
-"""Passivity of the wall behind a lag, a fractional delay and a velocity filter.
+"""Passivity of a wall with lag, fractional delay and velocity filter.
 
-The wall sees its device through samples, so a motion of the frequency omega answers with all aliases omega + 2 pi n/T:
-the damping that absorbs what they may generate together is (with T = 1, u = 1/z, z = exp(j omega))
+The wall is sampled, so a motion of frequency omega causes forces at all aliases omega + 2 pi n/T. The damping that
+absorbs the energy which they can generate together is (with T = 1, u = 1/z, z = exp(j omega))
 
     [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)),
 
 with S0, S1, S2 the sums of 1, L, |L|^2 over omega_n^2 and L = exp(-j omega_n d) G(j omega_n), G that of the actuator,
-such as 1/(1 + j omega_n lag). It is homogeneous and convex in alpha and beta, so the passive region is a convex one
-about 0 that scales with the device's damping; mass, spring, hand, and a vibration mode whose motor is sensed, change
-nothing.
+such as 1/(1 + j omega_n lag). It is homogeneous and convex in alpha and beta, so the passive region is convex, contains
+0 and scales with the device's damping; mass, spring, hand, and a vibration mode with the sensor at the motor have no
+influence.
 
 Source: Hulin 2017, ch. 4, for integer delays without lag, where this is (4.6); the sums in closed form are ours.
 """
@@ -23,31 +23,32 @@ from pipeline.records.trials import Floats
 from pipeline.theory.search import search_lines
 
 _ANGLES = 40
-"""Angles of a turn of the delayed force; maxima are looked for between them."""
+"""Number of angles per turn of the delayed force; maxima are searched between them."""
 
 _NEAR_ZERO = 8e-3
-"""Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and what is needed, an even function of the
-angle, is continued to 0 to 1e-9."""
+"""Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and the required damping, an even function of
+the angle, is extrapolated to 0 with an error of 1e-9."""
 
 _SLOW, _STILL = 0.3, 1e-4
-"""Corner of a velocity filter [rad/sample] below which slow angles are looked at, and share of it to begin with."""
+"""Corner of a velocity filter [rad/sample] below which slow angles are examined, and the smallest angle relative to
+it."""
 
 _SLOW_ANGLES, _SLOW_STARTS = 241, 6
-"""Angles, evenly in their logarithm, of that look, and peaks that are followed."""
+"""Number of those angles, logarithmically spaced, and number of peaks that are refined."""
 
 _DIRECTIONS = 181
 
 _BISECTIONS = 40
-"""Halvings of an interval of stiffness: to 1e-12 of it."""
+"""Number of bisections of a stiffness interval: to 1e-12 of it."""
 
 
 def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Floats:
-    """Return the normalised damping that walls need of the device's near side, shape (n,); 0 at least.
+    """Return the normalised damping that walls need on the near side of the device, shape (n,); at least 0.
 
     Parameters
     ----------
     loop : NormalisedLoop
-        Its delay, lag and filter enter.
+        Loop; its delay, lag and filter matter.
     alpha, beta : float64, shape (n,)
 
     Raises
@@ -62,14 +63,14 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
         lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
         *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
-        starts=loop.oldest_force + 2,  # one a turn: their peaks may be nearly equal
+        starts=loop.oldest_force + 2,  # one per turn: their peaks may be nearly equal
     )
     most = np.maximum(-found.cost, 0.0)
     slowest = _slowest(loop)
     if slowest > _SLOW:
         near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
         return np.asarray(np.maximum(most, (4 * near - twice) / 3))
-    # a slow filter turns within few of the angles above, or before the first of them
+    # the corner of a slow filter lies within few of the angles above, or below the first one
     slow = search_lines(
         lambda line, x, _: -_needed_slowly(loop, alpha[line], beta[line], np.exp(x), lowest),
         *(np.full(len(alpha), np.log(_STILL * slowest)), np.full(len(alpha), np.log(_SLOW))),
@@ -86,7 +87,8 @@ def _slowest(loop: NormalisedLoop) -> float:
 
 
 def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats, lowest: float) -> Floats:
-    """Return what is needed at angles that may be below the lowest: what aliases add to it grows as 1/angle^2 there."""
+    """Return the required damping at angles possibly below the lowest, where the share of aliases grows as
+    1/angle^2."""
     exact = _needed(loop, alpha, beta, np.maximum(angle, lowest))
     s0, s1, s2 = _alias_sums(loop, np.array([lowest]))
     rest = np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0) * (lowest / angle) ** 2
@@ -104,12 +106,12 @@ def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Flo
 
 
 def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:
-    """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
+    """Return the outline of the passive region, alpha and beta, starting at (0, -delta); zeros if delta is 0."""
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 
 def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
-    """Return alpha and beta of the stiffest passive wall; the region is convex, so that it has one peak."""
+    """Return alpha and beta of the stiffest passive wall; the region is convex and has one peak."""
     best = search_lines(
         lambda _, angle, __: -_reached(loop, delta, angle)[0], np.array([-0.5 * np.pi]), np.array([0.5 * np.pi])
     )
@@ -118,7 +120,7 @@ def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
 
 
 def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Floats:
-    """Return the largest passive alpha at each beta, shape (n,); 0 where delta absorbs no wall of that damping."""
+    """Return the largest passive alpha at each beta, shape (n,); 0 if no wall of that damping is passive."""
     # slow motion needs delta + beta >= alpha (d + lag + 1/2)
     low, high = np.zeros(len(beta)), np.maximum(delta + beta, 0.0) / (loop.delay + loop.lag + 0.5)
     for _ in range(_BISECTIONS):
@@ -129,8 +131,9 @@ def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Float
 
 
 def _reached(loop: NormalisedLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
-    """Return the last passive walls in directions, of which 0 is that of alpha."""
-    # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
+    """Return the last passive walls in given directions; direction 0 is that of alpha."""
+    # beta has a wider range than alpha by about the delay: directions are equidistant in alpha (delay + lag + 1/2),
+    # beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
     reach = delta / required_damping(loop, alpha, beta)
     return alpha * reach, beta * reach
@@ -149,12 +152,12 @@ def _needed(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats) ->
 def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
     """Return S0, S1, S2: sums over aliases as sums over samples (Poisson).
 
-    With the actuator x' = A x + B u, f = C x of gain 1 at rest, a ramp behind it is t - C A^-2 B + C exp(A t) A^-2 B;
-    and with A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.
+    With the actuator x' = A x + B u, f = C x of unit static gain, its ramp response is t - C A^-2 B + C exp(A t) A^-2
+    B; and with A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.
     """
     u = np.exp(-1j * angle)
     first = int(np.ceil(loop.delay))
-    share = first - loop.delay  # of a sample, between the delay and the next one
+    share = first - loop.delay  # share of a sample between the delay and the next sample
     s0 = 0.25 / np.sin(0.5 * angle) ** 2
     ramp, s2 = u / (1 - u) ** 2 + (share - loop.lag) / (1 - u), s0
     A, B, C = loop.device.actuator
@@ -172,7 +175,7 @@ def _sampled(A: Floats, start: Floats, u: np.ndarray) -> np.ndarray:
     """Return the sum over samples k >= 0 of u^k times the first entry of exp(A k) start."""
     from scipy.linalg import expm
 
-    # by the determinant of z - exp(A) with and without the entry fed back
+    # from the determinants of z - exp(A) with and without feedback of the entry
     first = np.eye(1, len(A))[0]
     poles = np.poly(expm(A))
     weights = (poles - np.poly(expm(A) + np.outer(start, first)))[1:]

@@ -1,4 +1,4 @@
-"""Poles of a wall, what they say of it, and how far they are from the limit in the terms of control engineering.
+"""Poles of a wall, quantities derived from them, and its stability margins.
 
 Source: Hulin 2017, secs. 3.4, 3.5 and 5.1; margins are ours.
 """
@@ -30,24 +30,24 @@ from pipeline.theory.crossings import (
 )
 
 _CHUNK = 8192
-"""Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
+"""Number of points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
 
 _FEW = 32
-"""Points up to which eigenvalues are quicker than the polynomials of a loop."""
+"""Largest number of points for which eigenvalues are faster than the polynomials of a loop."""
 
 
 def poles(loop: NormalisedLoop, alpha: object, beta: object) -> Complexes:
-    """Return all poles z of each point, shape (n, states), complex, in no order.
+    """Return all poles z of each point, shape (n, states), complex, unsorted.
 
-    By the roots of the characteristic polynomial, from those of the point before; where these are not found, and for a
-    few points, by eigenvalues.
+    They are roots of the characteristic polynomial, found from those of the previous point; if that fails, and for few
+    points, they are computed as eigenvalues.
     """
     a, b = as_points(alpha, beta)
     found, left = np.empty((len(a), loop.states), np.complex128), np.arange(len(a))
     if len(a) > _FEW and len(modal := modes.polynomials(loop)[0]):
         known, guess = np.empty(len(a), np.bool_), np.linalg.eigvals(loop.matrix(a[:1], b[:1]))[0] - 1.0 + 0j
         walls, work = (np.ascontiguousarray(a), np.ascontiguousarray(b)), np.empty(len(modal))
-        with np.errstate(all="ignore"):  # of a search that fails
+        with np.errstate(all="ignore"):  # by a failing search
             march.poles_of_walls(modes.polynomials(loop), walls, (guess, found, known, work))
         found += 1.0
         left = np.flatnonzero(~known)
@@ -97,29 +97,30 @@ def is_stable(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 def stable_by_radius(loop: NormalisedLoop, alpha: Floats, radius: Floats) -> Booleans:
     """Return where points of known alpha and spectral radius are stable, shape (n,) all.
 
-    With alpha + gamma <= 0 there is a real pole at or above z = 1, whatever beta is, which rounding may show just below
-    it: there the sign of alpha + gamma decides and not the last bit of an eigenvalue.
+    With alpha + gamma <= 0 there is a real pole at or above z = 1 for any beta, which rounding may move just below 1.
+    There the sign of alpha + gamma decides, not the last bit of an eigenvalue.
     """
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
 _TIME_CONSTANTS = 4.0
-"""Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
+"""Number of time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
 
 REAL = 1e-7
-"""Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
+"""Largest angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8; ratios are not
+affected."""
 
 _STEPS = 80
-"""Newton steps; at a double pole, which each only halves the distance to, to 1e-20."""
+"""Largest number of Newton steps; at a double pole each step only halves the distance, to 1e-20 in the end."""
 
 _FINE = Decimal("1e-20")
 
 _REACH = 0.04
-"""Relative range of z in which a threefold pole is looked for around the slowest pole of a search."""
+"""Relative range of z around the slowest pole in which a triple pole is searched."""
 
 
 def pole_settling_time(radius: object) -> Floats:
-    """Return the settling time [samples] that the largest pole modulus stands for: -4/ln r.
+    """Return the settling time [samples] predicted by the largest pole modulus: -4/ln r.
 
     Parameters
     ----------
@@ -155,13 +156,13 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     Returns
     -------
     float64, shape (n,)
-        1 where all poles are real and not negative, 0 or less where the loop is not stable. The logarithm is the
-        principal one, so a pole on the negative real axis counts as an oscillation with two samples a period.
+        1 if all poles are real and not negative, 0 or less if the loop is not stable. The logarithm is the
+        principal one, so a pole on the negative real axis counts as an oscillation with a period of two samples.
 
     Notes
     -----
-    A pole at z = 0 (pure delay) has the ratio 1. Poles of multiplicity p are rounded by eps^(1/p), and a ratio of 1
-    there by the square of that: 1e-10 at a threefold pole.
+    A pole at z = 0 (pure delay) has the ratio 1. A pole of multiplicity p has a rounding error of eps^(1/p), and a
+    ratio of 1 there an error of the square of that: 1e-10 at a triple pole.
 
     Source: Hulin 2017, eqs. 5.5 and 5.6.
     """
@@ -175,13 +176,13 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
 
 
 def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, float] | None:
-    """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
+    """Return alpha, beta and z of the triple real pole next to a modulus, or None if there is none within 4 %.
 
     Notes
     -----
-    The characteristic polynomial is P + alpha W_0 + beta W_1. It has a threefold root where the Wronskian of the three
-    vanishes, and alpha and beta follow from value and slope there. An eigenvalue solver splits such poles by
-    eps^(1/3), 1e-5, on each processor otherwise; the Wronskian's root is a simple one.
+    The characteristic polynomial is P + alpha W_0 + beta W_1. It has a triple root where the Wronskian of the three
+    vanishes, and alpha and beta follow from value and slope there. An eigenvalue solver splits such poles by eps^(1/3)
+    = 1e-5, differently on each processor; the Wronskian's root is simple.
     """
     with many_digits(loop.digits):
         rows = [[part, polyder(part), polyder(polyder(part))] for part in characteristic_parts(loop)]
@@ -205,7 +206,7 @@ def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, flo
 
 
 def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
-    """Return what the characteristic polynomial has without a wall, times alpha, and times beta."""
+    """Return the parts of the characteristic polynomial: without wall, factor of alpha, and factor of beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
     bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
@@ -214,13 +215,13 @@ def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
 
 
 _HALF_RATE = 82.0
-"""Place of half the sampling rate, ln s."""
+"""Place (ln s) of half the sampling rate."""
 
 _DELAYS = 24
-"""Steps up to the delay margin that the phase margin stands for, at which stability is looked at."""
+"""Number of steps, up to the delay margin estimated from the phase margin, at which stability is checked."""
 
 _FARTHEST = 4.0
-"""Largest delay that is added, in multiples of that."""
+"""Largest added delay, in multiples of that estimate."""
 
 
 @dataclass(frozen=True)
@@ -232,11 +233,11 @@ class Margins:
     gain : float, optional
         Smallest factor > 1 of stiffness and damping together at which the loop is on the limit.
     gain_down : float, optional
-        Largest factor < 1 at which it is.
+        Largest factor < 1 at which the loop is on the limit.
     phase : float, optional
-        Smallest phase [rad] that the loop's response has left to -1 where its gain is 1.
+        Smallest phase distance [rad] of the loop's frequency response from -1 where its gain is 1.
     delay : float, optional
-        Smallest delay [samples] that makes the loop unstable when it is added.
+        Smallest additional delay [samples] that makes the loop unstable.
     bandwidth : float, optional
         Smallest angle [rad/sample] at which the position after a command is below 1/sqrt(2) of that at rest.
     left_out : tuple of str
@@ -273,7 +274,7 @@ def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
     -----
     The loop's response is L = (alpha + beta N) G on the unit circle, with G the sampled device behind its delay and N
     the velocity filter. The delay margin is that of the loop itself, whose input switches within a sampling interval,
-    not phase margin over frequency.
+    not the phase margin over frequency.
     """
     if not is_stable(loop, alpha, beta)[0]:
         raise ParameterError("this wall is unstable: it has no margins.")
@@ -319,12 +320,12 @@ def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[F
 
 
 def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:
-    """Return the smallest added delay [samples] that makes the loop unstable, next to what phases let expect."""
+    """Return the smallest added delay [samples] that makes the loop unstable, near the values expected from phases."""
 
     def stable(delay: Floats) -> np.ndarray:
         try:
             return spectral_radius(replace(loop, delay=loop.delay + float(delay[0])), alpha, beta) < 1
-        except ParameterError:  # beyond the delays that are computed
+        except ParameterError:  # beyond the delays in the range of theory
             return np.array([True])
 
     if not len(expected):

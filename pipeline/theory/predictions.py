@@ -1,4 +1,4 @@
-"""Theoretical optima in physical units, computed in parallel and kept below `processed/theory/`."""
+"""Theoretical optima in physical units, computed in parallel and cached below `processed/theory/`."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ from pipeline.theory.passivity import passive_outline
 from pipeline.theory.search import OptimalPoint
 
 _TURN = {"overshoot": 0, "energy": 2}
-"""Families whose optima take the most time, and the least; all others are 1."""
+"""Order of computation: families whose optima take the most time first; all others are 1."""
 
 BOUNDARY_POINTS = 160
-"""Points of a boundary that is drawn."""
+"""Number of points of a drawn boundary."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost; region (K, K, B, B) if it is one."""
+    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost; region (K, K, B, B) if the optimum
+    is a region."""
 
     stiffness: float
     damping: float
@@ -59,7 +60,7 @@ class Theory:
 
     @property
     def source(self) -> str:
-        """Where its numbers come from."""
+        """Source of its parameters."""
         return self.described.source
 
     @cached_property
@@ -79,7 +80,7 @@ class Theory:
 
     @cached_property
     def passive_outline(self) -> tuple[Floats, Floats] | None:
-        """Outline of the passive region, alpha and beta, that the device's own damping leaves; None without one."""
+        """Outline of the passive region, alpha and beta, for the damping of the device alone; None without one."""
         if self.loop.damping <= 0 or self.normalised.plant.sensor_at_load:
             return None
         return passive_outline(self.normalised, self.loop.passive_damping / self.units.damping)
@@ -100,11 +101,11 @@ Request = tuple[NormalisedLoop, str]
 
 
 Found = OptimalPoint | str
-"""An optimum, or why there is none."""
+"""An optimum, or the reason why there is none."""
 
 
 class _Kept(BaseModel):
-    """A file of kept optima; its loop is for people."""
+    """A file of cached optima; its loop is only for human readers."""
 
     loop: str
     optima: dict[str, Found]
@@ -113,7 +114,7 @@ class _Kept(BaseModel):
 
 
 def _found(loop: NormalisedLoop, criterion: str) -> Found:
-    """Return an optimum, or why theory has none: one criterion without one ends no comparison."""
+    """Return an optimum, or why there is none: a criterion without optimum does not stop a comparison."""
     try:
         return optimal_point(loop, criterion)
     except ParameterError as error:
@@ -122,12 +123,12 @@ def _found(loop: NormalisedLoop, criterion: str) -> Found:
 
 @dataclass
 class Predictions:
-    """Optima that are asked for, looked up or computed; as a context it ends what still computes when it is left.
+    """Requested optima, looked up or computed; as a context manager it stops running computations on exit.
 
     Parameters
     ----------
     folder : Path
-        Where computed optima are kept, one JSON file for each loop.
+        Folder of cached optima, one JSON file per loop.
     """
 
     folder: Path
@@ -146,7 +147,7 @@ class Predictions:
     def costs_at(
         self, theory: Theory, stiffness: Floats, damping: Floats, criteria: Sequence[str]
     ) -> dict[str, Floats]:
-        """Return the costs of `maps.costs_at` at points in physical units; what was asked for before is not computed.
+        """Return the costs of `maps.costs_at` at points in physical units; earlier results are cached.
 
         Parameters
         ----------
@@ -162,26 +163,26 @@ class Predictions:
         return {c: self._costs[theory.normalised, points, c] for c in criteria}
 
     def missing(self, requests: Iterable[Request]) -> list[Request]:
-        """Return the requests whose answer is not kept."""
+        """Return the requests without a cached result."""
         wanted = dict.fromkeys(requests)
         for loop in {loop for loop, _ in wanted}:
             self._known |= {(loop, c): p for c, p in self._read(loop).items()}
         return [request for request in wanted if request not in self._known]
 
     def start(self, requests: Iterable[Request]) -> None:
-        """Begin to compute what is missing, in other processes where there is more than one optimum and processor."""
+        """Start to compute missing optima, in other processes if there are several optima and processors."""
         missing = self.missing(requests)
         workers = min(len(missing), os.cpu_count() or 1)
         if workers < 2:
             self._store({request: _found(*request) for request in missing})
             return
         pool = self._pool.enter_context(process_pool(workers))
-        # slow ones first, so that no processor ends up waiting for the last
+        # slow ones first, so that processors finish at similar times
         order = sorted(missing, key=lambda r: (_TURN.get(criterion_of(r[1]).family.name, 1), -r[0].delay))
         self._pending = {request: pool.submit(_found, *request) for request in order}
 
     def finish(self) -> None:
-        """Wait for what `start` began, and keep it."""
+        """Wait for the computations of `start`, and cache their results."""
         try:
             found = {request: future.result() for request, future in self._pending.items()}
         except BrokenProcessPool:
@@ -192,17 +193,17 @@ class Predictions:
         self._pool.close()
 
     def get(self, theory: Theory, criterion: str) -> Prediction | None:
-        """Return an optimum that was asked for before, in physical units; None where theory has none."""
+        """Return a requested optimum in physical units; None if there is none."""
         found = self._known[theory.normalised, criterion]
         return None if isinstance(found, str) else theory.physical(found)
 
     def why(self, theory: Theory, criterion: str) -> str:
-        """Return why theory has no optimum that was asked for before, empty where it has one."""
+        """Return why there is no requested optimum; empty if there is one."""
         found = self._known[theory.normalised, criterion]
         return found if isinstance(found, str) else ""
 
     def cost(self, loop: NormalisedLoop, criterion: str) -> float | None:
-        """Return the cost of an optimum that was asked for before; None where there is none."""
+        """Return the cost of a requested optimum; None if there is none."""
         found = self._known[loop, criterion]
         return None if isinstance(found, str) else found.cost
 
@@ -222,4 +223,4 @@ class Predictions:
         try:
             return {} if data is None else _Kept.model_validate_json(data).optima
         except ValueError:
-            return {}  # not in this form: it is recomputed
+            return {}  # in another format: it is recomputed

@@ -1,4 +1,4 @@
-"""The best cost that a delay alone allows: a polynomial in delay, with one factor a criterion.
+"""The lowest cost that a delay allows: a polynomial in delay, with one factor per criterion.
 
 Source: Hulin 2017, sec. 5.4.2, eqs. 5.19 and 5.20, Table 5.1.
 """
@@ -14,18 +14,19 @@ from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, crit
 from pipeline.theory.optimum import scaling_factor
 
 COST_OF_DELAY = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY))
-"""Criteria whose optimal cost is a power of the delay (Table 5.1); of poles the settling time that they predict."""
+"""Criteria whose optimal cost is a power of the delay (Table 5.1); for poles, the predicted settling time."""
 
 WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
-"""Delays from which on the polynomial is off by at most so much of the optimal cost (5.20); a test recomputes them."""
+"""Smallest delays for which the polynomial has at most the given relative error in the optimal cost (5.20); checked by
+a test."""
 
 SAMPLED = 3.0
-"""Factor of these errors for costs of samples alone."""
+"""Factor of these errors for costs of the samples only."""
 
 
 @dataclass(frozen=True)
 class Reachable:
-    """The best cost of any wall at a delay, of a device without damping and spring.
+    """The lowest cost of any wall at a delay, for a device without damping and spring.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class Reachable:
     cost : float
         (d + 1)^(w + 1) times the factor of the criterion: samples, or 1 for energies.
     per_sample : float
-        What a sample less of delay saves, in the same unit.
+        Reduction of the cost by one sample less delay, in the same unit.
     within : float
         Largest error relative to the optimal cost. Damping and a spring of the device only lower the optimum.
     """
@@ -48,13 +49,13 @@ class Reachable:
 
 
 def reachable(criterion: str, delay_samples: float) -> Reachable:
-    """Return the best cost that a delay allows, whatever the mass, the stiffness and the damping of the wall.
+    """Return the lowest cost that a delay allows, for any mass and any stiffness and damping of the wall.
 
     Parameters
     ----------
     criterion : str
         A settling time, such as ``settle_2pct``, an energy, such as ``energy_step_w0``, or ``pole_radius`` (the
-        settling time that it stands for, 5.4).
+        settling time that it predicts, 5.4).
     delay_samples : float
         d, from 0 to 256.
 
@@ -65,8 +66,8 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
 
     Notes
     -----
-    It is valid to 1 % from two samples of delay on, where sampling costs as much as one sample more. The time from
-    command to force, and one sampling period, must together stay below 20 % of a wanted settling time.
+    It is accurate to 1 % for delays of at least two samples; sampling costs as much as one more sample of delay. The
+    time from command to force plus one sampling period must stay below 20 % of the required settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
 
@@ -82,11 +83,11 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
         raise ParameterError(f"criterion {criterion!r} is unknown; expected a settling time, an energy or pole_radius.")
     factor, power = _factor(criterion), criterion_of(criterion).weight + 1
     cost = factor * (delay_samples + 1) ** power
-    # with less than a sample of delay, what is left of it
+    # with less than a sample of delay, the saving of the remaining delay
     saved = cost - factor * max(delay_samples, 1.0) ** power
     within = next(error for delay, error in WITHIN if delay_samples >= delay)
     if criterion.endswith(DISCRETE):
-        # settling times of samples are whole numbers
+        # sampled settling times are integers
         within = max(SAMPLED * within, 1 / cost if criterion_of(criterion).family is SETTLING else 0.0)
     return Reachable(criterion, delay_samples, cost, saved, within)
 

@@ -1,4 +1,4 @@
-"""Search for the smallest cost over the stable region, by grids that shrink around the best points."""
+"""Search for the smallest cost over the stable region, by grids that contract around the best points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, float], Floats]
-"""Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
+"""Cost of points; the last argument is the best known cost: the cost of worse points may be infinity."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,9 @@ class OptimalPoint:
 
 @dataclass(frozen=True)
 class Grids:
-    """Lines of the first look and points on each, looks along each line at its best two dips, looks closer at the lines
-    around the best, points along each axis of each following grid, and how many of the best places are followed."""
+    """Number of lines of the first scan and of points on each, refinements of the best two minima along each line,
+    refinements of the lines around the best, points per axis of each following grid, and number of best points that are
+    refined."""
 
     coarse: int
     looks: int
@@ -51,13 +52,13 @@ JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
 valley ends in a cliff along a curve, on which many corners lie: only floors of lines across it show the lowest."""
 
 SHRINK = 0.45
-"""Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
+"""Size of a grid relative to its predecessor; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
 
 LEVELS_IN_PLANE = 24
 """0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
 
 _INSET = 0.05
-"""Share of the width by which a search stays clear of alpha = -gamma at first: every step response creeps there."""
+"""Initial distance of a search from alpha = -gamma, as a share of the width: every step response creeps there."""
 
 
 _SOFTEST = 0.0005
@@ -65,25 +66,25 @@ _SOFTEST = 0.0005
 
 
 _LINES = 11
-"""Lines of each look closer at the floors next to the best one."""
+"""Number of lines of each refinement next to the best line minimum."""
 
 _NARROWER = 0.25
-"""Way that they cover, relative to the look before: 2.5 lines of it."""
+"""Range that they cover, relative to the previous one: 2.5 lines of it."""
 
 _REACH = 8
-"""Cells of the first look along a line over which floors wander from one line to the next."""
+"""Number of cells of the first scan along a line over which minima move from one line to the next."""
 
 _NEAR_BEST = 1.1
-"""Cost of a place, relative to that of the best, up to which it is looked at to the end, which gains less."""
+"""Largest cost, relative to the best, of a point that is refined to the end; refinement gains less than that."""
 
 _DEAR = 2.0
-"""Cost, relative to the least known, from which on the floor of a line need not be known."""
+"""Cost, relative to the lowest known, above which the minimum of a line is not needed."""
 
 
 def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
-    """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined.
+    """Return the cost, replaced by infinity if the loop or a softer wall is unstable, or the cost is not defined.
 
-    What follows the best cost known has a number for each point.
+    Arguments after the best known cost have one number per point.
     """
 
     def guarded(alpha: Floats, beta: Floats, best: float, *more: Floats) -> Floats:
@@ -122,15 +123,15 @@ def region(inset: float = _INSET) -> tuple[Floats, Floats]:
 class Chart:
     """Coordinates of a loop's searches, both from 0 to 1.
 
-    The root of the share of alpha's stable interval, from alpha = -gamma on where it begins there, which is even in the
-    frequency that the wall swings at, since a mode's limit may be many times the stiffness that settles soonest; and
-    the way along the outline as a share of its length, with the region's height and width as units.
+    The root of the share of alpha's stable interval, from alpha = -gamma if it begins there, which is uniform in the
+    frequency of oscillation, since a mode's limit may be many times the stiffness with the fastest settling; and the
+    path along the outline as a share of its length, with the region's height and width as units.
 
     Parameters
     ----------
     loop : NormalisedLoop
     beta, way : float64, shape (n,)
-        Dampings of the outline, in order, and the way to each.
+        Sorted dampings of the outline, and the path length to each.
     """
 
     loop: NormalisedLoop
@@ -164,17 +165,17 @@ class Landscape:
     cost: Callable[..., Floats]
 
     def __call__(self, root: Floats, way: Floats, best: float) -> Floats:
-        """Return the cost of places."""
+        """Return the cost of points in these coordinates."""
         return np.where((way >= 0) & (way <= 1), self.cost(*self.chart.wall(root, way), best), np.inf)
 
     def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
-        """Return the cost along lines, each at one way along the outline."""
+        """Return the cost along lines, each at one position along the outline."""
         return self(root, way[line], best)
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Places that a search begins at: coordinates, costs, and half the size of what is looked at around each."""
+    """Starting points of a search: coordinates, costs, and half the size of the region to examine around each."""
 
     root: Floats
     way: Floats
@@ -227,7 +228,7 @@ def search(
 
 
 def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: Floats) -> Starts:
-    """Return the lowest dips of the floors of lines all over the region."""
+    """Return the lowest local minima among the minima of lines over the whole region."""
     (low, start), (high, end) = corners
     way, one = np.linspace(start, end, grids.coarse), np.ones(grids.coarse)
     floors = search_lines(
@@ -254,7 +255,7 @@ def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Float
 def _closer_look(
     landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: float, starts: Starts
 ) -> Starts:
-    """Return the lowest floors of lines next to each start, of all together, and look at less around them."""
+    """Return the lowest minima of lines next to each start, over all starts, with smaller regions around them."""
     ways = starts.way[:, None] + starts.half[:, 1:] * np.linspace(-1, 1, _LINES)
     begin, end = (np.clip(starts.root + side * _REACH * cell, corners[0][0], corners[1][0]) for side in (-1, 1))
     floors = search_lines(
@@ -282,9 +283,10 @@ def _closer_look(
 def refine(
     cost: Cost, centre: Floats, value: float, half: Floats, size: int = JUMPING.fine, levels: int = LEVELS_IN_PLANE
 ) -> OptimalPoint:
-    """Return the best point of grids that shrink around it; one whose best point lies at its rim moves instead.
+    """Return the best point of contracting grids; a grid moves instead of contracting if its best point lies on its
+    rim.
 
-    Grids lean as the best points of their rows do, since a valley that ends in a cliff is narrow and slants.
+    Grids are sheared along the best points of their rows, since a valley that ends in a cliff is narrow and inclined.
     """
     lean = 0.0
     for _ in range(levels):
@@ -303,7 +305,8 @@ def refine(
 
 
 def _lean(values: Floats, first: Floats, second: Floats, row: int, known: float) -> float:
-    """Return how the best places of the rows next to one lean; as known where fewer than two have any."""
+    """Return the shear of the best points in the rows next to a given one; the known shear if fewer than two rows have
+    any."""
     some = np.arange(max(row - 2, 0), min(row + 3, len(second)))
     some = some[np.isfinite(values[some]).any(axis=1)]
     if len(some) < 2:
@@ -332,7 +335,7 @@ def bounding_box(
         half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
     span = corner[1] - corner[0]
     known_alpha, known_beta = alpha[good], beta[good]
-    # twice: in the thin sliver of a corner the grids of one edge may stall; the point of another edge leads on
+    # twice: in the thin tip of a corner the grids of one edge may stall; the point of another edge helps
     for _ in range(2):
         edges = []
         for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -350,20 +353,20 @@ def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Float
 
 
 LineCost = Callable[[Integers, Floats, float], Floats]
-"""Cost of points given by the index of their line and their place on it; infinity where there is none. Points
-that are worse than the last argument may be given infinity."""
+"""Cost of points given by the index of their line and their place on it; infinity without a cost. The cost of points
+worse than the last argument may be infinity."""
 
 COARSE = 121
-"""Points of the first look at a line."""
+"""Number of points of the first scan of a line."""
 
 _STARTS = 3
-"""Dips that are followed."""
+"""Number of local minima that are refined."""
 
 _FINE = 9
-"""Points of each following look, over two cells of the one before: half a cell between neighbours."""
+"""Number of points of each refinement, over two cells of the previous scan: half a cell between neighbours."""
 
 _SHRINK = 0.35
-"""Length of a look relative to the one before: 1.4 cells to either side of the best point."""
+"""Length of a refinement relative to the previous one: 1.4 cells to either side of the best point."""
 
 LEVELS = 20
 """0.35^20 = 1e-9 of a first step."""
@@ -371,7 +374,7 @@ LEVELS = 20
 
 @dataclass(frozen=True, eq=False)
 class LineOptima:
-    """Best place of each line and the cost there; NaN and infinity where no point of a line has a cost."""
+    """Best point of each line and its cost; NaN and infinity if no point of a line has a cost."""
 
     place: Floats
     cost: Floats
@@ -396,9 +399,9 @@ def search_lines(
     low, high : float64, shape (n,)
         Ends of each line.
     coarse, starts, levels : int
-        Points of the first look, dips that are followed, and looks at each.
+        Number of points of the first scan, of refined local minima, and of refinements of each.
     dear : float, optional
-        Cost, relative to the least of all lines and the one that is known, from which on a line's need not be known.
+        Cost, relative to the lowest of all lines and the known one, above which the minimum of a line is not needed.
     known : float
     """
     lines = len(low)
@@ -438,10 +441,11 @@ def search_lines(
 
 
 def _hopes(values: Floats) -> Floats:
-    """Return what costs along lines may fall to before the next place: by the factor of the step before it.
+    """Return a lower estimate of costs along lines before the next point: a decrease by the factor of the previous
+    step.
 
-    A cost with jumps falls towards a cliff, beyond which it is dear again, so its lowest place mostly lies between two
-    that were looked at, neither of which need be lower than its neighbours.
+    A cost with jumps decreases towards a cliff, beyond which it is high again. Its minimum usually lies between two
+    examined points, neither of which need be lower than its neighbours.
     """
     known = np.isfinite(values) & (values > 0)
     step = np.divide(values[:, 1:], values[:, :-1], out=np.ones_like(values[:, 1:]), where=known[:, 1:] & known[:, :-1])
@@ -459,18 +463,18 @@ def search_plane(
     coarse: tuple[int, int] = (61, COARSE),
     levels: int = LEVELS,
 ) -> tuple[float, float, float]:
-    """Return the two coordinates and the cost of the best point of a rectangle, as a line of lines.
+    """Return the two coordinates and the cost of the best point of a rectangle, by nested line searches.
 
     Parameters
     ----------
     cost : callable
-        Cost of points given by their two coordinates, infinity where there is none.
+        Cost of points given by their two coordinates; infinity without a cost.
     low, high : float64, shape (2,)
         Corners.
     coarse : tuple of int
-        Lines, and points of each, of the first look.
+        Number of lines, and of points on each, of the first scan.
     levels : int
-        Looks that follow.
+        Number of refinements.
     """
 
     def best_of(first: Floats) -> LineOptima:
@@ -494,9 +498,9 @@ def search_plane(
 def extents(
     cost: LineCost, found: LineOptima, low: Floats, high: Floats, coarse: int = 241, halvings: int = 40
 ) -> tuple[Floats, Floats]:
-    """Return the ends of the stretch around each best place whose cost is at most the best one.
+    """Return the ends of the range around each best point with at most the best cost.
 
-    Gaps that are narrower than a step of the look (1/240 of a line) are passed over.
+    Gaps narrower than a step of the scan (1/240 of a line) are ignored.
     """
     lines = np.arange(len(low))
     limit = found.cost

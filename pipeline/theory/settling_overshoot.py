@@ -1,9 +1,9 @@
 """Settling time, overshoot and rise time of the step response, from the exact motion between samples.
 
-Each response is followed alone, until nothing that is asked for can change any more (`march`). One that is slow is
-followed for some samples, after which its modes show when it is inside a band for good, and whether it may still rise
-above its peak: it is moved there (`modes`). A device's motion is small only where all its states are, so that a beat's
-silence is not taken for its end.
+Each response is simulated separately, until no requested result can change any more (`march`). A slow one is simulated
+for some samples; then its modes show after which time it stays inside a band, and whether it may still exceed its peak:
+it is moved there (`modes`). A motion counts as small only if all states of the device are small, so that a node of a
+beat is not mistaken for its end.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ from pipeline.theory.march import Arrays
 from pipeline.theory.motion import interval_motion, own_basis
 
 LONGEST = 1 << 18
-"""Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
+"""Largest number of samples of a response (then it has no settling time): spectral radius about 1 - 1e-5."""
 
 NO_OVERSHOOT = OVERSHOOT.none
-"""Overshoot up to this fraction counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
+"""Largest overshoot, as a fraction, that counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
 
 QUIET = 0.1 * NO_OVERSHOOT
-"""Motion below which a response is no longer followed for overshoot, by the same margin."""
+"""Motion below which a response is no longer simulated for overshoot."""
 
 _FIRST, _LOOK = 24, 0.25
-"""Samples before modes are looked at, and the same times the square of the states: a look takes as long."""
+"""Number of samples before modes are computed: a constant, and a factor of the squared number of states, as computing
+modes takes that long."""
 
 _SETTLED = 0.1
-"""Share of the band (or of the overshoot) below which all motion has to stay for as long as the loop remembers."""
+"""Share of the band (or of the overshoot) below which all motion has to stay for the memory of the loop."""
 
 _FADED = 0.25
 """The same for the largest deviation from a sample on."""
 
 _ENTRIES = 1 << 22
-"""Entries of the eigenvectors that are computed at a time."""
+"""Number of eigenvector entries computed at a time."""
 
 
 def transient_costs(
@@ -65,17 +66,17 @@ def transient_costs(
     bands : sequence of float
         Half widths of the settling bands relative to the final displacement, in (0, 1).
     overshoot : bool
-        Whether the overshoot is asked for; without it responses are followed only until they have settled.
+        Whether the overshoot is requested; without it responses are simulated only until they have settled.
     continuous : bool
-        Whether the motion between samples is asked for, in addition to the samples.
+        Whether the motion between samples is requested, in addition to the samples.
     longest : int
-        Samples after which a point that still moves, and of which its modes show nothing, gets no result.
+        Number of samples after which a point gets no result if it still moves and its modes are inconclusive.
     quiet : float
-        Deviation below which a response without overshoot so far is no longer followed; a map that is only drawn
-        does not need the default.
+        Deviation below which a response without overshoot so far is no longer simulated; a drawn map needs less than
+        the default accuracy.
     cutoff : float
-        Settling time [samples] from which on a point is of no interest: one still outside all bands then is given
-        up. A search knows the best value so far.
+        Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far: a response
+        still outside all bands then is given up.
     unfinished_overshoot : bool
         Whether points that still move after ``longest`` samples get the overshoot found so far instead of none.
 
@@ -85,8 +86,8 @@ def transient_costs(
         ``settle_<band in percent>pct_discrete`` [samples]: smallest k with all samples from k on inside the band;
         ``settle_<..>pct`` [samples]: last entry of the continuous position into the band; ``overshoot`` and
         ``overshoot_discrete``: largest excess over the final position relative to the final displacement, >= 0.
-        NaN where the response still moves too much after ``longest`` samples to know; a settling time may be known
-        where the overshoot, which has the finer limit, is not.
+        NaN if the response still moves too much after ``longest`` samples; the settling time may be known even if the
+        overshoot, with its finer limit, is not.
 
     Source: Hulin 2017, eqs. 5.10 to 5.12.
     """
@@ -108,7 +109,7 @@ def transient_costs(
 def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
     """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
 
-    A discrete settling time of at most ``first`` is possible where this lies inside the band; unlike the settling time
+    A discrete settling time of at most ``first`` is possible if this lies inside the band; unlike the settling time
     it is continuous in alpha and beta.
 
     Parameters
@@ -131,9 +132,10 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
 def first_reached(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
 ) -> tuple[Floats, Floats]:
-    """Return when a step's motion first reaches deviations below zero, shape (levels, n); nan where it does not.
+    """Return the times at which a step's motion first reaches deviations below zero, shape (levels, n); nan if it does
+    not.
 
-    First of the exact motion (nan where that is not asked for, ``between``), then of its samples joined by lines.
+    First for the exact motion (nan unless requested by ``between``), then for its linearly interpolated samples.
     """
     time = np.empty((2, len(levels), len(alpha)))
     interval, asked = interval_motion(loop, between), (np.array(levels), longest, between)
@@ -144,7 +146,7 @@ def first_reached(
 def _followed(
     loop: NormalisedLoop, walls: tuple[Floats, Floats], rule: Arrays, longest: int
 ) -> tuple[Floats, Integers]:
-    """Return costs and status of responses, as `march.step_costs` sets them, by a rule of a march."""
+    """Return costs and status of responses, as set by `march.step_costs`, for the settings of a march."""
     alpha, beta = walls
     interval, count = interval_motion(loop, rule[2]), len(rule[0])
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
@@ -155,7 +157,7 @@ def _followed(
         for part in parts:
             given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
             results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
-            with np.errstate(all="ignore"):  # modes that are no numbers show nothing
+            with np.errstate(all="ignore"):  # NaN modes are inconclusive
                 march.step_costs(interval, modes.polynomials(loop), of_part, asked, given, (*results, *work))
             costs[part], status[part] = results
         unknown = np.flatnonzero(status == march.NO_MODES)
@@ -164,7 +166,8 @@ def _followed(
 
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
-    """Return walls, their laws, what each own state may do to the position, where they start, poles of the first."""
+    """Return walls, their laws, the largest effect of each own state on the position, initial states, poles of the
+    first wall."""
     basis, inverse = own_basis(loop)
     own = len(basis)
     laws, start = loop.law(alpha, beta)[:, :own] @ inverse, basis @ loop.starts(np.ones(1), "step")[0, :own]
@@ -173,7 +176,7 @@ def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
 
 
 def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
-    """Return arrays that are used for each point: of the march, what is noted, and of the modes."""
+    """Return the work arrays of each point: of the march, its records, and of the modes."""
     n, delay = loop.states, loop.oldest_force
     own = n - delay
     marched = tuple(np.zeros(size) for size in (own, delay, own, interval[2].shape[1], own, delay))
@@ -183,12 +186,13 @@ def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
 
 
 def _memory(loop: NormalisedLoop) -> int:
-    """Return the samples that filter and delay remember."""
+    """Return the memory of filter and delay in samples."""
     return loop.oldest_force + len(loop.filter_in_z[0]) + 1
 
 
 def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
-    """Return what each own state may do to the position, shape (n, own); filters and the last sample do nothing."""
+    """Return the largest effect of each own state on the position, shape (n, own); zero for filters and the last
+    sample."""
     lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
     rows = [np.ones_like(lever), lever]
     if loop.plant.has_mode:
