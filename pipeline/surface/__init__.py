@@ -1,1 +1,1 @@
-"""The public Python surface behind ``import pipeline``: data frames in SI of what the other folders compute."""
+"""The public Python interface behind ``import pipeline``: results of the other folders as data frames in SI."""

@@ -1,4 +1,4 @@
-"""Comparisons with theory: made of what is stored, or read from a report's document."""
+"""Comparisons with theory: computed from stored logs, or read from a report's document."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
 
 
 class Comparison:
-    """Finished numbers of a comparison with theory: what its report shows, as data frames.
+    """Results of a comparison with theory: the content of its report as data frames.
 
     Parameters
     ----------
     result : ComparisonResult
         The document that `pipeline compare --json` prints; ``result.model_dump()`` gives it as plain values.
     compute : callable, optional
-        Makes the comparison again and writes its report to a path; None for one that was loaded.
+        Repeats the comparison and writes its report to a path; None for a loaded comparison.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Comparison:
         return "\n".join([*lines, self.estimates[list(_SHOWN)].to_string(index=False, na_rep="–")])
 
     def plot_boundary(self, ax: Axes, experiment: str | None = None) -> Axes:
-        """Draw measured limits with their 95 % intervals, of one experiment or of all; return the axes.
+        """Draw measured limits with their 95 % intervals, for one or all experiments; return the axes.
 
         Parameters
         ----------
@@ -88,22 +88,22 @@ class Comparison:
 
     @property
     def summary(self) -> tuple[str, ...]:
-        """What the comparison comes to, in sentences."""
+        """Conclusions of the comparison, in sentences."""
         return self.result.summary
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What must be known before the numbers are used."""
+        """Warnings about the numbers."""
         return self.result.warnings
 
     @property
     def tables(self) -> pd.DataFrame:
-        """Tables of optima as Tables D.1 to D.6: measured, theoretical and published values.
+        """Tables of optima like Tables D.1 to D.6: measured, theoretical and published values.
 
         ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
-        Nms/rad], ``cost`` (``cost_s`` [s], where it counts samples), ``published_stiffness``, ``published_damping``,
-        ``published_cost``, ``deviation_percent`` (of an experiment's cost from the discrete theory's), ``range``,
-        ``grid``, ``model``, ``selection``, ``model_low``, ``model_high`` [%] (what the deviation is made of),
+        Nms/rad], ``cost`` (``cost_s`` [s] for costs in samples), ``published_stiffness``, ``published_damping``,
+        ``published_cost``, ``deviation_percent`` (of the experimental cost from discrete theory), ``range``,
+        ``grid``, ``model``, ``selection``, ``model_low``, ``model_high`` [%] (components of the deviation),
         ``censored``, ``note``, ``experiment``, ``trial_id``.
         """
         return frames(self.result)["tables"]
@@ -125,18 +125,18 @@ class Comparison:
 
     @property
     def scores(self) -> pd.DataFrame:
-        """How well theory predicts the experiments; ``docs/definitions.md`` defines each number.
+        """Scores of theory's predictions of the experiments; ``docs/definitions.md`` defines each number.
 
         ``experiment``, ``basis`` (theory by the device file or by the estimates), ``score`` (``region``, ``distance``,
-        ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (interval, where there is one),
-        ``reason`` (why a score is missing). A row a number.
+        ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (interval, if any), ``reason`` (why a
+        score is missing). One row per number.
         """
         return frames(self.result)["scores"]
 
     def write(self, path: PathLike) -> Path:
         """Write the HTML report, and the document as JSON next to it; return the path of the report.
 
-        The report is made of what is stored at that moment; where that changed, the numbers here are renewed with it.
+        The report is made from the data stored at that moment; if these changed, the numbers here are updated, too.
 
         Raises
         ------
@@ -170,13 +170,13 @@ def compare(
     Parameters
     ----------
     device : str
-        Name as in the logs, which need not be known; or a device file (.toml) of the device with that name.
+        Name as in the logs, possibly of an unknown device; or a device file (.toml) of the device with that name.
     processed : path
-        Folder that `ingest` filled; results of stages are stored there and used again.
+        Folder that `ingest` filled; results of stages are stored there and reused.
     experiments, criteria : sequence of str, optional
-        What to compare; by default everything that is stored, and all criteria.
+        Experiments and criteria to compare; by default all stored ones, and all criteria.
     full : bool
-        Whether a report includes the response of every trial, whatever its size.
+        Whether a report includes the response of every trial, even if it becomes large.
 
     Returns
     -------
@@ -202,12 +202,12 @@ def compare(
 
 
 def load(report: PathLike) -> Comparison:
-    """Read a comparison from the JSON document of a report (or by the name of the report itself).
+    """Read a comparison from the JSON document of a report (or from the path of the report itself).
 
     Raises
     ------
     UsageError
-        If the file is missing or no such document.
+        If the file is missing or not such a document.
     """
     path = Path(report)
     document = path.with_suffix(".json") if path.suffix.lower() in (".html", ".htm") else path

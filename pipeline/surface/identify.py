@@ -1,6 +1,6 @@
-"""From logs to the device that made them: reads logs, names parameters with intervals, finds walls, writes a file.
+"""Identification of a device from logs: reads logs, estimates parameters with intervals, computes walls, writes a file.
 
-`import pipeline; pipeline.identify(paths)`, and the document that `pipeline identify` prints.
+`import pipeline; pipeline.identify(paths)`, and the document printed by `pipeline identify`.
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ if TYPE_CHECKING:
     from pipeline.surface.physical_loop import Loop
 
 FOLLOWS = 50.0
-"""Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
+"""Smallest fit of free runs [%] for which a model predicts its device: below, half of the motion is unexplained."""
 
 DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
-"""Why the replay of wall trials says little."""
+"""Reason why the replay of wall trials is of little value."""
 
 SHIFTED = (
     "the command of all logs is that of another row than its position, or their sampling period is another one, so "
     "that no delay and no limit follows from them. `pipeline compare` names what each log shows; record again"
 )
-"""Why logs of walls that no device can be identified from are refused."""
+"""Reasons to reject logs of walls from which no device can be identified."""
 
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
-"""What a native log of no wall need not state."""
+"""Default header entries of a native log without a wall."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedDevice:
-    """A device as logs show it.
+    """A device identified from logs.
 
     ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs alone identify it);
     ``replay``: ``log``, ``fit_percent``; ``loop``: the linear loop as `Loop`, None where mass or delay cannot be
@@ -76,7 +76,7 @@ class IdentifiedDevice:
     document: dict[str, Any]
 
     def __str__(self) -> str:
-        """Return the parameters with their intervals, and what cannot be identified, as lines of text."""
+        """Return the parameters with their intervals, and those that cannot be identified, as lines of text."""
         return str(self.estimates.to_string(index=False, na_rep="–"))
 
     @property
@@ -87,12 +87,12 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit of free runs to the logs that are left out of the estimation."""
+        """Fit of free runs to the logs left out of the estimation."""
         return frame_of("log fit_percent", self.document["replay"]["logs"], {})
 
     @property
     def findings(self) -> pd.DataFrame:
-        """Faults of the recordings: what each is, where, what shows it, and what to do."""
+        """Faults of the recordings: kind, location, evidence and remedy."""
         return frame_of("log code severity first_row rows evidence remedy", self.document["findings"], {})
 
     @cached_property
@@ -104,7 +104,7 @@ class IdentifiedDevice:
         return None if loop is None else Loop.of(loop)
 
     def write(self, path: PathLike) -> None:
-        """Write a device file that theory, simulator and planner take.
+        """Write a device file for theory, simulator and planner.
 
         Raises
         ------
@@ -121,25 +121,26 @@ def identify(
     period: float | None = None,
     delay: float | None = None,
 ) -> IdentifiedDevice:
-    """Identify a device from any logs with command and position; no wall and no rest are needed.
+    """Identify a device from any logs with command and position; neither a wall nor rest is needed.
 
     Parameters
     ----------
     paths : path, or sequence of them
-        Logs, and folders that are searched with all below.
+        Logs, and folders that are searched recursively.
     profile : str or path, optional
         As in `ingest`.
     period : float, optional
-        Sampling period T [s] of the wall that the device would render; that of the logs where not given.
+        Sampling period T [s] of the wall that the device would render; by default that of the logs.
     delay : float, optional
-        Its delay [samples of T]; that of the logs where not given.
+        Its delay [samples of T]; by default that of the logs.
 
     Raises
     ------
     LogError
-        If every log is refused, with path and row; a bad one among others is listed in the document.
+        If every log is rejected, with path and row; if only some are rejected, the document lists them.
     ParameterError
-        If the logs have no motion, no command or too few rows, a value is out of range, or most were recorded wrongly.
+        If the logs have no motion, no command or too few rows, a value is out of range, or most logs were recorded
+        incorrectly.
     UsageError
         If a path does not exist, or no log is found.
     """
@@ -156,7 +157,7 @@ def identified_device(
     ignore: Sequence[str] = (),
     advance: Callable[[int, int | None], None] | None = None,
 ) -> dict[str, Any]:
-    """Return the document that `pipeline identify --json` prints; parameters and errors as of `identify`."""
+    """Return the document printed by `pipeline identify --json`; parameters and errors as in `identify`."""
     asked = asked_profiles(profile, paths)
     profiles = tuple(map(_unparted, asked.profiles))
     sources = find_sources(paths, profiles, ignore=(*ignore, *asked.ignore))
@@ -186,12 +187,12 @@ def identified_device(
 
 
 def _unparted(profile: Profile) -> Profile:
-    """Return a profile that reads a staircase as one motion: its steps share rows."""
+    """Return a profile that reads a staircase as one motion, because its steps share rows."""
     return profile.model_copy(update={"kind": "free"}) if profile.kind == "staircase" else profile
 
 
 class _Read(NamedTuple):
-    """Logs with their names; those whose samples are those of one before, which count once; refused files."""
+    """Logs with their names; duplicates of earlier logs, which count once; rejected files."""
 
     logs: list[tuple[str, Log]]
     copies: list[tuple[str, Log]]
@@ -199,12 +200,13 @@ class _Read(NamedTuple):
 
 
 def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] | None = None) -> _Read:
-    """Return the logs of sources; ``advance`` gets how many of how many are read, and nothing of all once they are.
+    """Return the logs of sources; ``advance`` is called with (sources read, sources in total), at the end with None as
+    total.
 
     Raises
     ------
     LogError
-        If all are refused: the first that a profile reads, else the first.
+        If all are rejected: error of the first one that a profile reads, else of the first.
     """
     read: list[tuple[str, Log]] = []
     copies: list[tuple[str, Log]] = []
@@ -244,7 +246,7 @@ def _first_findings(read: Sequence[tuple[str, Log]]) -> list[str]:
 
 
 def measured_trial(name: str, log: Log) -> MeasuredTrial:
-    """Return a log as a trial that is not stored, under a name."""
+    """Return a log as a trial with the given name, without storing it."""
     header = log.header
     declared = header.extra.get("step_row")
     return MeasuredTrial(
@@ -258,12 +260,12 @@ def measured_trial(name: str, log: Log) -> MeasuredTrial:
 
 
 def check_findings(read: Sequence[tuple[str, Log]]) -> None:
-    """Refuse logs most of which were recorded wrongly, or that can all not be used.
+    """Reject logs if most were recorded incorrectly, or none can be used.
 
     Raises
     ------
     ParameterError
-        If the recording of most logs is at fault, so that no delay and no limit follows from them.
+        If most recordings are faulty, so that they determine neither delay nor limit.
     """
     unsafe = [(name, each) for name, log in read for each in log.findings if each.is_unsafe]
     names = {name for name, _ in unsafe}
@@ -293,7 +295,7 @@ def _logs(source: Source) -> tuple[Log, ...]:
 
 
 def _completed(raw: RawLog) -> RawLog:
-    """Return a native log with the conditions that a log without a wall leaves out."""
+    """Return a native log, completed with the conditions that a log without a wall may omit."""
     text = raw.data[0]
     head = [
         line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")
@@ -302,14 +304,14 @@ def _completed(raw: RawLog) -> RawLog:
     more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
     if "sampling_period_s" not in named and (period := _period(text)) is not None:
         more["sampling_period_s"] = repr(period)
-    # behind the header: rows of messages stay those of the file as far as its header
+    # added after the header: row numbers in messages match the file up to there
     lines = "".join(f"# {key}: {value}\n" for key, value in more.items()).encode()
     start = text.find(b"time_s")
     return replace(raw, data=(text[:start] + lines + text[start:],)) if more and start >= 0 else raw
 
 
 def _period(text: bytes) -> float | None:
-    """Return the median time between the first rows [s], None where they are no numbers."""
+    """Return the median time between the first rows [s]; None if they are not numbers."""
     rows = [
         line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
     ]
@@ -387,7 +389,7 @@ def _parameter_document(found: Identification, name: str, motion: Motion) -> dic
 
 
 def _factor(name: str, period: float) -> float:
-    """Return what a parameter is multiplied by in the document, where a delay is in seconds."""
+    """Return the factor of a parameter in the document, in which a delay is in seconds."""
     return period if name == "delay_samples" else 1.0
 
 
@@ -415,7 +417,8 @@ def _jitters(loop: dict[str, Any]) -> bool:
 
 
 def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
-    """Return whole delays whose age in force has mean and jitter of a loop within their errors; none without jitter."""
+    """Return integer delays for which the delay of the applied command has the mean and jitter of a loop within their
+    errors; empty without jitter."""
     delay, jitter = loop["delay_samples"], loop["jitter_samples"]
     if delay is None or not _jitters(loop):
         return ()
@@ -427,7 +430,7 @@ def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
 
 
 def _loop_document(found: Identification, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
-    """Return the loop as `compare --json` has it, and why free runs may drift."""
+    """Return the loop in the format of `compare --json`, and why free runs may drift."""
     known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
 
     def number(name: str) -> dict[str, float] | None:
@@ -459,9 +462,9 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
 
 
 def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
-    """Return the linear loop of a document before the wall that it would render; None without mass or delay.
+    """Return the linear loop of a document, for the wall that it would render; None without mass or delay.
 
-    ``other`` are numbers in place of those of the document, by names of `LINEAR`.
+    ``other`` replaces numbers of the document, by names in `LINEAR`.
     """
     loop, wall = document["loop"], document["wall"]
     value = {name: loop[name]["value"] if loop[name] else None for name in LINEAR} | other
@@ -472,7 +475,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
         return None
     drawn = wall["jitter_samples"]
     if drawn:
-        # a file states the mean of the delays that are drawn; the age in force is less, as later commands overtake
+        # a file states the mean of the drawn delays; that of the applied command is less, as later commands overtake
         samples += sum(drawn) / len(drawn) - loop["delay_samples"]["value"]
     damping, stiffness, lag = (max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s"))
     velocity = {name: number["value"] for name, number in (loop["velocity"] or {}).items()}
@@ -497,7 +500,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
 
 
 LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
-"""Numbers of a linear loop in a document, but those of its mode."""
+"""Parameters of a linear loop in a document, except those of its mode."""
 
 
 def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
@@ -514,7 +517,7 @@ def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
 
 
 def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the limit of the walls that the device would render, its stiffest with the range of the device."""
+    """Return the limit of the walls that the device would render, and the stiffest wall with its range."""
     loop = wall_loop(document)
     if loop is None:
         return None
@@ -526,7 +529,7 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
             continue
         ends = [wall_loop(document, **{name: part[end]}) for end in ("low", "high")]
         if name == "delay_samples" and (lag := document["unseen_lag_s"]):
-            # what is a lag is no delay
+            # the lag is not part of the delay
             late = part["value"] - lag / document["sampling_period_s"]
             ends = [wall_loop(document, delay_samples=late, actuator_lag_s=lag), ends[1]]
         limits = [_border(each, 40)["stiffness_max"] for each in ends if each is not None]
@@ -539,7 +542,7 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def device_text(document: dict[str, Any], name: str) -> str:
-    """Return the device file of a document: TOML, intervals as comments.
+    """Return a document as a device file: TOML, with intervals as comments.
 
     Raises
     ------
@@ -596,7 +599,7 @@ def device_text(document: dict[str, Any], name: str) -> str:
 
 
 def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:
-    """Return the lines of a device file on the jitter of the delay; none where it does not jitter."""
+    """Return the lines of a device file on the jitter of the delay; empty without jitter."""
     if "jitter" not in document["left_out"]:
         return []
     jitter = document["loop"]["jitter_samples"]
@@ -612,7 +615,7 @@ def _toml(value: str | float | tuple[float, ...]) -> str:
 
 
 def _remedies(document: dict[str, Any]) -> list[str]:
-    """Return what to record, as sentences."""
+    """Return recommendations for further recordings, as sentences."""
     sentences = [f"Record {each['record']}." for each in document["not_told_apart"]]
     if document["loop"]["delay_samples"] is None:
         wanted = "a change of the command within a log"

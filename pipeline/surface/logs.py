@@ -24,7 +24,7 @@ from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 PathLike = str | os.PathLike[str]
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
-"""Columns of a step response; the last two are NaN where a log has none."""
+"""Columns of a step response; the last two are NaN if the log lacks them."""
 
 
 def ingest(
@@ -39,20 +39,20 @@ def ingest(
     processed : path
         Folder of the stored tables; made if needed.
     profile : str or path, optional
-        Shipped profile by name, or a TOML file; by default each file is claimed by a shipped profile.
+        Shipped profile by name, or a TOML file; by default a shipped profile is found for each file.
 
     Returns
     -------
     IngestReport
-        ``found``, ``ingested``, ``skipped`` (numbers), ``quarantined`` (refused logs with ``path``, ``reason``,
-        ``row``), ``warnings``. A refused log is no exception.
+        ``found``, ``ingested``, ``skipped`` (numbers), ``quarantined`` (rejected logs with ``path``, ``reason``,
+        ``row``), ``warnings``. A rejected log does not raise an exception.
 
     Raises
     ------
     UsageError
         If a path does not exist.
     ProfileError
-        If the profile is wrong, or two profiles claim one file.
+        If the profile is invalid, or two profiles match one file.
     StoreError
         If ``processed`` is damaged, cannot be written, or another command writes there.
 
@@ -77,13 +77,13 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     profile : str or path, optional
         As in `ingest`.
     label : str, optional
-        Which trial, where a file has several.
+        Label of the trial, if a file has several.
 
     Returns
     -------
     pandas.DataFrame
         ``time_s`` [s], ``command`` [N, Nm] (before any delay), ``position`` [m, rad], ``force`` [N, Nm] and
-        ``velocity`` [m/s, rad/s] (NaN where the log has none), a row a sample. ``attrs``: ``units``, and ``device``,
+        ``velocity`` [m/s, rad/s] (NaN if the log lacks it), one row per sample. ``attrs``: ``units``, and ``device``,
         ``experiment``, ``stiffness``, ``damping``, ``step``, ``sampling_period_s``, ``added_delay_samples``, ``grip``,
         ``motion``, ``simulated``, ``label``, ``warnings``, ``findings`` (faults of the recording, each with ``code``,
         ``first_row``, ``rows``, ``evidence``, ``remedy``, ``severity``).
@@ -91,7 +91,7 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     Raises
     ------
     LogError
-        If the log is refused, with the row at fault.
+        If the log is rejected, with the faulty row.
     UsageError
         If the path does not exist or is not a single log, or ``label`` names no trial of it.
     """
@@ -143,14 +143,14 @@ def simulate(
     duration_s : float, optional
         Length of a trial [s] in place of the device's.
     out : path, optional
-        Folder in which the logs are written too, with what was true, for `ingest`.
+        Folder to which the logs and the ground truth are also written, for `ingest`.
     overwrite : bool
         Replace the logs of an earlier simulation there.
 
     Returns
     -------
     list of pandas.DataFrame
-        One a trial, in the order in which a lab would have recorded them; each as by `read_log`, with the ``trial``
+        One per trial, in the order of recording in a lab; each as returned by `read_log`, with the ``trial``
         (name of its log) and its ``verdict`` in ``attrs``.
 
     Raises

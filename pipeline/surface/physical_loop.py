@@ -1,4 +1,4 @@
-"""The loop of device and virtual wall in SI: what `pipeline theory` computes in normalised parameters."""
+"""The loop of device and virtual wall in SI, while `pipeline theory` uses normalised parameters."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import Margins, margins
 from pipeline.theory.reachable import Reachable, reachable
 
-if TYPE_CHECKING:  # takes longer to load than most answers to compute
+if TYPE_CHECKING:  # takes longer to load than most results take to compute
     from matplotlib.axes import Axes
     from scipy.signal import StateSpace
 
 
 _FEWEST_SAMPLES = 50
-"""Samples of a simulated log in which a limit shows."""
+"""Smallest number of samples of a simulated log that shows a limit."""
 
 _DRAWN_LIMITS = 24
-"""Dampings at which a limit with friction is drawn."""
+"""Number of dampings at which a limit with friction is drawn."""
 
 _ROUNDING = 1e-15
-"""Share of the device's own stiffness that is rounding in a limit."""
+"""Rounding error of a limit, as a share of the device stiffness."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class LoopOptimum:
     """Best virtual wall of a loop by a criterion.
 
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
-    fraction, energies dimensionless; None where the criterion has none. ``reason`` says why, or that the optimum is a
-    limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, where a region is equally
-    good. ``note``: stable walls that were not searched, a negative stiffness, or an unstable tuning. ``left_out``:
-    parts of the loop that theory does not include.
+    fraction, energies dimensionless; None if the criterion has none. ``reason`` states why, or that the optimum is a
+    limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, of a region of equally
+    good walls. ``note``: stable walls that were not searched, a negative stiffness, or an unstable tuning.
+    ``left_out``: parts of the loop that theory does not include.
     """
 
     criterion: str
@@ -67,7 +67,7 @@ class LoopOptimum:
 
 @dataclass(frozen=True)
 class Loop(device_loop.Loop):
-    """A device behind a delay, before a virtual wall of stiffness K and damping B.
+    """A device with delay at a virtual wall of stiffness K and damping B.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ class Loop(device_loop.Loop):
     delay_samples : float
         Delay t_d/T from command to force, 0 to 256, integer or fractional.
     stiffness : float
-        Stiffness k of the device itself [N/m, Nm/rad], >= 0.
+        Stiffness k of the device [N/m, Nm/rad], >= 0.
     motion : {"translation", "rotation"}
-        Decides the units that data frames name.
+        Determines the units in data frames.
     velocity : mapping, optional
-        Filter of the velocity: ``kind`` and its numbers, as in a device file (docs/devices.md), like the parts below.
+        Velocity filter: ``kind`` and its parameters, as in a device file (docs/devices.md), like the parts below.
     actuator_lag_s : float
         Time constant of the drive [s], >= 0.
     force_gain : float
@@ -97,22 +97,22 @@ class Loop(device_loop.Loop):
     friction : mapping, optional
         On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
     sensor : mapping, optional
-        ``quantum`` and ``noise`` of the position sensor [m, rad].
+        ``quantum`` (resolution) and ``noise`` of the position sensor [m, rad].
     jitter_samples : sequence of int, optional
-        Delays from which each command draws its own; ``delay_samples`` is their mean.
+        Delays from which that of each command is drawn; ``delay_samples`` is their mean.
     constant_force, force_limit : float
-        Constant force on the motor, such as gravity, and largest command [N, Nm]. The one moves the rest position
-        alone, the other only limits large motions: neither is part of linear theory.
+        Constant force on the motor, such as gravity, and largest command [N, Nm]. The former only shifts the rest
+        position, the latter only affects large motions: neither is part of linear theory.
 
     Raises
     ------
     ParameterError
-        If a parameter is outside its range; delay and filter together are at most 96 samples long.
+        If a parameter is out of range; delay plus filter may be at most 96 samples long.
 
     Notes
     -----
-    Theory is that of the linear loop. What it cannot include, an adaptive velocity filter, friction or jitter, is named
-    in ``left_out``, which ``attrs`` of data frames, optima, margins and designs repeat.
+    Theory is that of the linear loop. Parts that it cannot include (an adaptive velocity filter, friction or jitter)
+    are named in ``left_out``, also in ``attrs`` of data frames, optima, margins and designs.
 
     Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5; docs/definitions.md, "Devices that are not ideal".
 
@@ -132,16 +132,16 @@ class Loop(device_loop.Loop):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.units, self.normalised_loop  # noqa: B018 - a parameter out of range is refused now and not with a result
+        self.units, self.normalised_loop  # noqa: B018 - reject a parameter out of range here, not at the first result
 
     @classmethod
     def of(cls, loop: device_loop.Loop) -> Loop:
-        """Return a loop of a device file, a simulation or logs with the methods of this class."""
+        """Return a loop from a device file, a simulation or logs as an instance of this class."""
         return cls(**{each.name: getattr(loop, each.name) for each in fields(loop)})
 
     @cached_property
     def units(self) -> LoopUnits:
-        """Stiffness and damping that alpha = 1 and beta = 1 stand for."""
+        """Stiffness and damping for alpha = 1 and beta = 1."""
         return LoopUnits.of(self)
 
     @cached_property
@@ -150,14 +150,14 @@ class Loop(device_loop.Loop):
         return NormalisedLoop.of(self)
 
     def plot_boundary(self, ax: Axes) -> Axes:
-        """Draw the stability boundary: stiffness the abscissa, damping the ordinate; return the axes."""
+        """Draw the stability boundary (abscissa stiffness, ordinate damping); return the axes."""
         border, units = self.boundary(), UNITS[self.motion]
         ax.plot(border["stiffness"], border["damping"])
         ax.set(xlabel=f"stiffness K [{units.stiffness}]", ylabel=f"damping B [{units.damping}]")
         return ax
 
     def plot_response(self, ax: Axes, stiffness: float, damping: float, step: float = 1.0, samples: int = 200) -> Axes:
-        """Draw the exact motion after a step of the force behind a wall; return the axes.
+        """Draw the exact motion at a wall after a force step; return the axes.
 
         Parameters
         ----------
@@ -173,7 +173,7 @@ class Loop(device_loop.Loop):
         Raises
         ------
         ParameterError
-            For a wall whose motion grows beyond all numbers.
+            For a wall whose motion overflows.
         """
         motion = self.response(stiffness, damping, samples=samples)
         ax.plot(motion["time_s"], motion["position"] * step)
@@ -186,7 +186,7 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         points : int
-            About how many, at least 8.
+            Approximate number of points, at least 8.
 
         Returns
         -------
@@ -195,7 +195,7 @@ class Loop(device_loop.Loop):
             between separate regions. ``attrs`` has its extremes: ``stiffness_max``,
             ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``; and ``islands``, stable
             intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which
-            only loops with filter, lag or mode have.
+            occur only for loops with filter, lag or mode.
 
         Raises
         ------
@@ -225,13 +225,13 @@ class Loop(device_loop.Loop):
         stiffness, damping : float or array_like, shape (n,)
             K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number is used for all.
         criteria : sequence of str
-            Such as ``settle_2pct``, ``energy_step_w0_discrete``; by default all costs.
+            Criteria such as ``settle_2pct``, ``energy_step_w0_discrete``; by default all costs.
 
         Returns
         -------
         pandas.DataFrame
             ``stiffness``, ``damping``, ``stable``, ``spectral_radius``, a column for each criterion (continuous, and
-            ``_discrete``: settling times in samples; NaN where there is none), ``reason`` (why).
+            ``_discrete``: settling times in samples; NaN if missing), ``reason`` (why it is missing).
 
         Raises
         ------
@@ -259,11 +259,11 @@ class Loop(device_loop.Loop):
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] from which all softer walls are stable in linear theory,
-            exact to 1e-9 (nan where none is). With a ``step`` also ``stiffness_step``, the wall from which on that step
-            makes the loop unstable, as a report shows it with measured limits, and ``stiffness_step_open``, half of
-            the range that simulated logs leave undecided; nan where no wall up to 1.5 times the largest linear limit
-            above the linear one is unstable. A harder push is unstable from softer walls on, down to ``stiffness``.
+            ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] below which all walls are stable in linear theory, accurate
+            to 1e-9 (nan without any). With a ``step`` also ``stiffness_step``, the softest wall that is unstable for
+            this step, as shown with measured limits in a report, and ``stiffness_step_open``, half of the range that
+            simulated logs leave undecided; nan if no wall up to 1.5 times the largest linear limit above the linear one
+            is unstable. A harder push makes softer walls unstable, down to ``stiffness``.
 
         Raises
         ------
@@ -288,7 +288,7 @@ class Loop(device_loop.Loop):
                     f"step = {step}, samples = {samples}: expected a positive, finite step and at least "
                     f"{_FEWEST_SAMPLES} samples."
                 )
-            from pipeline.plan.loop_limits import (  # they simulate and judge: linear answers do not
+            from pipeline.plan.loop_limits import (  # needed only for simulated limits
                 StepTrial,
                 step_limits,
             )
@@ -306,7 +306,7 @@ class Loop(device_loop.Loop):
         path : path
             File to write: .svg, .pdf or .png.
         step, samples
-            As of `limits`; without a step the linear limit alone.
+            As in `limits`; without a step only the linear limit.
 
         Raises
         ------
@@ -350,13 +350,14 @@ class Loop(device_loop.Loop):
         stiffness : float or array_like, shape (n,)
             K [N/m, Nm/rad].
         criterion : str
-            Such as ``settle_2pct``, ``overshoot_discrete``, ``energy_step_w0``, ``pole_radius``, ``damping``.
+            A criterion such as ``settle_2pct``, ``overshoot_discrete``, ``energy_step_w0``, ``pole_radius``,
+            ``damping``.
 
         Returns
         -------
         pandas.DataFrame
-            ``stiffness``, ``damping``, ``cost``, ``damping_low``, ``damping_high`` (ends of the equally good dampings,
-            of which ``damping`` is the middle). NaN where no damping makes the wall stable.
+            ``stiffness``, ``damping``, ``cost``, ``damping_low``, ``damping_high`` (ends of the range of equally good
+            dampings, with ``damping`` in the middle). NaN if no damping makes the wall stable.
 
         Raises
         ------
@@ -370,7 +371,7 @@ class Loop(device_loop.Loop):
         return self._curve("stiffness", "damping", found)
 
     def best_stiffness(self, damping: object, criterion: str) -> pd.DataFrame:
-        """Return the best stiffness for each damping; as `best_damping` with both exchanged."""
+        """Return the best stiffness for each damping: like `best_damping`, with both exchanged."""
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
         found = best_stiffness(self.normalised_loop, criterion, B / self.units.damping)
         return self._curve("damping", "stiffness", found)
@@ -389,7 +390,7 @@ class Loop(device_loop.Loop):
         ParameterError
             If the position is sensed beyond a vibration mode: no wall is passive then.
 
-        Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
+        Source: Hulin 2017, ch. 4; for non-integer delays see docs/definitions.md.
         """
         loop, delta = self.normalised_loop, self.passive_damping / self.units.damping
         alpha, beta = passive_outline(loop, delta)
@@ -403,19 +404,19 @@ class Loop(device_loop.Loop):
     def robust(self) -> pd.DataFrame:
         """Return the boundary of the walls that are stable with every spring in parallel to the device.
 
-        The device's own stiffness is one of these springs. Passive walls are robust ones, too.
+        The stiffness of the device is one of these springs. Passive walls are also robust.
 
         Returns
         -------
         pandas.DataFrame
             ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary, and ``spring``, the
-            stiffness of the device at which it is reached [N/m, Nm/rad]; ``attrs`` has ``stiffness_max`` and
+            spring for which the boundary is reached [N/m, Nm/rad]; ``attrs`` has ``stiffness_max`` and
             ``damping_at_stiffness_max``. Empty for a device without damping.
 
         Raises
         ------
         ParameterError
-            If the loop has more than mass, damper, spring and delay: the region is not known for other parts.
+            If the loop has more than mass, damper, spring and delay: the region is unknown for other parts.
 
         Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
         """
@@ -431,12 +432,12 @@ class Loop(device_loop.Loop):
         return frame
 
     def reachable(self, criterion: str) -> Reachable:
-        """Return the best cost that the delay of this loop allows, whatever its mass and its walls.
+        """Return the lowest cost that the delay of this loop allows, for any mass and any wall.
 
         Parameters
         ----------
         criterion : str
-            As of `theory.reachable.reachable`: ``settle_2pct``, ``energy_step_w0``, ``pole_radius`` and their kind.
+            As of `theory.reachable.reachable`: ``settle_2pct``, ``energy_step_w0``, ``pole_radius`` and similar ones.
 
         Raises
         ------
@@ -463,10 +464,10 @@ class Loop(device_loop.Loop):
         signal: Literal["step", "impulse"] = "step",
         per_sample: int = 20,
     ) -> pd.DataFrame:
-        """Return the motion after a unit step of the force, or a unit impulse, exact also between samples.
+        """Return the motion after a unit force step or a unit impulse, also exact between samples.
 
-        Time 0 is the moment at which the step of the command, or the hit, arrives at the actuator: the delay has
-        passed. In `to_state_space` time 0 is the moment at which the controller sends it, ``delay_samples`` earlier.
+        At time 0 the command step, or the impact, arrives at the actuator, after the delay. In `to_state_space` the
+        controller sends the command at time 0, that is ``delay_samples`` earlier.
 
         Parameters
         ----------
@@ -475,9 +476,9 @@ class Loop(device_loop.Loop):
         samples : int
             Length in sampling periods.
         signal : {"step", "impulse"}
-            1 N (1 Nm) of the command, or a hit of 1 Ns (1 Nms) on the device.
+            1 N (1 Nm) of the command, or an impact of 1 Ns (1 Nms) on the device.
         per_sample : int
-            Points in each sampling period; ``frame[::per_sample]`` are the samples.
+            Number of points per sampling period; ``frame[::per_sample]`` are the samples.
 
         Returns
         -------
@@ -491,7 +492,7 @@ class Loop(device_loop.Loop):
         """
         alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
         chi = response(self.normalised_loop, alpha, beta, signal, samples, per_sample)
-        # a hit moves the mass itself, a command what the gain makes of it
+        # an impact acts on the mass directly, a command through the gain
         unit = self.units.stiffness if signal == "step" else self.units.damping * self.force_gain
         time = np.arange(len(chi)) * self.sampling_period_s / per_sample
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
@@ -509,9 +510,9 @@ class Loop(device_loop.Loop):
         Returns
         -------
         Margins
-            ``gain``, ``gain_down``: factors of K and B together up, and down, to the limit; ``phase`` [rad], where the
-            loop's gain is 1; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample], where the position
-            after a command falls to 1/sqrt(2) of that at rest. Over 2 pi T the last is one in Hz. None: no limit.
+            ``gain``, ``gain_down``: factors of K and B together, above and below 1, at the limit; ``phase`` [rad] at
+            unit loop gain; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample] at which the position
+            after a command falls to 1/sqrt(2) of its static value (divided by 2 pi T, it is in Hz). None: no limit.
             ``left_out``: parts of the loop that theory does not include.
 
         Raises
@@ -528,15 +529,15 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         stiffness, damping : float
-            Of the wall that closes the loop; without one the open loop.
+            K and B of the wall that closes the loop; the default is the open loop.
 
         Returns
         -------
         scipy.signal.StateSpace
-            With ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` is that of python-control. The command passes gain,
-            delay and lag as the wall's own does: its step response starts when the controller sends it, and moves
-            ``delay_samples`` later, while `response` starts when the command arrives. The parts in ``left_out`` are
-            not in it.
+            System with ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` converts it to python-control. The command
+            passes gain, delay and lag like that of the wall: the step response starts when the controller sends the
+            command, and the motion ``delay_samples`` later, while `response` starts when the command arrives. The parts
+            in ``left_out`` are not included.
         """
         from scipy.signal import StateSpace
 
@@ -556,14 +557,14 @@ class Loop(device_loop.Loop):
         size : int
             Points along each axis, 2 to 4001.
         criteria : sequence of str
-            Such as ``settle_2pct``, ``overshoot``, ``energy_step_w0``, ``pole_radius``.
+            Criteria such as ``settle_2pct``, ``overshoot``, ``energy_step_w0``, ``pole_radius``.
 
         Returns
         -------
         pandas.DataFrame
-            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN where there is no cost;
+            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN without a cost;
             ``damping_ratio`` for the criterion ``damping``); damping changes slowest:
-            ``frame["overshoot"].to_numpy().reshape(size, size)`` has a row a damping.
+            ``frame["overshoot"].to_numpy().reshape(size, size)`` has one row per damping.
 
         Raises
         ------
@@ -577,7 +578,7 @@ class Loop(device_loop.Loop):
         grid = CostMap(self.normalised_loop, size, criteria)
         blocks = list(grid.blocks())
         costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
-        if "damping" in costs:  # the name of the walls' own column
+        if "damping" in costs:  # also the column name of the walls' damping
             costs["damping_ratio"] = costs.pop("damping")
         return self._frame(
             {

@@ -1,4 +1,4 @@
-"""What is stored of the logs, and what the measured branch finds in them, as data frames."""
+"""Stored logs, and results of the measured branch, as data frames."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterio
 
 
 def devices(processed: PathLike = "processed") -> pd.DataFrame:
-    """Return the devices that have stored trials, a row each.
+    """Return the devices with stored trials, one row each.
 
     Returns
     -------
@@ -64,13 +64,13 @@ def devices(processed: PathLike = "processed") -> pd.DataFrame:
 
 
 def experiments(processed: PathLike = "processed", device: str | None = None) -> pd.DataFrame:
-    """Return the experiments that have stored trials, a row each, sorted as people sort them (2 before 10).
+    """Return the experiments with stored trials, one row each, in natural order (2 before 10).
 
     Returns
     -------
     pandas.DataFrame
-        ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip`` (the values
-        that occur, in these three the smallest or first), ``simulated`` (any), ``trials`` (number).
+        ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip`` (of several
+        values, the smallest or first), ``simulated`` (any), ``trials`` (number).
 
     Raises
     ------
@@ -93,16 +93,16 @@ def experiments(processed: PathLike = "processed", device: str | None = None) ->
 
 
 def trials(processed: PathLike = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
-    """Return the stored trials: all, of a device, or of one experiment.
+    """Return the stored trials: all, those of a device, or those of one experiment.
 
     Returns
     -------
     pandas.DataFrame
-        A row a trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
+        One row per trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
         ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s`` [s],
-        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of those
-        that are excluded by hand, which no estimate, boundary or cost uses, else ""; ``verdict`` (stable, unstable or
-        undecided) and ``outcome``, None where no comparison has computed them (`costs` computes verdicts).
+        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of trials
+        excluded by hand, which are not used in any estimate, boundary or cost, else ""; ``verdict`` (stable, unstable
+        or undecided) and ``outcome``, None if no comparison has computed them (`costs` computes verdicts).
 
     Raises
     ------
@@ -131,8 +131,8 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (NaN where the log has
-        none), a row a sample; the trial's conditions in ``attrs``, as by `read_log`.
+        ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (NaN if the log lacks it),
+        one row per sample; the trial's conditions are in ``attrs``, as in `read_log`.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
 def estimates(
     processed: PathLike, device: str, experiment: str | None = None, *, all_methods: bool = False
 ) -> pd.DataFrame:
-    """Return delay, mass, damping and what else is estimated, of one experiment or of all of a device.
+    """Return delay, mass, damping and all other estimates, of one or all experiments of a device.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def estimates(
     -------
     pandas.DataFrame
         ``experiment``, ``quantity`` (``delay_samples``, ``mass``, ``damping``, ...), ``value``, ``low``, ``high`` (95 %
-        interval), ``unit``, ``method``, ``recommended``, ``reason`` (why there is no value, which is NaN then),
+        interval), ``unit``, ``method``, ``recommended``, ``reason`` (why the value is missing, i.e. NaN),
         ``trials`` (number used), ``spread``, ``within`` (standard deviation between trials, median error of one),
         ``warning``.
 
@@ -187,16 +187,17 @@ def estimates(
 
 
 def boundary(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
-    """Return the measured stability boundary, of one experiment or of all of a device.
+    """Return the measured stability boundary of one or all experiments of a device.
 
     Returns
     -------
     pandas.DataFrame
         ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the largest stable
-        stiffness below the smallest one with an unstable trial, and that one (NaN where there is none), ``censored``,
+        stiffness below the smallest unstable one, and the smallest unstable one (NaN if missing), ``censored``,
         ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
-        ``undecided`` (those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: where friction was
-        found, all this is valid for the step that was used, and a harder push is unstable from there. A row a damping.
+        ``undecided`` (number of those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: if
+        friction was found, the other limits are valid for the applied step, and a harder push is unstable from this
+        stiffness. One row per damping.
 
     Raises
     ------
@@ -208,15 +209,15 @@ def boundary(processed: PathLike, device: str, experiment: str | None = None) ->
 
 
 def optima(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
-    """Return the best trial by each criterion, of one experiment or of all of a device.
+    """Return the best trial by each criterion, for one or all experiments of a device.
 
     Returns
     -------
     pandas.DataFrame
         ``experiment``, ``criterion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``cost`` with its 95 %
         interval ``cost_low`` to ``cost_high``, ``trial_id``, ``ties``, ``censored`` (at the edge of the tested range),
-        ``cost_s`` [s], ``reason`` (why there is none; numbers are NaN then). Settling times are in samples, and in
-        seconds in ``cost_s``, overshoot is a fraction.
+        ``cost_s`` [s], ``reason`` (why there is none; numbers are NaN then). Settling times are in samples (in seconds
+        in ``cost_s``), overshoot is a fraction.
 
     Raises
     ------
@@ -228,14 +229,14 @@ def optima(processed: PathLike, device: str, experiment: str | None = None) -> p
 
 
 def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd.DataFrame:
-    """Return verdict and costs of each trial, of one experiment or of all of a device.
+    """Return verdict and costs of each trial, for one or all experiments of a device.
 
     Returns
     -------
     pandas.DataFrame
         ``experiment``, ``trial_id``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``verdict`` (stable,
-        unstable or undecided), ``criterion``, ``cost``, ``low``, ``high`` (95 % interval), ``reason`` (where there is
-        no cost, or it is uncertain). A row a trial and criterion.
+        unstable or undecided), ``criterion``, ``cost``, ``low``, ``high`` (95 % interval), ``reason`` (if the cost is
+        missing or uncertain). One row per trial and criterion.
 
     Raises
     ------
@@ -268,7 +269,7 @@ def _open(processed: PathLike, device: str, experiment: str | None) -> SceneData
 
 
 def _computed(data: SceneData) -> SceneData:
-    """Compute what is not stored yet, by several processes where that pays."""
+    """Compute missing stages, by several processes if that saves time."""
     compute_stages(data.experiments, needed_stages(data))
     return data
 
@@ -278,7 +279,7 @@ def _results(data: SceneData) -> Iterator[ExperimentResult]:
 
 
 def folder_of(processed: PathLike) -> Path:
-    """Return the folder of stored tables as a path; it must be there."""
+    """Return the folder of stored tables as a path; it must exist."""
     folder = Path(processed)
     if not folder.is_dir():
         raise StoreError(
@@ -288,7 +289,7 @@ def folder_of(processed: PathLike) -> Path:
 
 
 def _read(folder: Path, device: str | None, experiment: str | None, columns: list[str] | None) -> Any:
-    """Return rows of the trials table; a name of which nothing is stored is an error."""
+    """Return rows of the trials table; a name without stored trials is an error."""
     if device is None and experiment is not None:
         raise UsageError(f"experiment {experiment!r} is given without its device. Give both.")
     if device is not None and device not in (stored := list_devices(folder)):
@@ -306,7 +307,7 @@ def _frame(table: pa.Table) -> pd.DataFrame:
 
 
 def human_arms() -> pd.DataFrame:
-    """Return published parameters of human arms; a row's numbers are what `Loop` takes as ``operator``.
+    """Return published parameters of human arms; the numbers of a row can be passed to `Loop` as ``operator``.
 
     Returns
     -------

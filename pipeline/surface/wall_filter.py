@@ -1,4 +1,4 @@
-"""The velocity filter that recorded walls show, of logs that are not stored; `compare` finds the same one."""
+"""Velocity filter identified from recorded walls, for logs that are not stored; `compare` finds the same one."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ OPEN = (
     *("velocity_filter", "adaptive_velocity", "position_filter"),
     *("decimated_rows", "several_steps", "unknown"),
 )
-"""Departures from the wall law of a log whose velocity may be another one than the plain difference."""
+"""Departures from the wall law that may be due to a velocity other than the plain difference."""
 
 NOT_KNOWN = "The velocity filter of the walls is not known: {}. The boundary is for the plain difference."
 
 
 @dataclass(frozen=True)
 class WallFilter:
-    """What recorded walls show of the velocity in their wall law.
+    """The velocity filter in the wall law, as identified from recorded walls.
 
     Parameters
     ----------
     velocity : VelocityFilter or None
-        The filter that most logs show and agree on; None for the plain difference, and where it is not known.
+        The filter on which most logs agree; None for the plain difference, or if unknown.
     of_logs : tuple of VelocityFilter
         As single logs show it.
     sentence : str
-        What it is, or why it is not known.
+        Description of the filter, or why it is unknown.
     left_out : bool
         Whether the logs show an adaptive velocity filter, which a linear loop cannot include.
     """
@@ -42,7 +42,8 @@ class WallFilter:
     left_out: bool = False
 
     def at(self, period: float, wall_period: float) -> WallFilter:
-        """Return the filter of walls with another sampling period [s] than the logs have; itself with the same."""
+        """Return the filter for walls with another sampling period [s] than the logs; the same object if they are
+        equal."""
         if self.velocity is None or wall_period == period:
             return self
         if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= 0.5 / wall_period:
@@ -52,7 +53,7 @@ class WallFilter:
 
 
 def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
-    """Return the velocity filter that trials at walls (K > 0) show; None without such a trial."""
+    """Return the velocity filter identified from trials at walls (K > 0); None without such a trial."""
     walls = [each for each in trials if each.logged.stiffness > 0]
     damped = [each for each in walls if each.logged.damping != 0]
     if not damped:
