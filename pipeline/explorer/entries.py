@@ -1,4 +1,4 @@
-"""What the explorer begins with: loops as entries of a device file, and what was measured on them."""
+"""Initial content of the explorer: loops as device-file entries, and the measurements made on them."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pipeline.records.models import Device
 from pipeline.records.results import ComparisonResult, ExperimentResult, LoopResult
 
 Entry = dict[str, Any]
-"""Entry of the page's script: ``label``, ``loop``, and what was measured (`Entry` in page.mjs)."""
+"""Entry of the page's script: ``label``, ``loop``, and measurements (`Entry` in page.mjs)."""
 
 _LEFT_OUT = ("sensor", "constant_force", "force_limit")
-"""Parts of a loop that the page neither computes with nor writes into a device file."""
+"""Parts of a loop that the page neither uses nor writes to a device file."""
 
 
 def loop_entries(loop: Loop) -> dict[str, Any]:
@@ -37,7 +37,7 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
 
 
 def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of devices; its label ends with the source of its loop (``by``)."""
+    """Return an entry for each experiment of each device; its label ends with the source of the loop (``by``)."""
     return [
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
@@ -48,7 +48,7 @@ def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
 def measured_entries(result: ComparisonResult) -> list[Entry]:
     """Return an entry for each experiment of a comparison that has a loop: identified, or of the device file.
 
-    There is none for a drive whose commands are in volts or counts: the page's numbers are in N or Nm.
+    A drive with commands in volts or counts has no entry: the page's numbers are in N or Nm.
     """
     if drive_of(result.motion):
         return []
@@ -73,7 +73,7 @@ def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Ent
 
 
 def _measured(experiment: ExperimentResult) -> dict[str, Any]:
-    """Return limits with the trials on both of their sides, and what the loop predicts with friction."""
+    """Return limits with the trials on either side of them, and the limits that the loop with friction predicts."""
     limits, trials = [], []
     for point in experiment.boundary:
         sides = [(point.stable, 1), (None if point.censored else point.unstable, 0)]
@@ -102,7 +102,7 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
 
 
 def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
-    """Return filter and mode of an identified loop; their kinds are those of the loop that theory was computed for."""
+    """Return filter and mode of an identified loop; their kinds are those of the loop used for theory."""
     parts: dict[str, Any] = {}
     known = experiment.theory.loop if experiment.theory is not None else None
     velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}

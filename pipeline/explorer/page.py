@@ -1,4 +1,4 @@
-"""The explorer as one HTML file without network, as a part of another page, and its computation alone."""
+"""The explorer as one HTML file that works offline, as part of another page, and as a computation module alone."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
     Parameters
     ----------
     entries : sequence of dict
-        What the page can be reset to; it begins with the first.
+        Loops to which the page can be reset; it starts with the first.
     title : str
     before : str
         HTML in front of the title, such as the navigation of a service.
