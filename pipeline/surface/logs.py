@@ -137,7 +137,7 @@ def simulate(
     seed : int
         Seed of noise and jitter; the same seed gives the same logs.
     ideal : bool
-        Without noise, quantum and jitter.
+        Without noise, quantisation and jitter.
     coarsen : int
         Every n-th damping and n times the stiffness step, for a small experiment.
     duration_s : float, optional

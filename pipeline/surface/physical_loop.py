@@ -311,7 +311,7 @@ class Loop(device_loop.Loop):
         Raises
         ------
         UsageError
-            For another ending.
+            For another extension.
         ParameterError
             As of `limits`, or if no wall is stable.
         """
@@ -472,7 +472,7 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         stiffness, damping : float
-            Of one wall, stable or not.
+            K and B of a wall, stable or not.
         samples : int
             Length in sampling periods.
         signal : {"step", "impulse"}

@@ -202,7 +202,7 @@ def boundary(processed: PathLike, device: str, experiment: str | None = None) ->
     Raises
     ------
     DeviceError, StoreError
-        As those of `estimates`.
+        As in `estimates`.
     """
     data = _open(processed, device, experiment)
     return boundary_frame(_results(data), data.motion)
@@ -222,7 +222,7 @@ def optima(processed: PathLike, device: str, experiment: str | None = None) -> p
     Raises
     ------
     DeviceError, StoreError
-        As those of `estimates`.
+        As in `estimates`.
     """
     data = _open(processed, device, experiment)
     return optima_frame(_results(data), data.motion)
@@ -241,7 +241,7 @@ def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd
     Raises
     ------
     DeviceError, StoreError
-        As those of `estimates`.
+        As in `estimates`.
     """
     data = _computed(_open(processed, device, experiment))
     rows = [row for stages in data.experiments for row in _cost_rows(stages)]

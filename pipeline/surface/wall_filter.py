@@ -29,7 +29,7 @@ class WallFilter:
     velocity : VelocityFilter or None
         The filter on which most logs agree; None for the plain difference, or if unknown.
     of_logs : tuple of VelocityFilter
-        As single logs show it.
+        Filters of the single logs.
     sentence : str
         Description of the filter, or why it is unknown.
     left_out : bool

@@ -41,7 +41,7 @@ _META = re.compile(rf'(<meta name="(?:{CELLS_META}|{DIGESTS_META})" content=")[^
 
 
 class Digests(BaseModel):
-    """Hashes that a page contains: of each part that logs do not determine, and of the whole page."""
+    """Hashes stored in a page: of each free part, and of the whole page."""
 
     page: str = ""
     cells: dict[str, str] = {}
