@@ -25,7 +25,8 @@ def test_measured_costs_are_those_of_the_samples(falcon, outcome):
     known = np.flatnonzero(np.isfinite(energy) & np.isfinite(settle))
     assert len(known) > 20
     mass = outcome.result.experiments[0].estimates["mass"].value
-    for i in known[:: len(known) // 15]:
+    checked = 0
+    for i in known[:: len(known) // 30]:
         trial = stages.samples[i]
         x = trial.position[int(edge[i]) + delay :]
         error = (x - trial.position[0]) * trial.stiffness / trial.step - 1
@@ -34,8 +35,11 @@ def test_measured_costs_are_those_of_the_samples(falcon, outcome):
         speed = np.diff(error, prepend=error[:1]) / trial.sampling_period_s
         k = np.arange(len(x), dtype=float)
         terms = k**0.5 * (error**2 + mass / trial.stiffness * speed**2)
-        beyond = terms[-50:].sum() / terms.sum()  # of the sum, how much may follow behind the log
-        assert energy[i] == pytest.approx(terms.sum(), rel=1e-6 + 3 * beyond)
+        beyond = terms[-50:].sum() / terms.sum()  # of the sum, how much may follow after the log
+        if beyond < 1e-3:
+            assert energy[i] == pytest.approx(terms.sum(), rel=1e-6 + 3 * beyond)
+            checked += 1
+    assert checked >= 5
 
 
 def test_an_ideal_log_costs_what_theory_says(outcome):

@@ -86,7 +86,7 @@ class Rig:
             costs.append(settling(trial, response, judge(trial, response), delay)["settle_2pct"].value)
         return np.array(costs)
 
-    def course(self, *, costs: bool = False) -> Campaign:
+    def campaign(self, *, costs: bool = False) -> Campaign:
         """Return the trials so far as the planner reads them."""
         stated, tried = self.case.stated, self.tried
         return Campaign(
@@ -143,7 +143,7 @@ class Known:
 def planned(rig: Rig, options: PlanOptions) -> Iterator[Known]:
     """Yield what is known after each trial that the planner asks for."""
     while True:
-        answer = plan_of(rig.course(), options)
+        answer = plan_of(rig.campaign(), options)
         said = [verdict == "unstable" for verdict, _ in rig.verdicts]
         limit = np.array([point.estimate for point in answer.boundary], dtype=np.float64)
         yield Known(answer.trials_used, limit, answer.done, float(np.mean(said)) if said else 0.0)
@@ -255,7 +255,7 @@ def _least(rig: Rig) -> float:
     known = _loop(rig)
     if known is not None:
         return optimal_point(known[0], CRITERION).cost
-    dampings = wanted_dampings(rig.course(), PlanOptions())
+    dampings = wanted_dampings(rig.campaign(), PlanOptions())
     largest = float(rig.truth(dampings)[0].max())
     K, B = np.meshgrid(np.linspace(0, largest, GRID + 1)[1:], np.linspace(dampings[0], dampings[-1], GRID))
     return float(np.nanmin(rig.settling(simulate(rig.setup, K.ravel(), B.ravel(), seed=rig.seed))))
