@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.comparison.scene.scene import SceneData, layouts
-from pipeline.comparison.scores.deviation import FEWEST, smooth_of
+from pipeline.comparison.scores.deviation import FEWEST
+from pipeline.comparison.scores.local_planes import local_planes
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
@@ -216,9 +217,9 @@ def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
     if len(cost) < FEWEST:
         return cost
     if criterion_of(criterion).family.levels:
-        return np.maximum(smooth_of(K, B, cost, FEW_NEIGHBOURS).of(cost), 0.0)
+        return np.maximum(local_planes(K, B, cost, FEW_NEIGHBOURS).of(cost), 0.0)
     values = np.log(np.maximum(cost, np.finfo(np.float64).tiny))
-    return np.asarray(np.exp(smooth_of(K, B, values, FEW_NEIGHBOURS).of(values)))
+    return np.asarray(np.exp(local_planes(K, B, values, FEW_NEIGHBOURS).of(values)))
 
 
 def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units) -> Figure:

@@ -129,7 +129,7 @@ def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
         return lambda delay: linear_limits(loop.replace({"delay_samples": delay}), limits.damping)
 
     of, *others = (curve(loop) for loop in loops)
-    value = _nearest(of, limits)
+    value = _nearest(of, limits, 0)
     low, high = max(value - STEP, 0.0), min(value + STEP, LARGEST_DELAY)
     slope = (of(high) - of(low)) / (high - low) / limits.error
     rest = (limits.stiffness - of(value)) / limits.error
@@ -139,24 +139,40 @@ def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
     if not float(slope @ slope) > 0:
         return _none("the limits of theory do not depend on delay at these dampings. Record walls of less damping.")
     own = factor / np.sqrt(float(slope @ slope))
-    off = np.array([_nearest(each, limits) - value for each in others])
+    near = int(np.abs(DELAYS - value).argmin())
+    off = np.array([_nearest(each, limits, near) - value for each in others])
     less, more = np.hypot(own, off.min(initial=0.0)), np.hypot(own, off.max(initial=0.0))
     low, high = max(value - float(less), 0.0), value + float(more)
     return Quantity(value=value, low=low, high=high, unit="samples", method=method)
 
 
-def _nearest(curve: Callable[[float], Floats], limits: _Limits) -> float:
-    """Return the delay with the least sum of squared residuals of the limits, in units of their standard errors."""
+def _nearest(curve: Callable[[float], Floats], limits: _Limits, start: int) -> float:
+    """Return the delay with the least sum of squared residuals of the limits, in units of their standard errors.
+
+    The grid is searched upwards from an index, and from there downwards while the residuals shrink. A longer delay
+    lowers every limit, so the search ends at the first delay for which all limits of theory are below the measured
+    ones.
+    """
     from scipy.optimize import minimize_scalar
 
-    def lost(delay: float) -> float:
-        rest = (limits.stiffness - curve(delay)) / limits.error
+    def lost(theory: Floats) -> float:
+        rest = (limits.stiffness - theory) / limits.error
         return float(rest @ rest)
 
-    lost_at = np.array([lost(delay) for delay in DELAYS])
+    lost_at = np.full(len(DELAYS), np.inf)
+    for index in range(start, len(DELAYS)):
+        theory = curve(DELAYS[index])
+        lost_at[index] = lost(theory)
+        if (theory < limits.stiffness).all():
+            break
     best = int(np.argmin(lost_at))
+    while 0 < best <= start:
+        lost_at[best - 1] = lost(curve(DELAYS[best - 1]))
+        if lost_at[best - 1] >= lost_at[best]:
+            break
+        best -= 1
     ends = DELAYS[max(best - 1, 0)], DELAYS[min(best + 1, len(DELAYS) - 1)]
-    found = minimize_scalar(lost, bounds=ends, method="bounded", options={"xatol": 1e-9})
+    found = minimize_scalar(lambda delay: lost(curve(delay)), bounds=ends, method="bounded", options={"xatol": 1e-9})
     return float(found.x) if found.fun < lost_at[best] else float(DELAYS[best])
 
 

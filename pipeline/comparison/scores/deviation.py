@@ -10,10 +10,9 @@ cost of a single trial with its minimum at p_m. Then
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from pipeline.comparison.scores.local_planes import LocalPlanes, local_planes
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import DISCRETE, criterion_of
@@ -22,15 +21,6 @@ from pipeline.records.models import Deviation
 from pipeline.records.trials import Booleans, Floats, Integers
 from pipeline.theory.costs import costs_at
 from pipeline.theory.predictions import Predictions, Theory
-
-NEIGHBOURS = 40
-"""Number of trials to which a plane is fitted, to smooth the ratio of measured to theoretical cost at a point."""
-
-ROBUST = 3
-"""Number of rounds of robust reweighting."""
-
-NO_ERROR = 1e-12
-"""Errors of the logarithm of a cost below this value count as zero."""
 
 FEWEST = 12
 """Smallest number of trials with both costs for which noise and deviation can be separated."""
@@ -46,63 +36,6 @@ SEARCH, SEARCH_WHOLE, ZOOM, ROUNDS = 41, 201, 15, 4
 of a window around the best point, and number of times the window is narrowed."""
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
-
-
-@dataclass(frozen=True)
-class Smooth:
-    """Planes fitted around n points: each weights ``values[nearest]`` by ``weight``, both of shape (n, k)."""
-
-    nearest: Integers
-    weight: Floats
-
-    def of(self, values: Floats) -> Floats:
-        """Return the smoothed values, shape (n,)."""
-        result: Floats = np.einsum("nk,nk->n", self.weight, values[self.nearest])
-        return result
-
-
-def smooth_of(stiffness: Floats, damping: Floats, values: Floats, neighbours: int = NEIGHBOURS) -> Smooth:
-    """Return local planes that smooth values at points; outliers get little weight.
-
-    Parameters
-    ----------
-    stiffness, damping, values : float64, shape (n,)
-    neighbours : int
-        Points to which a plane is fitted.
-
-    Notes
-    -----
-    Weights are tricubes of the distance in standard deviations, times bisquares of the residual over six times the
-    local median residual: close to the limit of stability, costs of single trials scatter much more than usual.
-
-    Source: Cleveland, Robust locally weighted regression (1979), in two dimensions.
-    """
-    from scipy.spatial import cKDTree
-
-    points = np.stack([stiffness, damping], axis=1)
-    spread = points.std(axis=0)
-    points = points / np.where(spread > 0, spread, 1.0)
-    distance, nearest = cKDTree(points).query(points, k=min(neighbours, len(points)))
-    reach = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny) * (1 + 1e-9)
-    near = (1 - (distance / reach) ** 3) ** 3
-    offset = points[nearest] - points[:, None]
-    design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
-    sure = np.ones(len(points))
-    for _ in range(ROBUST):
-        smooth = Smooth(nearest, _plane(design, near * sure[nearest]))
-        error = np.abs(values - smooth.of(values))
-        usual = np.maximum(6 * np.median(error[nearest], axis=1), NO_ERROR)
-        sure = (1 - np.minimum(error / usual, 1.0) ** 2) ** 2
-    return Smooth(nearest, _plane(design, near * sure[nearest]))
-
-
-def _plane(design: Floats, weight: Floats) -> Floats:
-    """Return the weight of each neighbour in the value of the plane at the point, shape (n, k)."""
-    weighted = design * weight[:, :, None]
-    # the inverse of least norm: points on a line have no slope across it
-    inverse = np.linalg.pinv(np.einsum("nki,nkj->nij", weighted, design), rcond=1e-9, hermitian=True)
-    result: Floats = np.einsum("nj,nkj->nk", inverse[:, 0], weighted)
-    return result
 
 
 def deviation_of(
@@ -165,13 +98,13 @@ def deviation(
     grid = float(np.nanmin(expected))
     ranged = min(max(ranged, free), grid)
     theory, ratio = np.log(expected[use]), np.log(measured[use] / expected[use])
-    smooth = smooth_of(alpha[use], beta[use], ratio)
+    smooth = local_planes(alpha[use], beta[use], ratio)
     level = smooth.of(ratio)
     best = float((theory + level).min())
     error = ratio - level
     draws = np.random.default_rng(0).choice([-1.0, 1.0], size=(RESAMPLED, len(error)))
     likely = np.argsort(theory + level)[:LIKELY]
-    near = Smooth(smooth.nearest[likely], smooth.weight[likely])
+    near = LocalPlanes(smooth.nearest[likely], smooth.weight[likely])
     drawn = np.array([(theory[likely] + near.of(level + error * signs)).min() for signs in draws])
     half = float(np.abs(np.percentile(drawn, [2.5, 97.5]) - best).max())
     logs = {
@@ -194,7 +127,7 @@ def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decis
     ``half``/2."""
 
     def model(kept: Booleans) -> float:
-        level = smooth_of(alpha[kept], beta[kept], ratio[kept]).of(ratio[kept])
+        level = local_planes(alpha[kept], beta[kept], ratio[kept]).of(ratio[kept])
         return float((theory[kept] + level).min() - theory[kept].min())
 
     every = np.ones(len(theory), dtype=np.bool_)
