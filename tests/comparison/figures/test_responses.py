@@ -91,7 +91,8 @@ def test_theory_and_fits_lie_on_a_simulated_log(first):
     """The shared course is simulated with the numbers of the device file, noise and quantum beside."""
     stages, result = first
     figure = trial_figure(stages, result, trial_of(stages, "stable"), "translation")
-    course, law = figure.panels
+    course, command, law = figure.panels
+    assert [series.label for series in command.series] == ["command"]
     beside = {s.label: s for s in course.series if not s.label.startswith("_")}
     assert list(beside) == ["log", "theory", "fitted loop"]
     largest = np.abs(beside["log"].y).max()
