@@ -62,7 +62,15 @@ class Array:
                 f"expected rows of {self.dtype} along {self.axes} axes, one after the other in memory, found "
                 f"{value.dtype} along {value.ndim}."
             )
-        values += (0, 0, value.size, value.itemsize, value.ctypes.data, *value.shape, *value.strides)
+        values += (0, 0, value.size, value.itemsize, _address(value), *value.shape, *value.strides)
+
+
+def _address(value: Any) -> int:
+    """Return the address of an array; `numpy.ndarray.ctypes` takes ten times as long."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(value))
+    except (TypeError, ValueError):  # read-only, or empty
+        return int(value.ctypes.data)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 Digits = NDArray[np.object_]
 """Array of Decimal."""
 
-_SMALL = 0.0625
+_SMALL = 1.0
 """Norm to which a matrix is scaled down by halving before its exponential is summed."""
 
 exact = np.frompyfunc(Decimal, 1, 1)
@@ -41,21 +41,19 @@ def as_floats(values: Digits) -> NDArray[np.float64]:
     return values.astype(np.float64)
 
 
-def exponential(matrix: Digits, digits: int) -> Digits:
-    """Return exp of a square matrix: power series of the scaled matrix, then repeated squaring."""
-    norm = float(np.abs(matrix).sum(axis=1).max())
-    halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
-    part = matrix / Decimal(2) ** halvings
-    result = term = as_exact(np.eye(len(matrix)))
-    smallest = Decimal(10) ** -(digits + halvings)
-    for n in range(1, 4 * digits):  # each term is smaller by a factor of 16 n
-        term = term @ part / n
-        result = result + term
-        if np.abs(term).max() < smallest:
-            break
-    for _ in range(halvings):
-        result = result @ result
-    return result
+def derivative(polynomial: Digits) -> Digits:
+    """Return the derivative of a polynomial."""
+    if len(polynomial) == 1:
+        return as_exact([0])
+    return np.asarray(polynomial[1:] * np.arange(1, len(polynomial)), dtype=object)
+
+
+def value_at(polynomial: Digits, x: Decimal) -> Decimal:
+    """Return the value of a polynomial."""
+    value = Decimal(0)
+    for c in polynomial[::-1].tolist():
+        value = value * x + c
+    return value
 
 
 def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
@@ -70,6 +68,32 @@ def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
         determinant.append(-sum(np.diagonal(turned), Decimal(0)) / k)
         adjugate.append(turned + determinant[-1] * one)
     return np.array(determinant[::-1], dtype=object), np.array(adjugate[-2::-1], dtype=object)
+
+
+def exponential(matrix: Digits, digits: int) -> Digits:
+    """Return exp of a square matrix: power series of the scaled matrix, then repeated squaring.
+
+    Powers of n rows and more are combinations of the lower ones (Cayley and Hamilton), so that terms of the series are
+    vectors of n coefficients.
+    """
+    norm = float(np.abs(matrix).sum(axis=1).max())
+    halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
+    part = matrix / Decimal(2) ** halvings
+    smallest = Decimal(10) ** -(digits + halvings)
+    bottom = resolvent(part)[0][:-1].tolist()
+    sums = term = [Decimal(1)] + [Decimal(0)] * (len(bottom) - 1)
+    for n in range(1, 4 * digits):
+        carried = term[-1] / n
+        term = [(low / n) - carried * c for low, c in zip([Decimal(0), *term[:-1]], bottom, strict=True)]
+        sums = [a + b for a, b in zip(sums, term, strict=True)]
+        if max(map(abs, term)) < smallest:
+            break
+    result, power_of = as_exact(np.zeros(matrix.shape)), as_exact(np.eye(len(matrix)))
+    for factor in sums:
+        result, power_of = result + factor * power_of, power_of @ part
+    for _ in range(halvings):
+        result = result @ result
+    return result
 
 
 def product(*factors: Digits) -> Digits:

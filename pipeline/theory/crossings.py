@@ -26,11 +26,21 @@ from itertools import accumulate, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polydiv, polyval
+from numpy.polynomial.polynomial import polydiv
 from numpy.typing import NDArray
 
 from pipeline.base.compiled import compiled, inlined
-from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits, power, product, total
+from pipeline.loop.many_digits import (
+    Digits,
+    as_exact,
+    as_floats,
+    derivative,
+    many_digits,
+    power,
+    product,
+    total,
+    value_at,
+)
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.loop.state_space import LEAST_RATIO
 from pipeline.records.trials import Booleans, Floats, Integers
@@ -219,17 +229,21 @@ def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Ro
     -----
     Roots with a relative difference below 1e-13 count as one, with the sum of their multiplicities.
     """
-    largest = max((abs(c) for c in polynomial), default=Decimal(0))
+    known = polynomial.tolist()
+    largest = max(map(abs, known), default=Decimal(0))
     if largest == 0:
         return Roots(np.zeros(0), np.zeros(0, np.intp), 0.0)
-    noise = largest * Decimal(10) ** (_NOISE_DIGITS - digits)
-    known = [c / largest if abs(c) > noise else Decimal(0) for c in polynomial]
-    used = [k for k, c in enumerate(known) if c]
-    known = known[used[0] : used[-1] + 1]
-    sign = 1.0 if known[0] > 0 else -1.0
-    if all(c >= 0 for c in known) or all(c <= 0 for c in known):
+    noise = largest.scaleb(_NOISE_DIGITS - digits)
+    used = [k for k, c in enumerate(known) if abs(c) > noise]
+    positive = {known[k] > 0 for k in used}
+    sign = 1.0 if known[used[0]] > 0 else -1.0
+    if len(positive) == 1:
         return Roots(np.zeros(0), np.zeros(0, np.intp), sign)
-    scaled = [c * _MIDDLE**k for k, c in enumerate(known)]
+    scaled, power = [Decimal(0)] * (used[-1] + 1 - used[0]), 1 / largest
+    for k in range(len(scaled)):
+        if abs(known[used[0] + k]) > noise:
+            scaled[k] = known[used[0] + k] * power
+        power *= _MIDDLE
     middle = float(_MIDDLE)
     roots = [(middle * root, m) for root, m in _roots_below_one(scaled, digits, sharp)]
     roots += [(middle / root, m) for root, m in _roots_below_one(scaled[::-1], digits, sharp)]
@@ -543,14 +557,6 @@ CONVERGED, STRAIGHT, NARROW = 1e-8, 0.01, 1e-15
 a bracket that counts as rounding."""
 
 
-def value_of(polynomial: Digits, x: Decimal) -> Decimal:
-    """Return the value of a polynomial at a place."""
-    value = Decimal(0)
-    for c in polynomial[::-1].tolist():
-        value = value * x + c
-    return value
-
-
 @dataclass(frozen=True, eq=False)
 class CircleCondition:
     """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
@@ -573,18 +579,18 @@ class CircleCondition:
 
     def bend(self, over: Digits) -> Digits:
         """Return the derivative of over/((1 + s)^delay turn) without its positive factors."""
-        plain = total(product(polyder(over), self.turn), -product(over, polyder(self.turn)))
+        plain = total(product(derivative(over), self.turn), -product(over, derivative(self.turn)))
         return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
         """Return beta at a place; infinity at its poles."""
-        bottom = value_of(self.turn, s)
-        return -value_of(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
+        bottom = value_at(self.turn, s)
+        return -value_at(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
 
     def alpha(self, s: Decimal, beta: Decimal) -> Decimal:
         """Return alpha at a place for its beta."""
-        stretch = polyval(s, self.stretch) / ((1 + s) ** self.delay * polyval(s, self.size))
-        return Decimal(-stretch - beta * polyval(s, self.level) / polyval(s, self.filter))
+        stretch = value_at(self.stretch, s) / ((1 + s) ** self.delay * value_at(self.size, s))
+        return Decimal(-stretch - beta * value_at(self.level, s) / value_at(self.filter, s))
 
 
 @lru_cache(maxsize=64)
@@ -610,11 +616,11 @@ def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[De
     for start, multiplicity in zip(roots.value.tolist(), roots.multiplicity.tolist(), strict=True):
         root, simple = Decimal(start), second
         for _ in range(multiplicity - 1):
-            simple = polyder(simple)
+            simple = derivative(simple)
         for _ in range(_SHARPENINGS):
-            root -= polyval(root, simple) / polyval(root, polyder(simple))
+            root -= value_at(simple, root) / value_at(derivative(simple), root)
         for _ in range(multiplicity):
-            if abs(polyval(root, first)) > polyval(root, np.abs(first)) * Decimal(10) ** (-digits // 2):
+            if abs(value_at(first, root)) > value_at(np.abs(first), root) * Decimal(10) ** (-digits // 2):
                 break
             shared.append(root)
             first, second = (polydiv(part, as_exact([-root, 1]))[0] for part in (first, second))
@@ -705,10 +711,11 @@ def _no_poles(roots: Floats, poles: Roots) -> Floats:
 
 def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
     """Return a row of `Branches.lines`, at which both N and -1/G are real."""
-    slope, side = polyval(root, c.level) / polyval(root, c.filter), -1 if sum(r > root for r in c.free) % 2 else 1
-    bend = (-side * polyval(root, c.twist) / (1 + root) ** c.delay, -side * polyval(root, c.turn))
-    turn = 2 * (c.free.count(root) % 2)
-    return tuple(map(float, (c.alpha(root, Decimal(0)), slope, *bend, turn, root.ln())))
+    slope, side = value_at(c.level, root) / value_at(c.filter, root), -1 if sum(r > root for r in c.free) % 2 else 1
+    bend = (-side * value_at(c.twist, root) / (1 + root) ** c.delay, -side * value_at(c.turn, root))
+    turn = 2.0 * (c.free.count(root) % 2)
+    first, *rest = map(float, bend)
+    return float(c.alpha(root, Decimal(0))), float(slope), first, *rest, turn, float(root.ln())
 
 
 def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
@@ -871,6 +878,10 @@ class StableIntervals:
     bounds: Integers
 
 
+_MANY = 400
+"""Number of crossings above which it pays to find out whether the first branch alone encloses the stable set."""
+
+
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
     """Return the stable intervals of alpha above -gamma at each beta, in ascending order; ends to about 11 digits.
 
@@ -882,7 +893,8 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
         Finite.
     """
     known = branches(loop)
-    if first_branch(loop) is not None:  # no pole is unstable inside it, and no wall is stable outside
+    many = len(beta) * (len(known.cells[0]) - 1) > _MANY
+    if many and first_branch(loop) is not None:  # no pole is unstable inside it, and no wall is stable outside
         known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
     return _counted_intervals(loop, known, beta)
 
@@ -946,14 +958,14 @@ def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
     """Return alpha of crossings near given places, shape (n,), to the last one or two digits of a double."""
     c, result, lines = circle_condition(loop), [], set(branches(loop).lines[5])
     with many_digits(loop.digits):
-        twist, turn = polyder(c.twist), polyder(c.turn)
+        twist, turn = derivative(c.twist), derivative(c.turn)
         for b, start in zip(as_exact(beta), place, strict=True):
             first = s = Decimal(float(np.exp(start)))
             for _ in range(0 if start in lines else _POLISHINGS):
                 # of twist + beta (1 + s)^delay turn
-                pull, lever = b * (1 + s) ** c.delay, polyval(s, c.turn)
-                slope = polyval(s, twist) + pull * (polyval(s, turn) + c.delay * lever / (1 + s))
-                s -= (polyval(s, c.twist) + pull * lever) / slope
+                pull, lever = b * (1 + s) ** c.delay, value_at(c.turn, s)
+                slope = value_at(twist, s) + pull * (value_at(turn, s) + c.delay * lever / (1 + s))
+                s -= (value_at(c.twist, s) + pull * lever) / slope
             touches = abs(s - first) > _FARTHEST * first
             result.append(c.alpha(first if touches else s, b))
     return np.array([float(a) for a in result])
