@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.base.disk import write_text
+from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare as comparison
 from pipeline.comparison.compare import compare
@@ -347,5 +347,5 @@ def test_no_temporary_files_are_left(own):
     # the lock stays: removing it while another process waits for it would let both in
     known = (".lock", ".last_ingest.json", ".stored.json")
     hidden = [p for p in own.rglob("*") if p.name.startswith(".") and p.name not in known]
-    assert not hidden + list(own.rglob("*.tmp"))
+    assert not hidden + list(own.rglob(f"*{TEMPORARY_ENDING}"))
     assert np.all([os.access(p, os.R_OK) for p in own.rglob("*.parquet")])

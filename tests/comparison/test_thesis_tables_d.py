@@ -104,10 +104,13 @@ def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_fac
 
 def test_computed_values_replace_the_rows_that_cannot_be_reproduced(falcon_outcome, lwr_outcome):
     known = {("D.1", "overshoot"): 5057, ("D.4", "overshoot"): 4360, ("D.4", "settle_2pct"): 3761}
-    for row in theory_rows(falcon_outcome) + theory_rows(lwr_outcome):
-        if (row.table, row.criterion) in known and row.condition == "theory_discrete":
-            assert row.stiffness == pytest.approx(known[row.table, row.criterion], abs=1)
-            assert row.note
+    rows = {
+        (row.table, row.criterion): row
+        for row in theory_rows(falcon_outcome) + theory_rows(lwr_outcome)
+        if (row.table, row.criterion) in known and row.condition == "theory_discrete"
+    }
+    assert {place: row.stiffness for place, row in rows.items()} == pytest.approx(known, abs=1)
+    assert all(row.note for row in rows.values())
 
 
 def test_measured_rows_hold_the_best_trial_and_its_deviation(falcon_outcome, falcon):

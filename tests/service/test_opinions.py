@@ -108,6 +108,7 @@ def test_reports_repeat_what_people_said_and_can_be_verified(three):
     told = page(three, "/devices/falcon/experiments/1")
     assert "cable &amp; plug" in told
     assert "not of this report" not in told
+    assert "not of this report" in page(three, "/devices/falcon/experiments/2")
     file = Path(three.settings.comparisons / f"{answer['key']}.html")
     assert verify(file, three.settings.processed).differences == ()
     assert three.ask("POST", "comparisons", document=asked).content == {"key": answer["key"]}
