@@ -13,7 +13,7 @@ def smoothed(x, y, values, neighbours):
     points = points / np.where(spread > 0, spread, 1.0)
     away = np.linalg.norm(points[:, None] - points, axis=2)
     sure = np.ones(len(x))
-    for turn in range(ROBUST + 1):
+    for _ in range(ROBUST + 1):
         result, usual = np.empty(len(x)), np.empty(len(x))
         near_of = np.argsort(away, axis=1, kind="stable")[:, :neighbours]
         for i, near in enumerate(near_of):
@@ -21,12 +21,11 @@ def smoothed(x, y, values, neighbours):
             root = np.sqrt(weight)
             design = np.column_stack([np.ones(len(near)), points[near] - points[i]])
             result[i] = np.linalg.lstsq(root[:, None] * design, root * values[near], rcond=1e-6)[0][0]
-        if turn == ROBUST:
-            return result
         error = np.abs(values - result)
         for i, near in enumerate(near_of):
             usual[i] = max(6 * np.median(error[near]), NO_ERROR)
         sure = (1 - np.minimum(error / usual, 1.0) ** 2) ** 2
+    return result
 
 
 @pytest.mark.parametrize(("count", "neighbours"), [(60, 40), (61, 12), (9, 9), (25, 40)])
