@@ -96,7 +96,7 @@ CHANGES = (
     Change("theory/passivity.py", "(4 * near - twice) / 3", "near"),
     Change("records/criteria.py", "none=1e-12", "none=1e-3", "tests/theory"),
     Change("rig/wish.py", "(1 - tolerance, 1 + tolerance)", "(1 + tolerance, 1 + tolerance)"),
-    Change("plan/next_wall.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
+    Change("planning/next_wall.py", "0.5 * (of.bottom + far)", "0.9 * (of.bottom + far)"),
 )  # fmt: skip
 
 

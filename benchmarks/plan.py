@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.plan.campaign import PlanOptions, wanted_dampings
+from pipeline.planning.campaign import PlanOptions, wanted_dampings
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from rigs import KINDS, Rig, as_in_the_thesis, at_random, bisected, error_of, look_for_best, planned

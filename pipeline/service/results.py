@@ -29,8 +29,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.intake.stored_sources import StoredSources
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.campaign import PlanOptions
-from pipeline.plan.planner import plan
+from pipeline.planning.campaign import PlanOptions
+from pipeline.planning.planner import plan
 from pipeline.records.criteria import REPORTED, criterion_of
 from pipeline.records.findings import Note
 from pipeline.records.results import ComparisonResult

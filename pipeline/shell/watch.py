@@ -21,8 +21,8 @@ from pipeline.shell import console
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from pipeline.plan.campaign import PlanOptions
-    from pipeline.plan.planner import Plan
+    from pipeline.planning.campaign import PlanOptions
+    from pipeline.planning.planner import Plan
 
 FileState = tuple[int, int, int]
 """Size [byte], and times of the last change of content and of metadata such as permissions [ns since 1970]."""
@@ -300,8 +300,8 @@ def plan_beside(
     from pipeline.intake.ingest import ingest
     from pipeline.measured.identification.parts import ChosenParts, choose_parts
     from pipeline.measured.identification.recordings import Recording
-    from pipeline.plan.campaign import open_campaign
-    from pipeline.plan.planner import plan_of, remember
+    from pipeline.planning.campaign import open_campaign
+    from pipeline.planning.planner import plan_of, remember
 
     told, running = set[tuple[str, str]](), list["Future[ChosenParts]"]()
 

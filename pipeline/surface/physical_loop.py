@@ -288,7 +288,7 @@ class Loop(device_loop.Loop):
                     f"step = {step}, samples = {samples}: expected a positive, finite step and at least "
                     f"{_FEWEST_SAMPLES} samples."
                 )
-            from pipeline.plan.loop_limits import (  # needed only for simulated limits
+            from pipeline.planning.loop_limits import (  # needed only for simulated limits
                 StepTrial,
                 step_limits,
             )

@@ -10,7 +10,7 @@ from pipeline.comparison.loops.boundary_shape import implied_delay, straight_bou
 from pipeline.comparison.loops.loop_basis import LoopBasis
 from pipeline.device.loop import Loop
 from pipeline.measured.experiment.identified_loop import nominal_loop
-from pipeline.plan.loop_limits import linear_limits
+from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.results import ExperimentResult
 

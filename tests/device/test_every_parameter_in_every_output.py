@@ -27,7 +27,7 @@ import pipeline
 from pipeline import PipelineError, design, published_limits
 from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.device_data.devices import read_device
-from pipeline.plan.planner import plan
+from pipeline.planning.planner import plan
 from pipeline.service.theory import document as rest
 from pipeline.shell.cli import application
 from pipeline.shell.commands.cli_device import plan_lines

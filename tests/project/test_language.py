@@ -29,7 +29,7 @@ EXCEPTIONS = {
     "docs/logs.md": (["hold"], "value of the profile's key `blanks`"),
     "pipeline/profiles/profile_model.py": (["hold"], "the same"),
     "pipeline/readers/rows.py": (["hold"], "the same"),
-    "pipeline/plan/cost_search.py": (["holds"], "name of a field, in its description"),
+    "pipeline/planning/cost_search.py": (["holds"], "name of a field, in its description"),
     "pipeline/simulation/setup.py": (["held"], "name of an array, in its description"),
     "pipeline/surface/identify.py": (["told"] * 2, "key of the JSON document, and a column"),
     "pipeline/shell/console.py": (["tell"], "name of a function"),

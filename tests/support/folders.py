@@ -18,8 +18,8 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "simulation": ("device_data", "store", "theory"),
     "explorer": ("records",),
     "rendering": ("theory", "explorer"),
-    "plan": ("measured", "simulation"),
-    "comparison": ("profiles", "rendering", "plan", "simulation"),
+    "planning": ("measured", "simulation"),
+    "comparison": ("profiles", "rendering", "planning", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
     "rig": ("surface",),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory

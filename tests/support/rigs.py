@@ -14,9 +14,9 @@ from pipeline.measured.cost.costs import settling
 from pipeline.measured.identification.parts import choose_parts
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.plan.campaign import Campaign, LearntDevice, PlanOptions, learn, wanted_dampings
-from pipeline.plan.next_wall import TriedWalls, bracket
-from pipeline.plan.planner import plan_of
+from pipeline.planning.campaign import Campaign, LearntDevice, PlanOptions, learn, wanted_dampings
+from pipeline.planning.next_wall import TriedWalls, bracket
+from pipeline.planning.planner import plan_of
 from pipeline.records.trials import Floats, Trial, Trials
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate

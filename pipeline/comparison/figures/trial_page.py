@@ -22,7 +22,7 @@ from pipeline.device.parameters import unit_of
 from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.loop_limits import StepTrial, simulate_behind
+from pipeline.planning.loop_limits import StepTrial, simulate_behind
 from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.results import ExperimentResult
 from pipeline.records.trials import Floats, Integers, Trial

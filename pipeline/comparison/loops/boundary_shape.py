@@ -15,7 +15,7 @@ from pipeline.comparison.loops.loop_basis import LoopBasis
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.student import NORMAL_95, ROUNDING, student_95
-from pipeline.plan.loop_limits import linear_limits
+from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import Quantity
 from pipeline.records.results import ExperimentResult, ImpliedDelay, StraightBound
 from pipeline.records.trials import Floats

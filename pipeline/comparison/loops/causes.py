@@ -16,7 +16,7 @@ from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.loop_limits import StepTrial, damping_of_stiffest, linear_limits, step_limits
+from pipeline.planning.loop_limits import StepTrial, damping_of_stiffest, linear_limits, step_limits
 from pipeline.records.findings import MATTERS
 from pipeline.records.results import Cause, CauseCode, ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span

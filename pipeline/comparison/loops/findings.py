@@ -32,7 +32,7 @@ from pipeline.comparison.loops.wall_replay import (
 )
 from pipeline.device.loop import Loop
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.loop_limits import limits_of
+from pipeline.planning.loop_limits import limits_of
 from pipeline.records.findings import Quantity
 from pipeline.records.models import Device, Experiment
 from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay

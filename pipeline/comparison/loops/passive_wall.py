@@ -12,7 +12,7 @@ from pipeline.comparison.loops.loop_basis import LoopBasis
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LARGEST_DELAY, LoopUnits, NormalisedLoop
 from pipeline.measured.wall_command.log_rows import SET_DIGITS
-from pipeline.plan.loop_limits import limits_of
+from pipeline.planning.loop_limits import limits_of
 from pipeline.records.results import ExperimentResult, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 

@@ -22,7 +22,7 @@ from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.measured_trial import MeasuredTrial, about
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.loop_limits import StepTrial, linear_limits, simulate_behind
+from pipeline.planning.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.findings import MATTERS, Limit
 from pipeline.records.results import ExperimentResult, WallReplay
 from pipeline.records.trials import Booleans, Floats, Integers, Trial

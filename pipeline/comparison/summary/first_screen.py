@@ -24,8 +24,8 @@ from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.campaign import TRIALS, PlanOptions, campaign_of
-from pipeline.plan.planner import NOTES, plan_of
+from pipeline.planning.campaign import TRIALS, PlanOptions, campaign_of
+from pipeline.planning.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (

@@ -31,7 +31,7 @@ from pipeline.shell.commands.options import (
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
-    from pipeline.plan.planner import Plan
+    from pipeline.planning.planner import Plan
     from pipeline.records.models import Device
     from pipeline.surface.physical_loop import Loop
 
@@ -382,8 +382,8 @@ def plan(
 
     Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
     """
-    from pipeline.plan.campaign import PlanOptions
-    from pipeline.plan.planner import plan as plan_stored
+    from pipeline.planning.campaign import PlanOptions
+    from pipeline.planning.planner import plan as plan_stored
     from pipeline.records.criteria import MEASURED
 
     criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal

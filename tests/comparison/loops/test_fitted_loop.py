@@ -14,7 +14,7 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.estimates import delay_estimate
 from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.plan.loop_limits import limits_of
+from pipeline.planning.loop_limits import limits_of
 from pipeline.records.models import Device
 from pipeline.records.trials import Trials
 from pipeline.simulation.radius import spectral_radius

@@ -11,7 +11,7 @@ from fine_loop import Body, run
 from pipeline.device.loop import Loop
 from pipeline.device.parts import Friction
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
-from pipeline.plan.loop_limits import StepTrial, limits_of, linear_limits, step_limits
+from pipeline.planning.loop_limits import StepTrial, limits_of, linear_limits, step_limits
 
 MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
 B = np.array([40.0, 100.0])

@@ -13,7 +13,7 @@ from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.device.loop import Loop
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.student import NORMAL_95
-from pipeline.plan.loop_limits import linear_limits
+from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup

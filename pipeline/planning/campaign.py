@@ -27,9 +27,16 @@ from pipeline.measured.stages.stage_device import device_row, recording, recordi
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.measured.wall_command.wall_law import wall_law
-from pipeline.plan.loop_limits import NARROW, StepTrial, damping_of_stiffest, limits_of, linear_limits, lowest_limits
-from pipeline.plan.next_wall import Forecast, TriedWalls
-from pipeline.plan.requests import AnsweredWall, stored_requests
+from pipeline.planning.loop_limits import (
+    NARROW,
+    StepTrial,
+    damping_of_stiffest,
+    limits_of,
+    linear_limits,
+    lowest_limits,
+)
+from pipeline.planning.next_wall import Forecast, TriedWalls
+from pipeline.planning.requests import AnsweredWall, stored_requests
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
 from pipeline.records.trials import Floats, Trials

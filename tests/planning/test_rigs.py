@@ -13,10 +13,10 @@ import pytest
 from labs import make_lab
 
 from pipeline.device_data.devices import load_device
-from pipeline.plan.campaign import PlanOptions, open_campaign
-from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import TriedWalls
-from pipeline.plan.planner import Plan, PlannedLimit, plan, plan_of
+from pipeline.planning.campaign import PlanOptions, open_campaign
+from pipeline.planning.loop_limits import linear_limits
+from pipeline.planning.next_wall import TriedWalls
+from pipeline.planning.planner import Plan, PlannedLimit, plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
 
 FALCON = load_device("falcon")

@@ -11,8 +11,8 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device.parts import LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.plan.campaign import PlanOptions, forecast_of, open_campaign, wanted_dampings
-from pipeline.plan.planner import plan, plan_of
+from pipeline.planning.campaign import PlanOptions, forecast_of, open_campaign, wanted_dampings
+from pipeline.planning.planner import plan, plan_of
 from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.theory.boundary import limits
 from pipeline.theory.optimum import optimal_point

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.plan.next_wall import (
+from pipeline.planning.next_wall import (
     Bracket,
     Forecast,
     PlanGoal,

@@ -9,9 +9,9 @@ import pytest
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.plan.cost_search import CostTarget, costs_of, search_walls
-from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import TriedWalls
+from pipeline.planning.cost_search import CostTarget, costs_of, search_walls
+from pipeline.planning.loop_limits import linear_limits
+from pipeline.planning.next_wall import TriedWalls
 from pipeline.theory.optimum import optimal_point
 
 BY = Loop(mass=0.5, damping=3.5, sampling_period_s=1e-3, delay_samples=4.0)

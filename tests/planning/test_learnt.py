@@ -11,8 +11,8 @@ from kinds import kinds
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.measured.identification.parts import choose_parts
-from pipeline.plan.campaign import PlanOptions, forecast_of, learn, open_campaign
-from pipeline.plan.loop_limits import limits_of, linear_limits
+from pipeline.planning.campaign import PlanOptions, forecast_of, learn, open_campaign
+from pipeline.planning.loop_limits import limits_of, linear_limits
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
-from pipeline.plan.campaign import SAME
-from pipeline.plan.next_wall import VOTES, TriedWalls
+from pipeline.planning.campaign import SAME
+from pipeline.planning.next_wall import VOTES, TriedWalls
 from pipeline.records.criteria import criterion_of
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import stiffness_limit

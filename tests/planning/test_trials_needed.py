@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rigs import Known, Rig, as_in_the_thesis, at_random, bisected, error_of, look_for_best, planned
 
-from pipeline.plan.campaign import PlanOptions, wanted_dampings
+from pipeline.planning.campaign import PlanOptions, wanted_dampings
 
 LOW, HIGH = np.array([1000.0, 8000.0, 0.0]), np.array([1100.0, 8100.0, 100.0])
 

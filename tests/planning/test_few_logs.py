@@ -18,10 +18,10 @@ from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.plan.campaign import Campaign, PlanOptions, open_campaign
-from pipeline.plan.loop_limits import linear_limits, lowest_limits
-from pipeline.plan.next_wall import Bracket, Forecast, PlanGoal, TriedWalls, bracket, plan_state, stiffest_stable
-from pipeline.plan.planner import plan, plan_of, rounded_down
+from pipeline.planning.campaign import Campaign, PlanOptions, open_campaign
+from pipeline.planning.loop_limits import linear_limits, lowest_limits
+from pipeline.planning.next_wall import Bracket, Forecast, PlanGoal, TriedWalls, bracket, plan_state, stiffest_stable
+from pipeline.planning.planner import plan, plan_of, rounded_down
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.surface.identify import identify

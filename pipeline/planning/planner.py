@@ -13,7 +13,7 @@ from pipeline.base.errors import DeviceError, UsageError
 from pipeline.base.wording import commonest, counted, listed
 from pipeline.device.parameters import unit_of
 from pipeline.measured.experiment.identified_loop import nominal_loop
-from pipeline.plan.campaign import (
+from pipeline.planning.campaign import (
     RANGE_NEEDED,
     Campaign,
     PlanOptions,
@@ -22,9 +22,9 @@ from pipeline.plan.campaign import (
     snapped,
     wanted_dampings,
 )
-from pipeline.plan.cost_search import CostTarget, Search, search_walls
-from pipeline.plan.next_wall import BOLDER, GENTLER, DampingState, Forecast, PlanGoal, PlanState, order, plan_state
-from pipeline.plan.requests import RigRange, range_of, store_requests
+from pipeline.planning.cost_search import CostTarget, Search, search_walls
+from pipeline.planning.next_wall import BOLDER, GENTLER, DampingState, Forecast, PlanGoal, PlanState, order, plan_state
+from pipeline.planning.requests import RigRange, range_of, store_requests
 from pipeline.records.findings import Record
 
 NOTES = {

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.plan.requests import RigRange
+from pipeline.planning.requests import RigRange
 from pipeline.records.trials import Booleans, Floats
 
 VOTES = 3

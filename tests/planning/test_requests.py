@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from pipeline.device_data.devices import load_device
-from pipeline.plan.campaign import PlanOptions, open_campaign
-from pipeline.plan.loop_limits import linear_limits
-from pipeline.plan.next_wall import TriedWalls
-from pipeline.plan.planner import plan_of
-from pipeline.plan.requests import AnsweredWall, Requests, range_of, store_requests, stored_requests
+from pipeline.planning.campaign import PlanOptions, open_campaign
+from pipeline.planning.loop_limits import linear_limits
+from pipeline.planning.next_wall import TriedWalls
+from pipeline.planning.planner import plan_of
+from pipeline.planning.requests import AnsweredWall, Requests, range_of, store_requests, stored_requests
 
 FALCON = load_device("falcon")
 LIMIT = partial(linear_limits, FALCON.loop_for(FALCON.experiments[0]))
