@@ -19,7 +19,7 @@ from pathlib import Path
 from pipeline.profiles.profile_files import read_profile
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import recorded_figure
-from pipeline.shell.profile.check import look
+from pipeline.surface.log_picture import look
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "tutorial.md"

@@ -20,9 +20,11 @@ if TYPE_CHECKING:
     from pipeline.surface.comparisons import load as load
     from pipeline.surface.identify import IdentifiedDevice as Identified
     from pipeline.surface.identify import identify as identify
+    from pipeline.surface.log_picture import look as look
     from pipeline.surface.logs import ingest as ingest
     from pipeline.surface.logs import read_log as read_log
     from pipeline.surface.logs import simulate as simulate
+    from pipeline.surface.next_wall import plan as plan
     from pipeline.surface.physical_loop import Loop as Loop
     from pipeline.surface.stored import boundary as boundary
     from pipeline.surface.stored import costs as costs
@@ -43,6 +45,8 @@ _PUBLIC = {
     ),
     "surface.comparisons": ("Comparison", "compare", "load"),
     "surface.identify": ("Identified", "identify"),
+    "surface.log_picture": ("look",),
+    "surface.next_wall": ("plan",),
     "surface.physical_loop": ("Loop",),
     "rig.design": ("Design", "design"),
     "rig.published": ("published_limits",),
@@ -69,7 +73,9 @@ __all__ = [
     "identify",
     "ingest",
     "load",
+    "look",
     "optima",
+    "plan",
     "published_limits",
     "read_log",
     "samples",
@@ -88,4 +94,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return list(__all__)

@@ -5,6 +5,7 @@ Every message states the fault, its place, the expected and the found value, and
 
 from __future__ import annotations
 
+import shlex
 from typing import Self
 
 CURES: dict[str, str] = {
@@ -44,6 +45,12 @@ HELPS = "This might help in the profile:"
 
 OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
 """Codes of a log whose form differs from its profile."""
+
+
+def draft_hint(log: str) -> str:
+    """Return the remedy for a log whose columns no profile reads."""
+    return f"Other columns? pipeline profile draft {shlex.quote(log)}"
+
 
 EXIT_OK = 0
 EXIT_ERROR = 1

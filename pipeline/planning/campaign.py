@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import floor, inf, log10
 from pathlib import Path
@@ -37,6 +37,7 @@ from pipeline.planning.loop_limits import (
 )
 from pipeline.planning.next_wall import Forecast, TriedWalls
 from pipeline.planning.requests import AnsweredWall, stored_requests
+from pipeline.records.criteria import MEASURED
 from pipeline.records.findings import unsafe_reason
 from pipeline.records.models import Device, Experiment
 from pipeline.records.trials import Floats, Trials
@@ -127,6 +128,42 @@ class PlanOptions:
     largest_damping: float = inf
     largest_force: float = inf
     travel: float = inf
+
+
+BOUNDS = {
+    "stiffness": "largest_stiffness",
+    "damping": "largest_damping",
+    "force": "largest_force",
+    "travel": "travel",
+}
+"""Quantities that bound what is tried, with their names in `PlanOptions`."""
+
+
+def plan_options(
+    goal: str, count: int, dampings: Sequence[float], gentle: bool, limits: Mapping[str, float]
+) -> PlanOptions:
+    """Return the options of a plan for a goal: ``boundary``, ``optimum`` (by settle_2pct), or a criterion.
+
+    Raises
+    ------
+    UsageError
+        For another goal, a bound that is not in `BOUNDS` or not above 0, no wall, or a negative damping.
+    """
+    criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal
+    if criterion not in MEASURED:
+        raise UsageError(f"goal {goal}: expected boundary, optimum or a criterion: {', '.join(MEASURED)}.")
+    if count < 1:
+        raise UsageError(f"{count} walls: expected 1 or more to name at once.")
+    for name, value in limits.items():
+        if name not in BOUNDS:
+            raise UsageError(f"limit of {name}: expected one of {', '.join(BOUNDS)}.")
+        if not value > 0:
+            raise UsageError(f"limit of {name}: expected a number above 0, found {value:g}.")
+    if not all(0 <= B < inf for B in dampings):
+        raise UsageError(f"dampings {', '.join(f'{B:g}' for B in dampings)}: expected numbers of 0 or more.")
+    kind: Literal["boundary", "optimum"] = "boundary" if goal == "boundary" else "optimum"
+    bounds = {BOUNDS[name]: float(value) for name, value in limits.items()}
+    return PlanOptions(kind, criterion, count, tuple(map(float, dampings)), gentle=gentle, **bounds)
 
 
 @dataclass(frozen=True, eq=False)

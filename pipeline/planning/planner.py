@@ -124,6 +124,24 @@ class Plan(Record):
     optimum: BestWall | None = None
     left_out: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        """Return the plan as lines of text: walls, remarks, the best trial so far, and at the end the limits."""
+        lines = [f"K = {w.stiffness:g}, B = {w.damping:g}: expected {w.expected}. {w.why}" for w in self.next]
+        lines += self.remarks
+        if self.left_out:
+            lines.append(f"left out of linear theory: {', '.join(self.left_out)}")
+        if (best := self.optimum) is not None:
+            least = "" if best.expected_cost is None else f"; {best.expected_cost:.4g} expected at the least"
+            place = f"K = {best.stiffness:g}, B = {best.damping:g}"
+            lines.append(f"best {best.criterion} so far: {best.cost:.4g} at {place}{least}")
+        for limit in self.boundary if self.done else ():
+            value = "unknown" if limit.estimate is None else f"{limit.estimate:.5g}"
+            ends = "no stable wall" if limit.low is None else f"stable at {limit.low:.5g}"
+            ends += ", no unstable wall" if limit.high is None else f", unstable at {limit.high:.5g}"
+            lines.append(f"B = {limit.damping:g}: limit {value} ({ends}){'; ' + limit.note if limit.note else ''}")
+        total = "done" if self.done else f"about {self.trials_expected} in all"
+        return "\n".join([*lines, f"{self.trials_used} trials so far, {total}"])
+
 
 def plan(
     name: str,

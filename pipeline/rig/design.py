@@ -12,12 +12,16 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import ParameterError
+from pipeline.device.parameters import Motion, unit_of
 from pipeline.rig.quantities import Quantity, present
 from pipeline.rig.wish import DesignTarget, RigWall, best_wall, decay, quickest
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
 """Number of points between the rig and the largest change at which the wish is evaluated before bisection."""
+
+_SHOWN = 6
+"""Number of changes in the summary; the document has all."""
 
 _EDGE = 5
 """Number of evaluations towards a change that gives an invalid rig, such as a cut-off above half the sampling rate."""
@@ -89,6 +93,8 @@ class Design:
         percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
     left_out : tuple of str
         Parts of the rig that theory does not include.
+    motion : str
+        Kind of motion, which gives the units of K and B.
     """
 
     wish: DesignTarget
@@ -99,6 +105,33 @@ class Design:
     out_of_reach: dict[str, str]
     sensitivities: pd.DataFrame
     left_out: tuple[str, ...] = ()
+    motion: Motion = "translation"
+
+    def __str__(self) -> str:
+        """Return the answer as lines of text: reached or not, the wall, and the changes that reach it."""
+        k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
+        lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
+        largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
+        lines.append(f"Reached: {'yes' if reached else 'no'}." + (largest if wanted is not None else ""))
+        lines.append(f"{'Wall' if reached else 'Nearest wall'}: {_text(self.wall, self.motion)}")
+        lines += ["", "Changes that reach it, smallest first:"] if self.changes else []
+        for change in self.changes[:_SHOWN]:
+            after = change.after.items()
+            parts = (f"{name} {change.before[name]:.4g} -> {new:.4g} {change.units[name]}" for name, new in after)
+            lines.append(f"  {' and '.join(parts)}: {_text(change.wall, self.motion)}")
+        if len(self.changes) > _SHOWN:
+            lines.append(f"  ({len(self.changes) - _SHOWN} more: --json)")
+        if any("sampling_period_s" in change.after for change in self.changes[:_SHOWN]):
+            lines.append(
+                "  (the delay counts in samples: it is shorter in time with a shorter sampling period. One of a"
+            )
+            lines.append(
+                "  fixed time makes another rig: `identify --period` writes its file, or keep sampling_period_s)"
+            )
+        lines += [f"  {name} alone: {why}" for name, why in self.out_of_reach.items()]
+        if not reached and not self.changes:
+            lines.append("No single change reaches it, and no pair of changes was found that does.")
+        return "\n".join(lines)
 
     def document(self) -> dict[str, Any]:
         """Return the design as a JSON document."""
@@ -160,7 +193,20 @@ def design(
         out_of_reach=out_of_reach,
         sensitivities=_sensitivities(loop, quantities, best),
         left_out=loop.left_out,
+        motion=loop.motion,
     )
+
+
+def _text(wall: dict[str, float | None], motion: Motion) -> str:
+    """Return the properties of a wall in words."""
+    K, limit, k = wall["stiffness"] or 0.0, wall["stiffness_limit"], unit_of("stiffness", motion)
+    words = [f"K = {K:.5g} {k}, B = {wall['damping']:.4g} {unit_of('damping', motion)}"]
+    words.append("unstable" if limit is None or limit < K else f"limit {limit:.5g} {k}")
+    if (settling := wall["settling_s"]) is not None:
+        words.append(f"settles in {settling:.3g} s")
+    if (overshoot := wall["overshoot"]) is not None:
+        words.append(f"overshoot {100 * overshoot:.2g} %")
+    return ", ".join(words)
 
 
 def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:

@@ -6,7 +6,6 @@ import inspect
 import json
 import os
 import re
-import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -178,11 +177,6 @@ def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
     for members in groups.values():
         log, text = members[0]
         yield f"{log if len(members) == 1 else f'{len(members)} logs, first {log}'}: {text}"
-
-
-def draft_hint(log: str) -> str:
-    """Return the remedy for a log whose columns no profile reads."""
-    return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:

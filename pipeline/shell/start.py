@@ -20,13 +20,13 @@ from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name
+from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
 from pipeline.shell.profile.conditions import factor_of, proved_unit
 from pipeline.shell.profile.evidence import WallLaw, answers, common_laws, near_round, wall_law
 from pipeline.shell.profile.roles import Answer, Answers
-from pipeline.shell.profile.samples import Sample, open_sample
 
 SHEETS = (".csv", ".tsv", ".txt", ".xlsx", ".ods", ".xls")
 """Extensions of files that may be a sheet with one row per log."""

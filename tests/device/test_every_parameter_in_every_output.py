@@ -30,7 +30,6 @@ from pipeline.device_data.devices import read_device
 from pipeline.planning.planner import plan
 from pipeline.service.theory import document as rest
 from pipeline.shell.cli import application
-from pipeline.shell.commands.cli_device import plan_lines
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.simulation.sweep import run_sweep, write_sweep
@@ -403,7 +402,7 @@ def planned(cell: Cell) -> None:
     """The first wall of a device file without logs is half of what is stable at its damping."""
     answer = plan(str(cell.file), cell.folder / "processed")
     cell.reports(answer.left_out)
-    text = "\n".join(plan_lines(answer))
+    text = str(answer)
     assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
     wall, limit = answer.next[0], cell.loop.limits(answer.next[0].damping)["stiffness"][0]
     cell.is_limit(limit, wall.damping)

@@ -17,7 +17,6 @@ from pipeline.planning.campaign import PlanOptions, open_campaign
 from pipeline.planning.loop_limits import linear_limits
 from pipeline.planning.next_wall import TriedWalls
 from pipeline.planning.planner import Plan, PlannedLimit, plan, plan_of
-from pipeline.shell.commands.cli_device import plan_lines
 
 FALCON = load_device("falcon")
 MOST = 60
@@ -79,7 +78,7 @@ def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp
 
 def test_a_limit_without_a_stable_wall_is_none_in_words_as_in_json():
     limit = PlannedLimit(damping=20.0, estimate=400.0, low=None, high=1000.0)
-    told = "\n".join(plan_lines(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3)))
+    told = str(Plan(next=(), done=True, boundary=(limit,), trials_used=3, trials_expected=3))
     assert "no stable wall, unstable at 1000" in told
     assert "stable at 0" not in told
 

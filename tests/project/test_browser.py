@@ -20,8 +20,8 @@ from trial_pages import trial_page
 
 from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
-from pipeline.shell.profile import check
 from pipeline.shell.report_index import write_index
+from pipeline.surface.log_picture import look
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
 WIDTHS = (1440, 390)
@@ -540,7 +540,7 @@ def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
 def test_a_picture_of_a_log_has_one_margin(browser: Any, tmp_path: Path) -> None:
     log = tmp_path / "a.csv"
     log.write_text("n,x\n" + "".join(f"{row},{row % 7}.5\n" for row in range(60)), encoding="utf-8")
-    (tmp_path / "look.html").write_text(check.page(check.look(log)), encoding="utf-8")
+    look(log).write(tmp_path / "look.html")
     for width in WIDTHS:
         opened = browser.new_page(viewport={"width": width, "height": 900})
         opened.goto((tmp_path / "look.html").as_uri())

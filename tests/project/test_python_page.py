@@ -31,7 +31,7 @@ def done(tmp_path_factory, one_process):
 
 def test_ten_tasks_are_shown():
     assert re.findall(r"^## (\d+) ", PAGE, re.MULTILINE) == [str(number) for number in range(1, 11)]
-    assert len(BLOCKS) == 12
+    assert len(BLOCKS) == 13
 
 
 def test_every_public_name_is_on_the_page():

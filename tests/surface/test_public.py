@@ -17,6 +17,8 @@ from pipeline.base.errors import DeviceError, LogError, StoreError, UsageError
 SIGNATURES = {
     "ingest": ["paths", "processed", "profile"],
     "read_log": ["path", "profile", "label"],
+    "look": ["path", "profile"],
+    "plan": ["device", "processed", "experiment", "goal", "count", "dampings", "gentle", "limits"],
     "simulate": ["device", "experiment", "seed", "ideal", "coarsen", "duration_s", "out", "overwrite"],
     "devices": ["processed"],
     "experiments": ["processed", "device"],
@@ -34,7 +36,10 @@ SIGNATURES = {
     "Identified": ["document"],
     "published_limits": ["loop", "damping", "coulomb", "quantum"],
     "design": ["loop", "stiffness", "settling_s", "overshoot", "margin", "tolerance", "keep"],
-    "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities", "left_out"],
+    "Design": [
+        *("wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities", "left_out"),
+        "motion",
+    ],
     "Loop": [
         *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
         *("velocity", "actuator_lag_s", "force_gain", "mode", "operator", "friction"),
@@ -53,7 +58,7 @@ def run(script: str) -> str:
 def test_names_and_signatures_are_those_of_the_page():
     assert set(pipeline.__all__) == {*SIGNATURES, "PipelineError"}
     assert {name: list(inspect.signature(getattr(pipeline, name)).parameters) for name in SIGNATURES} == SIGNATURES
-    assert set(pipeline.__all__) <= set(dir(pipeline))
+    assert set(dir(pipeline)) == set(pipeline.__all__), "completion offers public names only"
 
 
 def test_every_public_name_has_a_type():
@@ -147,6 +152,50 @@ def test_a_log_that_is_refused_is_named_with_its_row(tmp_path):
         pipeline.read_log(tmp_path / "empty")
     report = pipeline.ingest(log, tmp_path / "processed")
     assert [refusal.reason for refusal in report.quarantined] == [refused.value.__cause__.reason]
+
+
+def test_a_picture_shows_the_log_as_the_command_does(tmp_path):
+    (log,) = pipeline.simulate("falcon", "1", coarsen=40, duration_s=0.1, out=tmp_path / "raw")[:1]
+    path = next((tmp_path / "raw").rglob(f"{log.attrs['trial']}.csv"))
+    picture = pipeline.look(path)
+    assert "Read by profile native, in SI." in str(picture)
+    (trial,) = picture.document["trials"]
+    assert trial["rows"] == len(log)
+    assert trial["step_row"] == int((log["command"] > 0.5 * log.attrs["step"]).to_numpy().argmax())
+    page = picture.write(tmp_path / "new" / "look.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == len(trial["columns"]) == 2
+
+
+def test_a_plan_is_that_of_the_command(tmp_path, falcon):
+    plan = pipeline.plan("falcon", tmp_path / "none", "1", goal="boundary", limits={"stiffness": 3000.0})
+    assert 0 < plan.next[0].stiffness <= 3000
+    assert str(plan).startswith(f"K = {plan.next[0].stiffness:g}, B = {plan.next[0].damping:g}: expected")
+    printed = run(f"import pipeline; print(pipeline.plan('falcon', {str(falcon.processed)!r}, '1', count=2))")
+    command = [sys.executable, "-m", "pipeline", "plan", "--device", "falcon", "--next", "2"]
+    told = subprocess.run([*command, "--processed", falcon.processed], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == printed
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"goal": "nicest"}, "goal nicest: expected boundary, optimum or a criterion"),
+        ({"count": 0}, "0 walls: expected 1 or more"),
+        ({"limits": {"speed": 1.0}}, "limit of speed: expected one of stiffness, damping, force, travel"),
+        ({"limits": {"force": float("nan")}}, "limit of force: expected a number above 0, found nan"),
+        ({"dampings": [-1.0]}, "dampings -1: expected numbers of 0 or more"),
+    ],
+)
+def test_a_wrong_wish_of_a_plan_is_named(tmp_path, wrong, reason):
+    with pytest.raises(UsageError, match=reason):
+        pipeline.plan("falcon", tmp_path, "1", **wrong)
+
+
+def test_a_design_is_printed_in_words():
+    answer = pipeline.design(pipeline.Loop(0.58, 4.0, 0.001, 4), 20000.0)
+    assert "Wanted: K = 20000 N/m.\nReached: no." in str(answer)
+    first = answer.changes[0].after["sampling_period_s"]
+    assert f"sampling_period_s 0.001 -> {first:.4g} s and delay_samples 4 -> " in str(answer)
 
 
 def test_documents_of_others_are_refused(tmp_path):

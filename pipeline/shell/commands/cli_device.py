@@ -31,12 +31,11 @@ from pipeline.shell.commands.options import (
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
-    from pipeline.planning.planner import Plan
     from pipeline.records.models import Device
     from pipeline.surface.physical_loop import Loop
 
 _SHOWN = 6
-"""Number of printed changes; the document has all."""
+"""Number of printed names of logs; the document has all."""
 
 COMBINATIONS = {
     "acceleration": "acceleration by the largest command, friction and constant force included",
@@ -47,22 +46,13 @@ COMBINATIONS = {
 }
 """Identifiable combinations of parameters that cannot be separated."""
 
-LIMITS = {
-    "stiffness": "largest_stiffness",
-    "damping": "largest_damping",
-    "force": "largest_force",
-    "travel": "travel",
-}
-"""Options that bound the planned trials, with their names in `PlanOptions`."""
-
-
 LIMIT_QUANTITIES = {
     "stiffness": ("stiffness", "rotational stiffness"),
     "damping": ("damping", "rotational damping"),
     "force": ("force", "torque"),
     "travel": ("length", "angle"),
 }
-"""Physical quantities of these bounds."""
+"""Options that bound the planned trials, with their physical quantities."""
 
 
 def demo() -> None:
@@ -261,7 +251,7 @@ def design(
     document["guidelines"] = guidelines(loop).document()
     document["reachable"] = asdict(reachable("settle_2pct", loop.delay_samples))
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
-    console.tell(document, _design_lines(document, loop))
+    console.tell(document, [*str(answer).splitlines(), *_design_lines(document, loop)])
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
@@ -298,32 +288,10 @@ def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[st
 
 
 def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
-    """Yield the answer: reached or not, the wall, changes, sensitivities, published limits."""
+    """Yield what follows from the answer: sensitivities, published limits, guidelines."""
     from pipeline.device.parameters import unit_of
 
     k, b = unit_of("stiffness", loop.motion), unit_of("damping", loop.motion)
-    reached, most = document["reached"], document["stiffness_reached"]
-    wanted = document["wish"]["stiffness"]
-    limit = most is not None and wanted is not None
-    if wanted is not None:
-        yield f"Wanted: K = {wanted:.5g} {k}."
-    yield f"Reached: {'yes' if reached else 'no'}." + (f" Largest K for this wish: {most:.5g} {k}." if limit else "")
-    yield f"{'Wall' if reached else 'Nearest wall'}: {_wall(document['wall'], k, b)}"
-    changes = document["changes"]
-    if changes:
-        yield from ("", "Changes that reach it, smallest first:")
-    for change in changes[:_SHOWN]:
-        values = ((name, change["before"][name], new, change["units"][name]) for name, new in change["after"].items())
-        parts = " and ".join(f"{name} {old:.4g} -> {new:.4g} {unit}" for name, old, new, unit in values)
-        yield f"  {parts}: {_wall(change['wall'], k, b)}"
-    if len(changes) > _SHOWN:
-        yield f"  ({len(changes) - _SHOWN} more: --json)"
-    if any("sampling_period_s" in change["after"] for change in changes[:_SHOWN]):
-        yield "  (the delay counts in samples, and is shorter in time with a shorter sampling period. One of a fixed"
-        yield "  time makes another rig: `identify --period` writes its file, or give --keep sampling_period_s)"
-    yield from (f"  {name} alone: {why}" for name, why in document["out_of_reach"].items())
-    if not reached and not changes:
-        yield "No single change reaches it, and no pair of changes was found that does."
     yield from ("", f"Largest stable K {document['sensitivities'][0]['stiffness_max']:.5g} {k}; sensitivities:")
     for row in document["sensitivities"]:
         yield f"  {row['quantity']}: {row['stiffness_max_percent']:+.3g} % per percent"
@@ -346,17 +314,6 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     if document["quantum"] is not None:
         limit = document["quantum"]["stiffness"]
         yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
-
-
-def _wall(wall: dict[str, float | None], k: str, b: str) -> str:
-    stiffness, limit = wall["stiffness"] or 0.0, wall["stiffness_limit"]
-    words = [f"K = {stiffness:.5g} {k}, B = {wall['damping']:.4g} {b}"]
-    words.append("unstable" if limit is None or limit < stiffness else f"limit {limit:.5g} {k}")
-    if (settling := wall["settling_s"]) is not None:
-        words.append(f"settles in {settling:.3g} s")
-    if (overshoot := wall["overshoot"]) is not None:
-        words.append(f"overshoot {100 * overshoot:.2g} %")
-    return ", ".join(words)
 
 
 def plan(
@@ -382,32 +339,27 @@ def plan(
 
     Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
     """
-    from pipeline.planning.campaign import PlanOptions
+    from pipeline.planning.campaign import plan_options
     from pipeline.planning.planner import plan as plan_stored
-    from pipeline.records.criteria import MEASURED
 
-    criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal
-    if criterion not in MEASURED:
-        raise UsageError(f"--goal {goal}: expected boundary, optimum or a criterion: {', '.join(MEASURED)}.")
     walls = _dampings(dampings or ())
     bounds = {}
     for word in limit or ():
         key, _, value = word.partition("=")
-        if key not in LIMITS:
-            raise UsageError(f"--limit {word}: expected one of {', '.join(LIMITS)}, = and a number.")
-        bounds[LIMITS[key]] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
-    goal = goal if goal == "boundary" else "optimum"
-    wish = PlanOptions(goal, criterion, count, walls, gentle=gentle, **bounds)  # type: ignore[arg-type]
+        if key not in LIMIT_QUANTITIES:
+            raise UsageError(f"--limit {word}: expected one of {', '.join(LIMIT_QUANTITIES)}, = and a number.")
+        bounds[key] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
+    wish = plan_options(goal, count, walls, gentle, bounds)
     if not watch:
         with console.progress("plan"):
             answer = plan_stored(device, processed, experiment, wish, remembered=True)
-        console.tell(answer.model_dump(mode="json"), plan_lines(answer))
+        console.tell(answer.model_dump(mode="json"), str(answer).splitlines())
         return
     from pipeline.shell.watch import plan_beside
 
     with suppress(Ended):
         for answer in plan_beside(watch, device, processed, experiment, wish, profile):
-            console.tell_line(answer.model_dump(mode="json"), plan_lines(answer))
+            console.tell_line(answer.model_dump(mode="json"), str(answer).splitlines())
 
 
 def _share(option: str, text: str) -> float:
@@ -439,22 +391,3 @@ def _above(option: str, text: str, names: Sequence[str], least: float) -> float:
         kind = "above 0" if least else "of 0 or more"
         raise UsageError(f"{option} {text}: expected a number {kind}.")
     return value
-
-
-def plan_lines(answer: Plan) -> Iterator[str]:
-    """Yield a plan as lines: walls, remarks, the best so far, limits at the end."""
-    for wall in answer.next:
-        yield f"K = {wall.stiffness:g}, B = {wall.damping:g}: expected {wall.expected}. {wall.why}"
-    yield from answer.remarks
-    if answer.left_out:
-        yield f"left out of linear theory: {', '.join(answer.left_out)}"
-    if (best := answer.optimum) is not None:
-        least = "" if best.expected_cost is None else f"; {best.expected_cost:.4g} expected at the least"
-        place = f"K = {best.stiffness:g}, B = {best.damping:g}"
-        yield f"best {best.criterion} so far: {best.cost:.4g} at {place}{least}"
-    for limit in answer.boundary if answer.done else ():
-        value = "unknown" if limit.estimate is None else f"{limit.estimate:.5g}"
-        ends = "no stable wall" if limit.low is None else f"stable at {limit.low:.5g}"
-        ends += ", no unstable wall" if limit.high is None else f", unstable at {limit.high:.5g}"
-        yield f"B = {limit.damping:g}: limit {value} ({ends}){'; ' + limit.note if limit.note else ''}"
-    yield f"{answer.trials_used} trials so far, {'done' if answer.done else f'about {answer.trials_expected} in all'}"

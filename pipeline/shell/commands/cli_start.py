@@ -118,13 +118,12 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
 
 def _draw(log: Path, profile: Profile | None, opens: bool) -> None:
     """Draw a log, as recorded or in SI; a refused log is reported later, when it is stored."""
-    from pipeline.base.disk import write_text
-    from pipeline.shell.profile.check import look, page
+    from pipeline.surface.log_picture import look
 
     picture = Path("look.html")
     check_output(picture, "")
     with suppress(LogError):
-        write_text(picture, page(look(log, profile)))
+        look(log, profile).write(picture)
         console.step(f"picture of the first log, {'as it stands' if profile is None else 'in SI'}: {picture}")
         if opens:
             _open(picture)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError, draft_hint
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.log_columns import reads_logs
@@ -107,7 +107,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     yield from _listed("damaged", report["damaged"])
     other = [refusal["path"] for refusal in report["quarantined"] if refusal["code"] in OTHER_COLUMNS]
     if other and hint:
-        yield console.draft_hint(other[0])
+        yield draft_hint(other[0])
 
 
 def _listed(title: str, paths: list[str]) -> Iterable[str]:
@@ -316,16 +316,12 @@ def look(
 
     Example: pipeline look run_01.csv
     """
-    from pipeline.base.disk import write_text
-    from pipeline.profiles.profile_files import load_profile
-    from pipeline.shell.profile.check import document, page
-    from pipeline.shell.profile.check import look as look_at
+    from pipeline.surface.log_picture import look as picture_of
 
     check_output(out, "--out")
-    picture = look_at(log, None if profile is None else load_profile(profile))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_text(out, page(picture))
-    console.tell({**document(picture), "page": str(out)}, [*picture.notes, f"picture: {out}"])
+    picture = picture_of(log, profile)
+    picture.write(out)
+    console.tell({**picture.document, "page": str(out)}, [*picture.notes, f"picture: {out}"])
 
 
 def profile(
@@ -415,7 +411,7 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
         told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
     yield from console.grouped(told)
     other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
-    yield from (console.draft_hint(path) for path in other[:1])
+    yield from (draft_hint(path) for path in other[:1])
     yield f"{len(records)} in quarantine"
 
 

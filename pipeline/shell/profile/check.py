@@ -1,5 +1,5 @@
 """Preview of a profile on sample files: conditions and their sources, columns in SI, time, step, and warnings about
-logs that can be read but contradict the profile; and the picture of a log as it was recorded.
+logs that can be read but contradict the profile.
 
 Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
 """
@@ -7,21 +7,16 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, refusal
-from pipeline.base.provenance import __version__
+from pipeline.base.errors import LogError, refusal
 from pipeline.base.wording import counted
 from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
-from pipeline.measured.signal.change_points import gaps, jumps, rests
-from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
@@ -30,12 +25,8 @@ from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
 from pipeline.records.models import Motion
 from pipeline.records.native import FREE
-from pipeline.records.trials import Floats, Trial
-from pipeline.rendering.figures.drawing import draw
-from pipeline.rendering.figures.overview import RecordedColumn, recorded_figure
-from pipeline.rendering.report.page_template import fill_template
-from pipeline.shell.console import draft_hint, grouped
-from pipeline.shell.profile.samples import open_sample
+from pipeline.shell.console import grouped
+from pipeline.surface.log_picture import step_of, trial_of
 
 NOTHING = 1e-15
 """Largest magnitude [SI] of a rounding error of 0."""
@@ -154,33 +145,11 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, A
         yield {"column": key, "source": str(name), "unit": ", ".join(filter(None, how)), **ends}
 
 
-def step_of(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step of a log (None if unknown), and its source or the reason why it is unknown."""
-    header = log.header
-    if "step_row" in header.extra:
-        row = int(header.extra["step_row"])
-        return row, f"declared, at {log.time[row]:.9g} s"
-    trial = _trial_of(log)
-    if header.step == 0 and (release := find_release(trial)).kind:
-        what = {"release": "released", "hit": "hit"}[release.kind]
-        return release.begin, f"none: the device is {what} at {log.time[release.begin]:.9g} s"
-    edge = find_edge(trial)
-    if edge.row == NO_ROW:
-        return None, edge.reason
-    return edge.row, f"found in the command, at {log.time[edge.row]:.9g} s"
-
-
-def _trial_of(log: Log) -> Trial:
-    header = log.header
-    wall = header.stiffness, header.damping, header.step, header.sampling_period_s
-    return Trial("sample", *wall, log.time, log.command, log.position)
-
-
 def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
     """Yield a problem if a log declared as a release or a hit shows the other kind, or neither."""
     if profile.kind not in ("release", "hit"):
         return
-    found = find_release(_trial_of(log))
+    found = find_release(trial_of(log))
     if found.kind and found.kind != profile.kind:
         yield f"kind is {profile.kind!r}, but the log shows a {found.kind}: which is right?"
     elif not found.kind:
@@ -239,114 +208,3 @@ def _full(trial: Checked) -> str:
     for key, text in (("rows", str(trial["rows"])), ("quality of time", settled), ("step", f"{row}: {trial['step']}")):
         lines.append(f"  {key:<20} {text}")
     return "\n".join(lines)
-
-
-MOST_COLUMNS = 24
-"""Largest number of drawn columns of a file without a profile; a bag has hundreds."""
-
-MOST_TRIALS = 12
-"""Largest number of drawn trials of one file."""
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """Picture of a log: its name, the columns of each of its trials by title, remarks, and the horizontal axis."""
-
-    log: str
-    trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
-    notes: tuple[str, ...]
-    abscissa: str
-
-
-def look(log: Path, profile: Profile | None = None) -> Picture:
-    """Return the picture of a log.
-
-    Parameters
-    ----------
-    log : Path
-        A file, or the folder of a bag.
-    profile : Profile, optional
-        Profile that reads it; by default the shipped ones are tried. A file that none of them reads is shown as
-        recorded.
-
-    Raises
-    ------
-    UsageError
-        If the path does not exist or contains several logs.
-    LogError
-        If the profile refuses the log, or no columns of numbers are found in it.
-    """
-    sources = find_sources([log], asked_profiles(profile, [log]).profiles)
-    if len(sources) != 1:
-        raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
-    (source,) = sources
-    try:
-        claimant, _, outcome = logs_of(source)
-    except LogError as error:
-        row = "" if error.row is None else f", row {error.row}"
-        if profile is not None:
-            raise error.reworded(f"{log}{row}: {error.reason}") from error
-        notes = [f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."]
-        notes += [draft_hint(str(log))] if error.code in OTHER_COLUMNS else []
-        return Picture(str(log), (_as_it_stands(log),), tuple(notes), "row")
-    notes = [f"Read by profile {claimant.name}, in SI."]
-    if len(outcome) > MOST_TRIALS:
-        notes.append(f"The file contains {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
-    motions = {name: device.motion for name, device in known_devices().items()}
-    trials = []
-    for one in outcome[:MOST_TRIALS]:
-        title, columns, said = _drawn(one, motion_of(one, motions))
-        trials.append((title, columns))
-        notes += [f"{title}: {text}" for text in said]
-    return Picture(str(log), tuple(trials), tuple(notes), "time [s]")
-
-
-def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], list[str]]:
-    """Return the title of a trial, its columns, the source of its step, and other remarks."""
-    row, how = step_of(log)
-    columns = tuple(
-        _column(key, si_unit(quantity(key, motion)), log.time, values, log.time, row)
-        for key in ("command", "position", "force", "velocity")
-        if (values := getattr(log, key)) is not None
-    )
-    moved = "step" if log.header.step else "it moves"
-    said = f"{moved} in row {row}" if row is not None else "no step is known"
-    title = f"trial {log.label}" if log.label else f"K = {log.header.stiffness:g}, B = {log.header.damping:g}"
-    return title, columns, [f"{said} ({how})", *log.warnings, *(each.sentence for each in log.findings)]
-
-
-def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
-    """Return the numeric columns of an unknown file."""
-    sample = open_sample(log)
-    columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
-    # a column that increases in every row is a clock or a counter: its gaps are those of the log
-    clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
-    return sample.name, tuple(
-        _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)
-        for name, values in columns.items()
-        for rows in [np.arange(len(values), dtype=np.float64)]
-    )
-
-
-def _column(name: str, unit: str, place: Floats, values: Floats, time: Floats, step_row: int | None) -> RecordedColumn:
-    found = tuple(jumps(values).tolist()), tuple(rests(values)), tuple(gaps(time).tolist())
-    return RecordedColumn(name, unit, place, values, *found, step_row)
-
-
-def page(picture: Picture) -> str:
-    """Return the page of a log."""
-    drawn = []
-    for number, (title, columns) in enumerate(picture.trials):
-        panels = draw(recorded_figure(f"log-{number}", title, columns, picture.abscissa)).panels
-        drawn.append((title, list(zip(panels, (column.words for column in columns), strict=True))))
-    return fill_template("log.html.j2", picture=picture, drawn=drawn, version=__version__)
-
-
-def document(picture: Picture) -> dict[str, Any]:
-    """Return the findings on a log as a JSON document."""
-    trials = []
-    for title, columns in picture.trials:
-        found = [{"name": c.name, "unit": c.unit, "jumps": c.jumps, "rests": c.rests} for c in columns]
-        known = {"rows": len(columns[0].values), "step_row": columns[0].step_row, "gaps": columns[0].gaps}
-        trials.append({"title": title, **known, "columns": found})
-    return {"log": picture.log, "trials": trials, "notes": picture.notes}

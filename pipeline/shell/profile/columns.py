@@ -25,10 +25,10 @@ from pipeline.profiles.column_text import ColumnText
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, Profile
 from pipeline.readers.gain_check import WallGains, common_remedy, wall_gains
+from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
-from pipeline.shell.profile.samples import Sample, open_sample
 
 MOST_SAMPLES = 12
 """Largest number of inspected logs, spread over all: enough to check that they have the same form, and fast to read."""

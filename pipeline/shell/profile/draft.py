@@ -15,9 +15,9 @@ from pathlib import Path
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import QUESTION
+from pipeline.readers.sample import Sample, open_sample
 from pipeline.shell.profile.evidence import answers
 from pipeline.shell.profile.roles import Answer
-from pipeline.shell.profile.samples import Sample, open_sample
 
 MOST_QUESTIONS = 5
 """Largest number of questions of a draft: users do not read more, and each answer leads to the next ones."""

@@ -32,6 +32,7 @@ from pipeline.profiles.profile_model import (
 )
 from pipeline.readers.gain_check import WallGains, wall_gains
 from pipeline.readers.mapping import changes_of, is_staircase
+from pipeline.readers.sample import SPEEDS, Sample
 from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
 from pipeline.records.trials import Floats, Trial
@@ -49,7 +50,6 @@ from pipeline.shell.profile.roles import (
     rate_of,
     stated_unit,
 )
-from pipeline.shell.profile.samples import SPEEDS, Sample
 
 ROUND = 5e-3
 """Largest relative deviation of an identified gain from the round number that replaces it."""

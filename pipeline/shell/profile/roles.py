@@ -16,10 +16,10 @@ import numpy as np
 
 from pipeline.base.units import DRIVES, UNITS, find_unit
 from pipeline.profiles.profile_model import QUANTITIES
+from pipeline.readers.sample import SPEEDS, Sample
 from pipeline.recording.motion import free_response
 from pipeline.recording.samples import Samples
 from pipeline.records.trials import Floats
-from pipeline.shell.profile.samples import SPEEDS, Sample
 
 MOST_TRIED = 8
 """Largest number of numeric columns tried as command and position."""

@@ -7,7 +7,7 @@ import pytest
 from native_logs import log_text
 
 from pipeline.shell.cli import run
-from pipeline.shell.profile.check import MOST_COLUMNS, look
+from pipeline.surface.log_picture import MOST_COLUMNS, look
 
 PROFILE = """name = "lab"
 format = "delimited"
