@@ -234,26 +234,33 @@ def share_text(value: float, places: int = 1) -> str:
 
 
 def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
-    """Return value and both ends of the interval, to two digits of its half width; empty if missing.
+    """Return value and both ends of the interval of an estimate, as `interval_texts`."""
+    return interval_texts(estimate.value, estimate.low, estimate.high)
+
+
+def interval_texts(value: float | None, low: float | None, high: float | None) -> tuple[str, str, str]:
+    """Return a value and both ends of its interval, to two digits of its half width; empty if missing.
 
     A one-sided bound is rounded conservatively: a lower bound down, an upper bound up.
+
+    >>> interval_texts(2.00003, 1.99995, 2.00011), interval_texts(-20.5, -41.8, 0.836)
+    (('2.000030', '1.999950', '2.000110'), ('−20.5', '−41.8', '0.836'))
     """
-    given = (estimate.value, estimate.low, estimate.high)
+    given = (value, low, high)
     largest = max((abs(x) for x in given if x is not None), default=0.0)
-    half = 0.0 if estimate.low is None or estimate.high is None else 0.5 * (estimate.high - estimate.low)
+    half = 0.0 if low is None or high is None else 0.5 * (high - low)
     digits = DIGITS
     if 0 < half < largest:
         told = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
         digits = min(max(told, DIGITS), MOST_DIGITS)
     texts = ["" if x is None else significant(x, digits) for x in given]
-    if estimate.low is None and estimate.high is not None:
-        texts[2] = significant(_towards(estimate.high, digits, math.ceil), digits)
-    if estimate.high is None and estimate.low is not None:
-        texts[1] = significant(_towards(estimate.low, digits, math.floor), digits)
+    if low is None and high is not None:
+        texts[2] = significant(_towards(high, digits, math.ceil), digits)
+    if high is None and low is not None:
+        texts[1] = significant(_towards(low, digits, math.floor), digits)
     if any("." in text for text in texts):  # next to decimals, a whole number gets zeros to show its digits
         texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]
-    value, low, high = texts
-    return value, low, high
+    return texts[0], texts[1], texts[2]
 
 
 def _with_zeros(value: float, text: str, digits: int) -> str:

@@ -50,7 +50,7 @@ class Column:
     show : callable, optional
         Formats a number of a row; words are printed unchanged.
     ends : (str, str), optional
-        Columns with the ends of the interval.
+        Columns with the ends of the interval, which is left out if both print as the value does.
     aside : callable, optional
         Formats the text next to the value.
     why : str
@@ -94,11 +94,13 @@ class Column:
             return Cell(MISSING, self.name, numeric=numeric, aside=beside, why=why, marks=marks)
         if self.show is None:
             return Cell(str(value), self.name, numeric=False, aside=beside, marks=marks)
+        text = self.show(value, row)
         if self.ends and not beside:
             shown = self.show
             beside = span(lambda end: shown(end, row), *(row.get(end) for end in self.ends))
+            beside = "" if beside == f"{text} to {text}" else beside
         place = self.link(row) if self.link else trial if self.linked else ""
-        return Cell(self.show(value, row), self.name, aside=beside, marks=marks, trial=place)
+        return Cell(text, self.name, aside=beside, marks=marks, trial=place)
 
 
 @dataclass

@@ -245,9 +245,9 @@ class _Experiment:
         if np.isnan(cost):
             reasons = self.stages.cost_reasons(criterion)[row]
             return f"none: {reason_of(criterion, reasons) or 'only stable trials have one'}"
-        ends = [float(end[row]) for end in self.stages.cost_interval(criterion)]
-        told = "" if np.isnan(ends).any() else f" ({' to '.join(cost_text(criterion, end) for end in ends)})"
-        return f"{cost_text(criterion, cost)}{told}"
+        text, ends = cost_text(criterion, cost), [float(end[row]) for end in self.stages.cost_interval(criterion)]
+        interval = "" if np.isnan(ends).any() else " to ".join(cost_text(criterion, end) for end in ends)
+        return f"{text} ({interval})" if interval not in ("", f"{text} to {text}") else text
 
 
 def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> dict[int, Floats]:

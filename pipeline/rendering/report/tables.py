@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from pipeline.base.wording import counted, true_minus
+from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
 from pipeline.rendering.frames import flat, frames
@@ -22,6 +22,7 @@ from pipeline.rendering.labels import (
     criterion_name,
     damping_text,
     estimate_texts,
+    interval_texts,
     percent_text,
     printed_scale,
     published_text,
@@ -154,7 +155,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "trend": table_of(
             "trend",
             "Limits and estimates with 95 % intervals over the experiments, with header lines that differ",
-            (Column("line", "header lines"), Column("value", show=digits(4), ends=("low", "high"), notes=_at_end)),
+            (Column("line", "header lines"), interval_column("value", ends=("low", "high"), notes=_at_end)),
             f["trend"],
             lambda row: f"{row['quantity']}/{row['experiment']}",
             lambda row: f"{quantity_name(row['quantity'])} [{unit_text(row['unit'])}]",
@@ -188,7 +189,7 @@ def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callab
         ),
         [
             row
-            | {"criterion_label": criterion_label(row["criterion"]), "is_passive": YES_OR_NO.get(row["passive"])}
+            | {"criterion_label": criterion_label(row["criterion"])}
             | {f"near_{axis}": _near(row, axis, show) for axis, show in _NEAR_TEXTS.items()}
             for row in rows
             if row["cost"] is not None
@@ -291,9 +292,9 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
 
     columns = (
         Column("experiment"),
-        _interval("region_overlap", "overlap of the regions", "%", _share),
-        _interval("region_covered", "stable part of theory's region", "%", _share),
-        _interval("region_area_ratio", "area, measured : theory", "", digits(3)),
+        Column("region_overlap", "overlap of the regions", "%", show=_share, ends=_ends("region_overlap")),
+        Column("region_covered", "stable part of theory's region", "%", show=_share, ends=_ends("region_covered")),
+        interval_column("region_area_ratio", "area, measured : theory"),
         Column(
             "stiffness_deviation_percent",
             "largest stable K",
@@ -323,8 +324,23 @@ def _scores(result: ComparisonResult, stiffness: str) -> Table | None:
     return table_of("scores", f"Measured against theory ({basis})", columns, rows, _name)
 
 
-def _interval(name: str, label: str, unit: str, show: Callable[[Any, Row], str]) -> Column:
-    return Column(name, label, unit, show=show, ends=(f"{name}_low", f"{name}_high"))
+def _ends(name: str) -> tuple[str, str]:
+    return f"{name}_low", f"{name}_high"
+
+
+def interval_column(
+    name: str, label: str = "", unit: str = "", ends: tuple[str, str] | None = None, **others: Any
+) -> Column:
+    """Return a column of numbers with intervals, to the digits that each interval justifies."""
+    low, high = ends or _ends(name)
+
+    def texts(row: Row) -> tuple[str, str, str]:
+        return interval_texts(row[name], row.get(low), row.get(high))
+
+    def beside(row: Row) -> str:
+        return "" if row.get(name) is None or row.get(low) is None else " to ".join(texts(row)[1:])
+
+    return Column(name, label, unit, show=lambda _, row: texts(row)[0], aside=beside, **others)
 
 
 def _ratio(row: Row, first: str, second: str) -> str:
@@ -543,7 +559,8 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
     def interval(row: Row) -> str:
         if None in (row["stiffness"], row["low"], row["high"]):
             return ""
-        return f"{stiffness_text(row['low'])} to {stiffness_text(row['high'])}"
+        low, high = stiffness_text(row["low"]), stiffness_text(row["high"])
+        return "" if low == high else f"{low} to {high}"
 
     caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by "
     caption += "the growth rates of the trials around it"
@@ -648,28 +665,22 @@ def _shapes(result: ComparisonResult) -> Table | None:
             row |= {name: each.value, f"{name}_low": each.low, f"{name}_high": each.high}
         if line is not None:
             row |= {"slope": line.slope, "slope_low": line.slope_low, "slope_high": line.slope_high}
-            row["line"] = f"K = {line.stiffness:.4g} {true_minus(f'{line.slope:+.3g}')} B"
+            sign = "+" if line.slope >= 0 else "\N{MINUS SIGN}"
+            row["line"] = f"K = {line.stiffness:.4g} {sign} {abs(line.slope):.3g} B"
             row["dampings"] = f"{line.damping_first:g} to {line.damping_last:g}"
             excluded = line.excludes_theory
             row["curvature"] = None if excluded is None else YES_OR_NO[not excluded]
         rows.append(row)
-    few = "fewer than four limits from the stiffest wall on"
+    stiffest = "limits from the stiffest wall on"
+    few = f"fewer than four {stiffest}"
     columns = [Column("experiment")]
     for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
-        columns.append(Column(name, label, "samples", "delay d", show=digits(3), ends=(f"{name}_low", f"{name}_high")))
+        columns.append(interval_column(name, label, "samples", group="delay d"))
     columns += [
-        Column("line", "line", group="limits from the stiffest wall on", why=few),
-        Column(
-            "slope",
-            "slope",
-            f"{units.stiffness} per {units.damping}",
-            "limits from the stiffest wall on",
-            show=digits(3),
-            ends=("slope_low", "slope_high"),
-            why=few,
-        ),
-        Column("dampings", "dampings", units.damping, "limits from the stiffest wall on", why=few),
-        Column("curvature", "curved as theory", group="limits from the stiffest wall on", why=few),
+        Column("line", "line", group=stiffest, why=few),
+        interval_column("slope", "slope", f"{units.stiffness} per {units.damping}", group=stiffest, why=few),
+        Column("dampings", "dampings", units.damping, stiffest, why=few),
+        Column("curvature", "curved as theory", group=stiffest, why=few),
     ]
     table = table_of("shapes", "What the measured boundary stands for, with 95 % intervals", columns, rows, _name)
     if table is not None:

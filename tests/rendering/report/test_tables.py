@@ -15,7 +15,8 @@ from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
 from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
-from pipeline.rendering.report.tables import MISSED, tables_of
+from pipeline.rendering.report.tables import MISSED, interval_column, tables_of
+from pipeline.rendering.table import Table
 
 DATES = ("2026-05-02", "2026-01-30", "2026-03-11 14:02")
 LOOP = SourcedLoop(
@@ -146,3 +147,24 @@ def test_dampings_that_are_printed_alike_have_rows_of_their_own(result: Comparis
     (table,) = tables_of(result.model_copy(update={"experiments": (changed,)}))["boundary"]
     names = [name for _, rows in table.blocks for name, _ in rows]
     assert len(set(names)) == len(names) == 2
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "text", "aside"),
+    [
+        (2.00003, 1.99995, 2.00011, "2.000030", "1.999950 to 2.000110"),
+        (-20.5, -41.8, 0.836, "−20.5", "−41.8 to 0.836"),
+        (0.58, None, None, "0.580", ""),
+    ],
+)
+def test_an_interval_gets_the_digits_that_tell_its_ends_apart(value, low, high, text, aside):
+    row = {"area": value, "area_low": low, "area_high": high}
+    cell = interval_column("area").cell(row, Table("t", "", ()), "")
+    assert (cell.text, cell.aside) == (text, aside)
+
+
+def test_no_interval_of_a_report_is_printed_without_a_width(falcon_outcome):
+    found = [cell.aside for tables in tables_of(falcon_outcome.result).values() for t in tables
+             for row in t.rows for cell in row if " to " in cell.aside]  # fmt: skip
+    assert len(found) > 10
+    assert [aside for aside in found if len(set(aside.split(" to "))) == 1] == []
