@@ -43,7 +43,7 @@ from pipeline.records.models import ComparisonRow, Device, Shown
 from pipeline.records.results import ComparisonResult, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
-from pipeline.rendering.figures.overview import DampedCosts, delay_figure, trend_figure
+from pipeline.rendering.figures.overview import DampedCosts, delay_figure, replay_figure, trend_figure
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_report
 from pipeline.store.objects import origin
@@ -195,6 +195,7 @@ def _figures(data: SceneData, result: ComparisonResult, found: _Found, predictio
         yield from delay_figure(found.rows, found.damped)
     if shown.has_figure("response"):
         yield from response_figures(data)
+        yield from replay_figure(result)
     if shown.has_figure("trend"):
         yield from trend_figure(result)
     if shown.has_figure("residuals"):

@@ -232,6 +232,18 @@ class LoopResult(Record):
     friction: Quantity | None = None
 
 
+class ReplayResiduals(Record):
+    """Residuals of a replay at the stable walls, each shape (n,): K [N/m, Nm/rad], B [Ns/m, Nms/rad] and residual [%].
+
+    The residual is the norm of the difference between logged and predicted position, relative to that of the logged
+    position about its mean.
+    """
+
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    percent: tuple[float, ...]
+
+
 class WallReplay(Record):
     """Prediction of tested walls that were not used for the fit, by the identified device with friction and scatter.
 
@@ -240,6 +252,7 @@ class WallReplay(Record):
     measured limit lies in its interval, with a median half-width of ``limits_known_percent``; 95 % of the predicted
     ones are at most ``limits_error_percent`` outside of these. A value is None if there is nothing to compare.
     ``trials`` is the number of compared verdicts; for a device with jitter, only those on which several runs agree.
+    ``residuals`` are those of the single walls.
     """
 
     fit_percent: float | None
@@ -249,6 +262,7 @@ class WallReplay(Record):
     trials: int
     limits_known_percent: float | None = None
     limits_error_percent: float | None = None
+    residuals: ReplayResiduals | None = None
 
     @property
     def limits_open(self) -> bool:

@@ -24,7 +24,7 @@ from pipeline.measured.stages.measured_trial import MeasuredTrial, about
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.findings import MATTERS, Limit
-from pipeline.records.results import ExperimentResult, WallReplay
+from pipeline.records.results import ExperimentResult, ReplayResiduals, WallReplay
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 from pipeline.rendering.labels import share_text, significant
 
@@ -148,7 +148,15 @@ def wall_replay(
         limits_error_percent=float(np.quantile(outside, 0.95)) if len(outside) else None,
         costs_off_percent=_costs_off(result, stages, chosen[stable], costs[stable]),
         trials=int(decided.sum()),
+        residuals=_residuals(K[chosen[stable]], B[chosen[stable]], 100 - fits[stable]),
     )
+
+
+def _residuals(K: Floats, B: Floats, percent: Floats) -> ReplayResiduals:
+    """Return the known residuals of a replay, to three digits."""
+    known = np.isfinite(percent)
+    rounded = [float(f"{value:.3g}") for value in percent[known].tolist()]
+    return ReplayResiduals(stiffness=tuple(K[known].tolist()), damping=tuple(B[known].tolist()), percent=tuple(rounded))
 
 
 def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> list[Trial]:

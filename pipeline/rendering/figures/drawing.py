@@ -95,6 +95,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "friction": {"color": INK, "lw": 1.2, "ls": (0, (3, 1, 1, 1, 1, 1))},
     "edge": {"color": INK, "lw": 1.2},
     "dots": {"color": GREEN, "dots": 2.6},
+    "residual": {"dots": 3.4},
     "told": {"color": INK},
     "course": {"lw": 1.6},
     "line": {"color": INK, "lw": 1.3},

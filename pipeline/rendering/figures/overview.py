@@ -15,7 +15,15 @@ from pipeline.records.results import ComparisonResult
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.frames import frames
-from pipeline.rendering.labels import criterion_label, printed_scale, quantity_name, shortened, significant, unit_text
+from pipeline.rendering.labels import (
+    UNITS,
+    criterion_label,
+    printed_scale,
+    quantity_name,
+    shortened,
+    significant,
+    unit_text,
+)
 from pipeline.rendering.table import is_sweep, records
 
 MOST_POINTS = 1600
@@ -43,6 +51,37 @@ def trend_figure(result: ComparisonResult) -> list[Figure]:
     caption = f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
     title = "Limits and estimates over the experiments"
     return [Figure("trend", "trend", title, caption, tuple(panels), size=(350.0, 250.0))]
+
+
+def replay_figure(result: ComparisonResult) -> list[Figure]:
+    """Return the residuals of the identified loops over K and B of all replayed walls; empty without a replay."""
+    residuals = {e.experiment: e.replay.residuals for e in result.experiments if e.replay and e.replay.residuals}
+    residuals = {name: of for name, of in residuals.items() if of.percent}
+    if not residuals:
+        return []
+    units, number = UNITS[result.motion], [e.experiment for e in result.experiments].index
+    percent = np.array([value for of in residuals.values() for value in of.percent])
+    told = (
+        f"experiment {name}: median {significant(float(np.median(of.percent)), 2)} %, "
+        f"largest {significant(max(of.percent), 2)} %"
+        for name, of in residuals.items()
+    )
+    words, top = f"Residuals of the loop at the walls: {'; '.join(told)}.", 1.05 * float(percent.max()) or 1.0
+    panels = []
+    for name, unit in (("stiffness", f"K [{units.stiffness}]"), ("damping", f"B [{units.damping}]")):
+        walls = {e: np.array(getattr(of, name)) for e, of in residuals.items()}
+        series = tuple(
+            Series(f"experiment {e}", "residual", at, np.array(residuals[e].percent), number=number(e))
+            for e, at in walls.items()
+        )
+        limits = around(*walls.values()), (0.0, top)
+        panels.append(Panel(f"over {name}", (f"{name} {unit}", "residual [%]"), series, words, limits))
+    caption = (
+        "Logged minus predicted position, relative to the logged motion, at every stable wall, by a fit without that "
+        "wall. They are large where a part is missing in the loop, or friction scatters and the motion is small."
+    )
+    title = "Residuals of the identified loop at all walls"
+    return [Figure("response", "replay", title, caption, tuple(panels), size=(350.0, 250.0))]
 
 
 DampedCosts = Mapping[tuple[str, str, float], float]
