@@ -81,7 +81,7 @@ def _measured(experiment: ExperimentResult) -> dict[str, Any]:
         if point.stable is not None and point.unstable is not None and not point.censored:
             limits.append([point.damping, 0.5 * (point.stable + point.unstable)])
     rubs = experiment.loop is not None and experiment.loop.friction is not None and experiment.loop.friction.value
-    friction = [[limit.damping, limit.stiffness] for limit in experiment.loop_boundary or ()] if rubs else []
+    friction = [[b.damping, b.stiffness, b.stiffness_large_motion] for b in experiment.loop_boundary or () if rubs]
     return {"limits": limits, "trials": trials, "friction": friction}
 
 

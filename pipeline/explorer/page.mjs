@@ -6,7 +6,8 @@ import { boundary, flattened, leftOut, margins, passive, poles, prepare, respons
 /**
  * @typedef {{label: string, loop: any, trials?: number[][], limits?: number[][], friction?: number[][],
  *   wall?: {stiffness: number, damping: number} | null}} Entry a loop with what was measured on it: trials as
- *   [stiffness, damping, 1 if stable], limits and limits with friction as [damping, stiffness]
+ *   [stiffness, damping, 1 if stable], limits as [damping, stiffness], limits with friction as [damping, stiffness,
+ *   stiffness without friction or null]
  * @typedef {{stiffness: number, damping: number}} Wall
  */
 
@@ -462,7 +463,15 @@ export function explore(root, entries) {
     bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"),
       ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
       make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`),
-        make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))));
+        make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))),
+      ...rubbed(most).map(([share, width]) => make("div", { class: "bar" }, make("span", {}, "as measured, without its friction"),
+        make("span", { class: "track" }, make("span", { class: "loss", style: `width:${width}%` })), make("span", {}, signed(share)))));
+  }
+  /** @param {number} most @returns {[number, number][]} the change of the largest stiffness by all friction, and its width */
+  function rubbed(most) {
+    const limits = (entry.friction ?? []).filter((p) => p[2]);
+    const share = Math.max(...limits.map((p) => p[2])) / Math.max(...limits.map((p) => p[1])) - 1;
+    return limits.length ? [[share, Math.min(100, 100 * Math.abs(share) / most)]] : [];
   }
   /** @returns {(() => void)[]} slices of a search for the best wall by the chosen criterion, closer and closer */
   function optimum() {

@@ -49,7 +49,10 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     falcon, *others = device_entries(known_devices().values())
     falcon = next(e for e in (falcon, *others) if e["label"] == "Novint Falcon, 1")
     measured = {**with_trials(falcon, [(3000.0, 40.0, True), (9000.0, 20.0, False)]), "limits": [[40.0, 8000.0]]}
-    path.write_text(page_of([{**measured, "wall": {"stiffness": 4000.0, "damping": 60.0}}, *others]), encoding="utf-8")
+    rubs = [[20.0, 7000.0, 5000.0], [60.0, 14000.0, 10500.0], [80.0, 13000.0, None]]
+    sticky = {"label": "sticky", "loop": falcon["loop"], "friction": rubs}
+    entries = [{**measured, "wall": {"stiffness": 4000.0, "damping": 60.0}}, *others, sticky]
+    path.write_text(page_of(entries), encoding="utf-8")
     return path
 
 
@@ -101,6 +104,17 @@ def test_what_one_more_sample_of_delay_costs(opened):
     tab.get_by_role("button", name="Reset to device").click()
     tab.wait_for_function("!document.querySelector('.what-summary dd').textContent.includes('against')")
     assert largest(tab) == 13629
+
+
+def test_what_limits_a_device_with_friction(opened):
+    tab = opened()
+    tab.get_by_label("device", exact=True).select_option(label="sticky")
+    row = tab.locator(".bars .bar", has_text="as measured, without its friction")
+    row.wait_for()
+    assert row.inner_text().splitlines()[-1] == "−25 %", "14,000 with friction, 10,500 without"
+    assert row.locator(".loss").bounding_box()["width"] > 10
+    tab.get_by_label("device", exact=True).select_option(label="Novint Falcon, 1")
+    row.wait_for(state="detached")
 
 
 def test_the_jitter_is_left_out_of_the_device_as_it_is(opened):
@@ -260,7 +274,7 @@ def test_exports_give_the_same_numbers(opened, tmp_path, call):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1440, 390])
+@pytest.mark.parametrize("width", [1440, 390, 320])
 def test_it_fits_and_is_accessible(opened, width, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
     tab = opened(width=width, color_scheme=scheme)
