@@ -516,9 +516,12 @@ def _overlay(
     names: tuple[str, str] | None = None,
 ) -> Figure:
     both = enumerate(zip(limits, labels, strict=True))
-    series = [s for number, (points, label) in both for s in measured(points, label, number)]
+    series = [s for number, (points, label) in both for s in measured(points, label, number, intervals=True)]
     panel = limits_panel("", series, motion, names)
     if names is not None:
         panel = replace(panel, words=f"Stability limits in the normalised plane: {listed(labels)}.")
-    title, caption = f"Boundaries of {labels[0]} and {labels[1]}", "Last stable stiffness at each damping."
+    title, caption = (
+        f"Boundaries of {labels[0]} and {labels[1]}",
+        "Measured limit at each damping with its 95 % interval; open marks: at least.",
+    )
     return limits_figure(title, caption, [panel], f"boundaries-against{suffix}")

@@ -238,6 +238,11 @@ def test_two_delays_differ_as_the_theory_says(lwr):
     settling = next(c for c in pair.costs if c.criterion == "settle_2pct")
     assert settling.points > 10
     assert settling.median > 1
+    drawn = [s for s in page.figures[0].panels[0].series if s.kind == "measured"]
+    for series, side in zip(drawn, ("first", "second"), strict=True):
+        limits = dict(zip(series.y.tolist(), series.x.tolist(), strict=True))
+        assert [limits[p.damping] for p in pair.boundary.points] == [getattr(p, side) for p in pair.boundary.points]
+        assert (series.low <= series.high)[np.isfinite(series.x)].all(), "the interval that the caption names"
     page_text = render(page)
     assert page_text.count("<svg") == 1
     assert "lwr delay-2 against lwr delay-4" in page_text

@@ -12,12 +12,16 @@ from pipeline.base.wording import unbroken
 from pipeline.records.models import Motion
 from pipeline.records.results import AgainstResult, PairDifference
 from pipeline.rendering.figures.drawing import Figure, draw
-from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant, span, unit_text
+from pipeline.rendering.labels import UNITS, criterion_name, interval_texts, percent_text, significant, unit_text
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.tables import digits
 from pipeline.rendering.table import Column, Row, Table, footnote, marked, table_of
 
 _four = digits(4)
+
+
+def _shown(_: Any, row: Row) -> str:
+    return str(row["shown"])
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
     K, B = (UNITS[motion].stiffness, UNITS[motion].damping) if pair.plane == "physical" else ("α", "β")
     first, second = pair.labels
     judged = (
-        Column("difference", show=_four),
+        Column("difference", show=_shown),
         Column("interval", "95 %", show=lambda text, _: str(text), why="no interval"),
         Column("sure", "significant", why="no interval"),
     )
@@ -75,7 +79,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
     costs = (
         Column("head", "criterion"),
         Column("points", show=_four),
-        Column("median", "second over first", show=_four, aside=_kind),
+        Column("median", "second over first", show=_shown, aside=_kind),
         *judged[1:],
     )
     limits = (
@@ -118,7 +122,8 @@ def _table(name: str, caption: str, columns: Sequence[Column], values: Sequence[
             "head": value_name(called) + unit,
             "sure": {True: "yes", False: "no", None: None}[row["significant"]],
         }
-        row["interval"] = span(lambda end: significant(end, 4), row.get("low"), row.get("high")) or None
+        row["shown"], *ends = interval_texts(row.get("difference", row.get("median")), row.get("low"), row.get("high"))
+        row["interval"] = " to ".join(dict.fromkeys(filter(None, ends))) or None
         rows.append(row)
     return table_of(f"{name}-{index}", caption, columns, rows, lambda row: str(row["name"]))
 
