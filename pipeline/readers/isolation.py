@@ -7,22 +7,15 @@ exception can be caught then. A worker reads many files; if it crashes, only the
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import os
-import pickle
-import signal
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO, Any, cast
+from typing import Any
 
 from pipeline.base.errors import LogError, refusal
-from pipeline.base.process import begin_alone, without_pandas
+from pipeline.base.isolated import IsolationError, run_isolated
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_columns import MOST_VALUES, FileColumns, allowed_bytes, library
 from pipeline.readers.formats import FORMATS
@@ -112,42 +105,28 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     LogError
         If the function raises one, if the file crashes the library, or if reading exceeds the time limit.
     """
-    seconds = CPU_SECONDS + CPU_SECONDS_PER_BYTE * size
-    worker = _IDLE.pop() if _IDLE else _Worker()
-    outcome = worker.call((place, imports, kind, (name, *more), seconds, size), WALL_FACTOR * seconds)
-    if outcome is None:
-        found = f"cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged"
-        raise refusal("damaged", name, found, cure="Copy or export it again.")
-    _IDLE.append(worker)
-    if isinstance(outcome, LogError):
-        raise outcome
-    return outcome
+    seconds, module = CPU_SECONDS + CPU_SECONDS_PER_BYTE * size, place.partition(":")[0]
+    try:
+        return run_isolated(
+            f"{__name__}:{call.__name__}",
+            place,
+            kind,
+            (name, *more),
+            wait_s=WALL_FACTOR * seconds,
+            processor_s=seconds,
+            memory=COPIES * (allowed_bytes(size) + size) + SLACK,
+            imports=f"{module} {imports}",
+        )
+    except IsolationError as error:
+        found = f"cannot be read as {kind}: the library that reads it {error}. The file is damaged"
+        raise refusal("damaged", name, found, cure="Copy or export it again.") from error
 
 
-def serve() -> None:
-    """Serve calls from standard input: the main loop of a worker process, which ends with its parent."""
-    begin_alone()
-    without_pandas(import_module("pyarrow"))
-    calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
-    # output of libraries must not mix with the results
-    os.dup2(2, 1)
-    with contextlib.suppress(EOFError):
-        while True:
-            place, imports, kind, arguments, seconds, size = pickle.load(calls)
-            module, _, function = place.partition(":")
-            work = getattr(import_module(module), function)
-            with contextlib.suppress(ImportError):  # the function itself reports what is missing and how to install it
-                for needed in imports.split():
-                    import_module(needed)
-            with _bounded(seconds, size):
-                try:
-                    with reading(arguments[0], kind):
-                        outcome = work(*arguments)
-                except LogError as error:
-                    outcome = error.with_traceback(None)  # it would keep the data in memory until the next call
-            pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
-            results.flush()
-            del arguments, outcome
+def call(place: str, kind: str, arguments: tuple[Any, ...]) -> Any:
+    """Do what `isolated` does, in the worker process."""
+    module, _, function = place.partition(":")
+    with reading(arguments[0], kind):
+        return getattr(import_module(module), function)(*arguments)
 
 
 @contextlib.contextmanager
@@ -175,80 +154,3 @@ def reading(name: str, kind: str) -> Iterator[None]:
     except Exception as error:  # libraries do not document all exceptions that damaged files cause
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error
-
-
-@contextlib.contextmanager
-def _bounded(seconds: float, size: int) -> Iterator[None]:
-    """Limit time and memory of a library for a file of this size [byte], even while it blocks the interpreter.
-
-    The system ends this process after the given processor time, or with its parent (which closes the pipe of calls),
-    and limits its memory to the need of the largest allowed content; only on Linux.
-    """
-    try:
-        resource, fcntl = import_module("resource"), import_module("fcntl")
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except (ImportError, OSError):
-        yield
-        return
-    (soft, hard), flags = resource.getrlimit(resource.RLIMIT_AS), fcntl.fcntl(0, fcntl.F_GETFL)
-    most = pages * resource.getpagesize() + COPIES * (allowed_bytes(size) + size) + SLACK
-    resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
-    fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        fcntl.fcntl(0, fcntl.F_SETFL, flags)
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-class _Worker:
-    """A process that waits for calls."""
-
-    def __init__(self) -> None:
-        # threads for linear algebra would only reserve address space
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-        command = [sys.executable, "-c", "from pipeline.readers.isolation import serve; serve()"]
-        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-        self.process: subprocess.Popen[bytes] = subprocess.Popen(command, env=environment, **pipes)
-        self.calls: IO[bytes] = cast(IO[bytes], self.process.stdin)
-        self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
-
-    def call(self, call: tuple[Any, ...], wait: float) -> Any:
-        """Return the result of a call, or None if the process crashed or did not answer within `wait` seconds."""
-        watch = threading.Timer(wait, self.process.kill)
-        watch.daemon = True
-        watch.start()
-        try:
-            pickle.dump(call, self.calls, pickle.HIGHEST_PROTOCOL)
-            self.calls.flush()
-            return pickle.load(self.results)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            return None
-        except BaseException:
-            self.end()  # the result of an interrupted call would be read by the next one
-            raise
-        finally:
-            watch.cancel()
-
-    def end(self) -> str:
-        """Stop the process and return how it ended."""
-        self.process.kill()
-        status = self.process.wait()
-        for pipe in (self.calls, self.results):
-            with contextlib.suppress(OSError):
-                pipe.close()
-        endless = status in (-getattr(signal, "SIGPROF", 0), -getattr(signal, "SIGKILL", 0))
-        return "does not come to an end" if endless else f"crashes (status {status})"
-
-
-_IDLE: list[_Worker] = []
-"""Idle workers; there are as many workers as threads that read at the same time."""
-
-
-@atexit.register
-def _end_all() -> None:
-    while _IDLE:
-        _IDLE.pop().end()

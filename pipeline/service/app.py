@@ -72,7 +72,6 @@ def create_app(settings: Settings) -> ASGIApp:
             workers.start(service.renew)
         yield
         workers.stop()
-        service.theory.stop()
 
     app = FastAPI(
         title="pipeline", version=__version__, lifespan=life, docs_url=None, redoc_url=None,

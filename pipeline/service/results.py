@@ -185,11 +185,7 @@ def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -
 
 def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> Any:
     """Find the point of least cost by theory; stop if a malicious loop takes too long."""
-    process = TheoryProcess(OPTIMUM_S)
-    try:
-        return process.compute(*asked["theory"])
-    finally:
-        process.stop()
+    return TheoryProcess(OPTIMUM_S).compute(*asked["theory"])
 
 
 def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Drawn:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.isolated import IsolationError, run_isolated
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.service.problems import Problem
@@ -33,34 +31,18 @@ class Theory:
     def __init__(self, most_s: float) -> None:
         self.most_s = most_s
         self._lock = threading.Lock()
-        self._pool: ProcessPoolExecutor | None = None
 
     def compute(self, *asked: Any) -> Any:
         """Return a document of theory (see `document`); an error of the values passes."""
         if not self._lock.acquire(timeout=WAIT_S):
             raise Problem(503, "Theory is computed for others; ask again.", where="theory")
         try:
-            if self._pool is None:
-                self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-            return self._pool.submit(document, *asked).result(self.most_s)
-        except (TimeoutError, BrokenProcessPool) as error:
-            self._end()
+            return run_isolated(f"{__name__}:{document.__name__}", *asked, wait_s=self.most_s)
+        except IsolationError as error:
             more = "Use the command line, or a shorter delay or fewer points."
             raise Problem(504, f"This was not computed in {self.most_s:g} s. {more}", where="theory") from error
         finally:
             self._lock.release()
-
-    def stop(self) -> None:
-        """End the process."""
-        with self._lock:
-            self._end()
-
-    def _end(self) -> None:
-        if self._pool is not None:
-            for process in list((self._pool._processes or {}).values()):
-                process.kill()
-            self._pool.shutdown(wait=True, cancel_futures=True)
-            self._pool = None
 
 
 def case_of_loop(of: Sequence[Any]) -> Case:

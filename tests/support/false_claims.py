@@ -33,8 +33,8 @@ from foreign_files import (
 )
 from pyarrow import parquet
 
+from pipeline.base import isolated
 from pipeline.base.errors import LogError
-from pipeline.readers import isolation
 
 ADDRESS_SPACE = 3 << 30
 """Bytes: the libraries take 1 to 2 of it without using them; what follows a claim of 10^12 rows takes more than any."""
@@ -171,8 +171,7 @@ def main() -> None:
                 read()
             except LogError:
                 claims[kind] += 1
-    while isolation._IDLE:
-        isolation._IDLE.pop().end()
+    isolated.end_all()
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     json.dump(

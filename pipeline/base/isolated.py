@@ -1,0 +1,174 @@
+"""Functions in a separate process with limited time and memory, which a crash or an endless loop cannot take along.
+
+A worker serves one call after the other. After a crash, or a call that exceeds its limits, it is replaced.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any, cast
+
+from pipeline.base.process import begin_alone, without_pandas
+
+
+class IsolationError(Exception):
+    """A function crashed its process, or exceeded its limits; the text states which, as the predicate of a sentence."""
+
+
+def run_isolated(
+    place: str,
+    *arguments: Any,
+    wait_s: float,
+    processor_s: float | None = None,
+    memory: int | None = None,
+    imports: str = "",
+) -> Any:
+    """Call a function in a worker process, and return its result.
+
+    Parameters
+    ----------
+    place : str
+        The function, as ``module:function``.
+    *arguments
+        Its arguments; they and the result are pickled.
+    wait_s : float
+        Longest wait for the result [s].
+    processor_s : float, optional
+        Processor time [s], by default unlimited; only on Unix.
+    memory : int, optional
+        Memory in addition to that of the worker [byte], by default unlimited; only on Linux.
+    imports : str
+        Modules that the function imports, separated by blanks; their import counts neither as time nor as memory.
+
+    Raises
+    ------
+    IsolationError
+        If the function crashes the process, or exceeds its limits.
+    Exception
+        Whatever the function raises.
+    """
+    worker = _IDLE.pop() if _IDLE else _Worker()
+    answer = worker.call((place, imports, arguments, processor_s, memory), wait_s)
+    if answer is None:
+        raise IsolationError(worker.end())
+    _IDLE.append(worker)
+    returned, value = answer
+    if not returned:
+        raise value
+    return value
+
+
+def serve() -> None:
+    """Serve calls from standard input: the main loop of a worker process, which ends with its parent."""
+    begin_alone()
+    without_pandas(import_module("pyarrow"))
+    calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
+    # output of libraries must not mix with the results
+    os.dup2(2, 1)
+    with contextlib.suppress(EOFError):
+        while True:
+            place, imports, arguments, processor_s, memory = pickle.load(calls)
+            module, _, function = place.partition(":")
+            work = getattr(import_module(module), function)
+            with contextlib.suppress(ImportError):  # the function itself reports what is missing and how to install it
+                for needed in imports.split():
+                    import_module(needed)
+            with _bounded(processor_s, memory):
+                try:
+                    answer = True, work(*arguments)
+                except Exception as error:
+                    answer = False, error.with_traceback(None)  # it would keep the data in memory until the next call
+            pickle.dump(answer, results, pickle.HIGHEST_PROTOCOL)
+            results.flush()
+            del arguments, answer
+
+
+@contextlib.contextmanager
+def _bounded(processor_s: float | None, memory: int | None) -> Iterator[None]:
+    """Limit time and memory of a call, even while it blocks the interpreter.
+
+    The system ends this process after the given processor time, or with its parent (which closes the pipe of calls),
+    and limits its memory; only on Linux.
+    """
+    try:
+        resource, fcntl = import_module("resource"), import_module("fcntl")
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (ImportError, OSError):
+        yield
+        return
+    (soft, hard), flags = resource.getrlimit(resource.RLIMIT_AS), fcntl.fcntl(0, fcntl.F_GETFL)
+    if memory is not None:
+        most = pages * resource.getpagesize() + memory
+        resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
+    signal.setitimer(signal.ITIMER_PROF, processor_s or 0.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        fcntl.fcntl(0, fcntl.F_SETFL, flags)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+class _Worker:
+    """A process that waits for calls."""
+
+    def __init__(self) -> None:
+        # threads for linear algebra would only reserve address space
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        self.process: subprocess.Popen[bytes] = subprocess.Popen(command, env=environment, **pipes)
+        self.calls: IO[bytes] = cast(IO[bytes], self.process.stdin)
+        self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
+
+    def call(self, call: tuple[Any, ...], wait: float) -> tuple[bool, Any] | None:
+        """Return whether a call returned, and its result or exception; None if the process crashed or did not answer
+        within `wait` seconds."""
+        watch = threading.Timer(wait, self.process.kill)
+        watch.daemon = True
+        watch.start()
+        try:
+            pickle.dump(call, self.calls, pickle.HIGHEST_PROTOCOL)
+            self.calls.flush()
+            answer: tuple[bool, Any] = pickle.load(self.results)
+            return answer
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return None
+        except BaseException:
+            self.end()  # the result of an interrupted call would be read by the next one
+            raise
+        finally:
+            watch.cancel()
+
+    def end(self) -> str:
+        """Stop the process and return how it ended."""
+        self.process.kill()
+        status = self.process.wait()
+        for pipe in (self.calls, self.results):
+            with contextlib.suppress(OSError):
+                pipe.close()
+        endless = status in (-getattr(signal, "SIGPROF", 0), -getattr(signal, "SIGKILL", 0))
+        return "does not come to an end" if endless else f"crashes (status {status})"
+
+
+_IDLE: list[_Worker] = []
+"""Idle workers; there are as many workers as threads that call at the same time."""
+
+
+@atexit.register
+def end_all() -> None:
+    """End the idle workers."""
+    while _IDLE:
+        _IDLE.pop().end()
