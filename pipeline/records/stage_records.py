@@ -46,7 +46,22 @@ class WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeRow:
-    """Outcome of a trial with its evidence."""
+    """Outcome of a trial.
+
+    Parameters
+    ----------
+    outcome : str
+        One of `outcome.OUTCOMES`.
+    evidence : str
+        One sentence with its numbers in SI units.
+    outcome_row : int
+        First row of the evidence: in the band for good, first clipped, first at the stop or outside the travel, first
+        disturbed; -1 if there is none.
+    band : float
+        Half-width of the band about the final position [m, rad]; NaN if K <= 0.
+    amplitude_end : float
+        Half the range of the last fifth of the response [m, rad].
+    """
 
     outcome: str
     evidence: str
@@ -216,24 +231,9 @@ class OtherCostRow:
     reason: str
 
 
-@dataclass(frozen=True)
-class BoundaryRow:
-    """Measured limit at one damping; a `BoundaryPoint` in stored form."""
-
-    damping: float
-    stable: float | None
-    unstable: float | None
-    censored: bool
-    estimate: float | None
-    low: float | None
-    high: float | None
-    trials: int
-    undecided: int
-
-
 CostRow = OvershootRow | SettlingRow | EnergyRow | RiseRow | OtherCostRow
 TrialRow = ResponseRow | WallLawRow | OutcomeRow | DelayRow | MassRow | CostRow
-ExperimentRow = PartsRow | DeviceRow | ModelRow | BoundaryRow
+ExperimentRow = PartsRow | DeviceRow | ModelRow
 
 ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
     "response": ResponseRow,
@@ -248,9 +248,11 @@ ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
     "settling": SettlingRow,
     "energy": EnergyRow,
     "rise": RiseRow,
-    "boundary": BoundaryRow,
 }
-"""Record of each stage."""
+"""Record of each stage except the boundary, whose rows are those of `BoundaryPoint`."""
+
+BOUNDARY = ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials", "undecided")
+"""Columns of the measured boundary; the other fields of a point are known only in a comparison."""
 
 
 def columns_of(stage: str) -> tuple[str, ...]:
@@ -259,5 +261,5 @@ def columns_of(stage: str) -> tuple[str, ...]:
     >>> columns_of("delay")
     ('trial_id', 'samples_sha256', 'stiffness', 'damping', 'first_change_samples', 'reason')
     """
-    own = tuple(field.name for field in fields(ROWS[stage]))
+    own = BOUNDARY if stage == "boundary" else tuple(field.name for field in fields(ROWS[stage]))
     return own if stage in ("parts", "device", "model", "boundary") else OF_TRIAL + own

@@ -220,7 +220,7 @@ _NAMES = {
 
 TABLES: dict[str, tuple[str, ...]] = {
     **{table: tuple(names.split()) for table, names in _NAMES.items()},
-    **{stage: columns_of(stage) for stage in ROWS},
+    **{stage: columns_of(stage) for stage in (*ROWS, "boundary")},
 }
 """Columns of each table; those of a stage are the fields of its record."""
 

@@ -6,12 +6,14 @@ import pytest
 
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.records.criteria import FAMILIES, members
-from pipeline.records.stage_records import ROWS, columns_of
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.stage_records import BOUNDARY, ROWS, columns_of
 from pipeline.records.tables import COLUMNS, TABLES
 
 
 def test_every_stage_has_a_record_and_every_field_a_column():
-    assert set(ROWS) == set(NEEDS)
+    assert {*ROWS, "boundary"} == set(NEEDS)
+    assert {*BOUNDARY, "stiffness_large_motion", "truth"} == set(BoundaryPoint.model_fields)
     for stage, row in ROWS.items():
         names = [field.name for field in fields(row)]
         assert list(TABLES[stage])[-len(names) :] == names

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from columns import Columns
 
-from pipeline.measured.cost.costs import overshoot, settling
-from pipeline.measured.cost.energy import EnergyInputs, energy_interval, energy_terms
+from pipeline.measured.cost.costs import CostInputs, ReadingInputs, overshoot, settling
+from pipeline.measured.cost.energy import energy_interval, energy_terms
 from pipeline.measured.cost.reading_error import gain_at_rest, reading_error, sensor_error, usual_gain
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
@@ -59,7 +59,7 @@ class Logs:
 
     def energy(self, mass, **more):
         """Energies with their intervals, shape (n, 3)."""
-        inputs = EnergyInputs(self.delay, mass, **more)
+        inputs = CostInputs(ReadingInputs(self.delay, None, 1.0, 0.0), mass=mass, **more)
         logs = zip(self.trials, self.responses, self.verdicts, self.errors, strict=True)
         return Columns(energy_interval(*log, inputs) for log in logs)
 

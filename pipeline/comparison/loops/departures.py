@@ -151,7 +151,7 @@ class LawRows:
             [log.law.evidence for log in logs],
             [log.law.filter for log in logs],
             np.array([log.law.residual for log in logs]),
-            np.array([log.other_walls.obeyed[0] for log in logs]),
+            np.array([log.law.obeyed[0] for log in logs]),
             np.array([judge(log.trial, log.response).verdict for log in logs]),
         )
 

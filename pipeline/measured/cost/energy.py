@@ -53,29 +53,6 @@ LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
 """Half of the largest exponent for which exp does not overflow."""
 
 
-@dataclass(frozen=True)
-class EnergyInputs:
-    """Inputs of the energy cost that are common to the experiment.
-
-    Parameters
-    ----------
-    delay_samples : int
-        Integer delay factor d.
-    mass, mass_error : float
-        Effective mass or inertia at the wall, and its standard error [kg, kg m^2].
-    delay_range : tuple of int, optional
-        Smallest and largest integer delay factor compatible with the experiment.
-    weights : tuple of float
-        Exponents w.
-    """
-
-    delay_samples: int
-    mass: float
-    mass_error: float = 0.0
-    delay_range: tuple[int, int] | None = None
-    weights: tuple[float, ...] = WEIGHTS
-
-
 @dataclass(frozen=True, eq=False)
 class EnergyTerms:
     """Distances and changes of the samples from cost index 0 to the horizon, and their energies E_k/E_0.
@@ -186,7 +163,12 @@ class EnergyInterval:
 
 
 def energy_interval(
-    trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: EnergyInputs
+    trial: Trial,
+    response: Response,
+    verdict: Verdict,
+    error: ReadingError,
+    inputs: CostInputs,
+    weights: tuple[float, ...] = WEIGHTS,
 ) -> EnergyInterval:
     """Return the discrete energy cost with its interval.
 
@@ -195,7 +177,9 @@ def energy_interval(
     trial : Trial
     response, verdict, error : Response, Verdict, ReadingError
         Of this trial.
-    inputs : EnergyInputs
+    inputs : CostInputs
+    weights : tuple of float
+        Exponents w.
 
     Raises
     ------
@@ -217,7 +201,7 @@ def energy_interval(
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
-    mass, mass_error, delay, weights = inputs.mass, inputs.mass_error, inputs.delay_samples, inputs.weights
+    mass, mass_error, delay = inputs.mass, inputs.mass_error, inputs.readings.delay
     if not (mass > 0 and mass_error >= 0):
         raise ParameterError(f"mass {mass:g} +- {mass_error:g}: expected a positive mass and an error >= 0.")
     shortest, longest = delay_bounds(delay, inputs.delay_range)
@@ -265,8 +249,7 @@ def energy_row(
     trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
 ) -> EnergyRow:
     """Return the energies of a trial with their intervals in stored form."""
-    known = EnergyInputs(inputs.readings.delay, inputs.mass, inputs.mass_error, inputs.delay_range)
-    cost = energy_interval(trial, response, verdict, error, known)
+    cost = energy_interval(trial, response, verdict, error, inputs)
     parts = {"": cost.value, "_low": cost.low, "_high": cost.high, "_bias": cost.bias, "_tail": cost.tail}
     return EnergyRow(
         **{
@@ -287,9 +270,7 @@ def other_energy(
     criterion: Criterion,
 ) -> OtherCostRow:
     """Return the energy of a trial for an exponent that no column stores."""
-    weights, d = (criterion.weight,), inputs.readings.delay
-    known = EnergyInputs(d, inputs.mass, inputs.mass_error, inputs.delay_range, weights)
-    cost = energy_interval(trial, response, verdict, error, known)
+    cost = energy_interval(trial, response, verdict, error, inputs, (criterion.weight,))
     return OtherCostRow(float(cost.value[0]), float(cost.low[0]), float(cost.high[0]), cost.reason)
 
 

@@ -11,7 +11,7 @@ from pipeline.base.wording import of_most, true_minus
 from pipeline.device.parameters import PARAMETERS
 from pipeline.measured import thesis
 from pipeline.measured.experiment.identified_loop import METHOD, NOT_NEEDED, identified_loop
-from pipeline.measured.experiment.stored import Stored
+from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.experiment.trend import drift_warning, find_trends
 from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
@@ -48,7 +48,7 @@ def whole_delay(estimate: Estimate, at: float | None = None) -> float:
     return float(round(value)) if near else value
 
 
-def by_model(of: Stored, name: str) -> Estimate:
+def by_model(of: Experiment, name: str) -> Estimate:
     """Return a parameter of the identified loop, with the scatter of single trials and the drift with the wall.
 
     ``name`` is one of `PARAMETERS`.
@@ -91,7 +91,7 @@ def with_sign_warning(estimate: Estimate) -> Estimate:
     return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, text]))})
 
 
-def first_change(of: Stored) -> Estimate:
+def first_change(of: Experiment) -> Estimate:
     """Return the integer delay factor from the first position change (6.2, 6.3)."""
     rows = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
     found = thesis.estimate_delay(rows)
@@ -100,7 +100,7 @@ def first_change(of: Stored) -> Estimate:
     return found
 
 
-def delay_factor(of: Stored) -> tuple[int, int, int] | None:
+def delay_factor(of: Experiment) -> tuple[int, int, int] | None:
     """Return the smallest, most likely and largest integer delay factor, from which costs count; None without one.
 
     The delay of the model is rounded down, except that a delay just below a whole number counts as that number, within
@@ -121,7 +121,7 @@ def delay_factor(of: Stored) -> tuple[int, int, int] | None:
     return min(low, value), value, max(high, value)
 
 
-def delay_estimate(of: Stored) -> Estimate:
+def delay_estimate(of: Experiment) -> Estimate:
     """Return the integer delay factor of an experiment; ``by_method`` has the delay of the model, not rounded.
 
     Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer.
@@ -137,7 +137,7 @@ def delay_estimate(of: Stored) -> Estimate:
     return model.model_copy(update={**ends, "by_method": methods})
 
 
-def mass_estimate(of: Stored) -> Estimate:
+def mass_estimate(of: Experiment) -> Estimate:
     """Return the mass of an experiment, and that from the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
@@ -151,7 +151,7 @@ def mass_estimate(of: Stored) -> Estimate:
     return model.model_copy(update={"by_method": methods})
 
 
-def damping_estimate(of: Stored) -> Estimate:
+def damping_estimate(of: Experiment) -> Estimate:
     """Return the viscous damping of an experiment, and that from the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
@@ -159,7 +159,7 @@ def damping_estimate(of: Stored) -> Estimate:
     return model.model_copy(update={"by_method": {"model": model, "stability_limit": limit}})
 
 
-def jitter_estimate(of: Stored) -> Estimate:
+def jitter_estimate(of: Experiment) -> Estimate:
     """Return the standard deviation of the delay within a trial [samples]."""
     device = of.once(identified_loop)
     if device is None:
@@ -179,7 +179,7 @@ def jitter_estimate(of: Stored) -> Estimate:
     )
 
 
-def model_check(of: Stored) -> ModelCheck:
+def model_check(of: Experiment) -> ModelCheck:
     """Return the goodness of fit of the maximum-likelihood device to the logs of an experiment."""
     device = of.once(identified_loop)
     trials = len(of.texts("model", "trial_id"))

@@ -14,7 +14,7 @@ from pipeline.device.loop import Loop
 from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.device.parts import Friction, Mode, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
-from pipeline.measured.experiment.stored import Stored
+from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.identification.identifiability import IdentifiableCombination
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.parts import UNSEEN_FRICTION
@@ -257,7 +257,7 @@ def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["moto
     return parts, "load" if "mode at the load" in names else "motor"
 
 
-def identified_loop(of: Stored) -> IdentifiedLoop | None:
+def identified_loop(of: Experiment) -> IdentifiedLoop | None:
     """Return the loop of an experiment from its stage `device`, None if its mass is not identified."""
     (row,) = of.table("device").to_pylist()
     return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)

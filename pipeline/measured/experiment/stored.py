@@ -25,8 +25,8 @@ class Verdicts:
     reason: tuple[str, ...]
 
 
-class Stored(Protocol):
-    """Stored columns of the stages of an experiment, from which its estimates are computed."""
+class Experiment(Protocol):
+    """Contents of an experiment: its samples and the results of its stages."""
 
     @property
     def sampling_period_s(self) -> float:
@@ -51,10 +51,6 @@ class Stored(Protocol):
 
     def once(self, function: Callable[[Any], Result]) -> Result:
         """Return the result of a function of the experiment, which is called only once."""
-
-
-class Experiment(Stored, Protocol):
-    """Contents of an experiment: its samples and the results of previous stages."""
 
     @property
     def trials(self) -> pa.Table:

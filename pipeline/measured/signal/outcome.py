@@ -26,6 +26,7 @@ from pipeline.measured.signal.sensor import AT_REST, NOISE_FACTOR
 from pipeline.measured.signal.verdict import REST_FLOORS, Verdict
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.criteria import SETTLING_BANDS
+from pipeline.records.stage_records import OutcomeRow
 from pipeline.records.trials import Trial
 
 BAND = SETTLING_BANDS["settle_2pct"]
@@ -42,32 +43,6 @@ oscillation."""
 CROSSINGS = 4
 """Smallest number of crossings of the final position in the last three fifths, i.e. two periods, for a sustained
 oscillation."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a trial.
-
-    Parameters
-    ----------
-    outcome : str
-        One of `OUTCOMES`.
-    first_row : int
-        First row of the evidence: in the band for good, first clipped, first at the stop or outside the travel, first
-        disturbed; -1 if there is none.
-    evidence : str
-        One sentence with its numbers in SI units.
-    band : float
-        Half-width of the band about the final position [m, rad]; NaN if K <= 0.
-    amplitude_end : float
-        Half the range of the last fifth of the response [m, rad].
-    """
-
-    outcome: str
-    first_row: int
-    evidence: str
-    band: float
-    amplitude_end: float
 
 
 @dataclass(frozen=True)
@@ -166,7 +141,7 @@ that end a log or make it useless precede those of the loop."""
 OUTCOMES = tuple(RULES)
 
 
-def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int, device: PushResponse) -> Outcome:
+def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int, device: PushResponse) -> OutcomeRow:
     """Determine the outcome of a trial.
 
     Parameters
@@ -179,7 +154,7 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
 
     Returns
     -------
-    Outcome
+    OutcomeRow
 
     Notes
     -----
@@ -208,7 +183,7 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
     )
     rows = {name: row for name, rule in RULES.items() for holds, row in [rule(evidence)] if holds}
     outcome = next(iter(rows))
-    return Outcome(outcome, rows[outcome], getattr(evidence, outcome)(), band, evidence.end.amplitude)
+    return OutcomeRow(outcome, getattr(evidence, outcome)(), rows[outcome], band, evidence.end.amplitude)
 
 
 def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _End:

@@ -20,7 +20,7 @@ from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, fi
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.wall_command.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.wall_command.stamps import even
-from pipeline.measured.wall_command.wall_law import OtherWalls, WallLaw, other_walls, wall_law
+from pipeline.measured.wall_command.wall_law import WallLaw, wall_law
 from pipeline.recording.check import check_trial
 from pipeline.records.findings import Finding
 from pipeline.records.trials import Trial, Trials
@@ -80,11 +80,6 @@ class MeasuredTrial:
         return wall_law(replace(self.trial, time=self.logged.time), self.response)
 
     @cached_property
-    def other_walls(self) -> OtherWalls:
-        """Wall that the command obeys instead of the stated one."""
-        return other_walls(self.law)
-
-    @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """Faults of the recording."""
         return check_trial(self.logged)
@@ -93,7 +88,8 @@ class MeasuredTrial:
     def unsafe(self) -> str:
         """Reason why the trial gives no information on its wall (its recording, or another wall); empty if it does."""
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
-        return next(sentences, "") or self.other_walls.reason
+        other = self.law.other_wall
+        return next(sentences, "") or ("" if other is None else other.evidence)
 
     @cached_property
     def grid(self) -> SampleGrid:

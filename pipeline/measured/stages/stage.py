@@ -14,20 +14,14 @@ Output = TypeVar("Output")
 
 
 @dataclass(frozen=True)
-class NoInputs:
-    """Inputs of a stage that needs nothing from the whole experiment."""
-
-
-@dataclass(frozen=True)
 class Missing:
     """Reason why an experiment lacks the inputs of a stage; it is the reason of all rows."""
 
     reason: str
 
 
-def no_inputs(_: Experiment) -> NoInputs:
+def no_inputs(_: Experiment) -> None:
     """Return the inputs of a stage that needs nothing from the whole experiment."""
-    return NoInputs()
 
 
 @dataclass(frozen=True)

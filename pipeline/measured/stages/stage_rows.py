@@ -23,9 +23,9 @@ from pipeline.measured.signal.response import NO_ROW
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stage import Missing, NoInputs
+from pipeline.measured.stages.stage import Missing
+from pipeline.records.findings import BoundaryPoint
 from pipeline.records.stage_records import (
-    BoundaryRow,
     CostRow,
     DelayRow,
     MassRow,
@@ -35,7 +35,7 @@ from pipeline.records.stage_records import (
 )
 
 
-def response(of: MeasuredTrial, _: NoInputs) -> ResponseRow:
+def response(of: MeasuredTrial, _: None) -> ResponseRow:
     """Return edge, final position, resolution and verdict of a trial."""
     judged, shown = judge(of.trial, of.response), of.response
     # its result would apply to another wall, or to a faulty recording
@@ -53,9 +53,9 @@ def response(of: MeasuredTrial, _: NoInputs) -> ResponseRow:
     )
 
 
-def wall_law(of: MeasuredTrial, _: NoInputs) -> WallLawRow:
+def wall_law(of: MeasuredTrial, _: None) -> WallLawRow:
     """Return whether the logged command of a trial obeys the wall law, and the reason if it does not."""
-    law, (stiffness, damping, step) = of.law, of.other_walls.obeyed
+    law, (stiffness, damping, step) = of.law, of.law.obeyed
     return WallLawRow(
         law_residual=law.residual,
         law_rounding=law.rounding,
@@ -87,36 +87,21 @@ def outcome_inputs(of: Experiment) -> OutcomeInputs:
 
 def outcome(of: MeasuredTrial, inputs: OutcomeInputs) -> OutcomeRow:
     """Return the outcome of a trial with its evidence."""
-    ended = classify(of.trial, of.response, of.verdict, inputs.usual_rows, inputs.device)
-    return OutcomeRow(ended.outcome, ended.evidence, ended.first_row, ended.band, ended.amplitude_end)
+    return classify(of.trial, of.response, of.verdict, inputs.usual_rows, inputs.device)
 
 
-def boundary(of: Experiment) -> list[BoundaryRow]:
+def boundary(of: Experiment) -> tuple[BoundaryPoint, ...]:
     """Return the measured boundary, one row per damping, from the trials whose command obeys the stated wall."""
     stated = np.isnan(of.column("wall_law", "obeyed_stiffness"))
-    points = boundary_band(
+    return boundary_band(
         of.column("response", "stiffness")[stated],
         of.column("response", "damping")[stated],
         of.verdicts.verdict[stated],
         of.verdicts.growth_per_s[stated],
     )
-    return [
-        BoundaryRow(
-            damping=point.damping,
-            stable=point.stable,
-            unstable=point.unstable,
-            censored=point.censored,
-            estimate=point.estimate,
-            low=point.low,
-            high=point.high,
-            trials=point.trials,
-            undecided=point.undecided,
-        )
-        for point in points
-    ]
 
 
-def delay(of: MeasuredTrial, _: NoInputs) -> DelayRow:
+def delay(of: MeasuredTrial, _: None) -> DelayRow:
     """Return the delay of a trial from its first position change."""
     change = thesis.first_change(of.trial, of.response)
     return DelayRow(change.delay_samples, change.reason)

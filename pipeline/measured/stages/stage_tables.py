@@ -258,7 +258,7 @@ class ExperimentStages:
         from pipeline.measured.stages.stage import Missing
 
         inputs, samples = self.once(computation.inputs), self.samples
-        given = asdict(inputs)
+        given = {} if inputs is None else asdict(inputs)
         common = self._common(stage, given)
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())

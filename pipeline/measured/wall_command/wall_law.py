@@ -63,22 +63,20 @@ class WallLaw:
         """Velocity filter; None if the log shows none."""
         return next((departure.filter for departure in self.departures if departure.filter is not None), None)
 
+    @property
+    def other_wall(self) -> Departure | None:
+        """Departure with the wall or step that the command obeys instead of the stated one; None if there is none.
 
-@dataclass(frozen=True)
-class OtherWalls:
-    """K, B and step that a command obeys (NaN if as stated), and their description (empty if as stated)."""
+        The log does not apply to the stated wall.
+        """
+        others = (departure for departure in self.departures if departure.obeyed is not None)
+        return next(others, None) if self.residual > MATTERS else None
 
-    obeyed: tuple[float, float, float] = (np.nan, np.nan, np.nan)
-    reason: str = ""
-
-
-def other_walls(law: WallLaw) -> OtherWalls:
-    """Return the wall or step that a command obeys instead of the stated one, to which its log then does not apply."""
-    if law.residual > MATTERS:
-        for departure in law.departures:
-            if departure.obeyed is not None:
-                return OtherWalls(departure.obeyed, departure.evidence)
-    return OtherWalls()
+    @property
+    def obeyed(self) -> tuple[float, float, float]:
+        """K, B and step of that wall, NaN if there is none."""
+        other = self.other_wall
+        return (np.nan, np.nan, np.nan) if other is None or other.obeyed is None else other.obeyed
 
 
 def wall_law(trial: Trial, response: Response) -> WallLaw:

@@ -18,7 +18,7 @@ from pipeline.device.parts import Sensor
 from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.cost import costs
-from pipeline.measured.cost.energy import EnergyInputs, energy_interval
+from pipeline.measured.cost.energy import energy_interval
 from pipeline.measured.cost.reading_error import ReadingError, gain_at_rest, reading_error, sensor_error, usual_gain
 from pipeline.measured.identification.identified import OWN, identified, own_numbers
 from pipeline.measured.signal.response import Response, find_response
@@ -220,8 +220,8 @@ def _costs(
         return [np.array([costs.overshoot(*trial).value for trial in of.measured])]
 
     def complete(of: Logs) -> list[Floats]:
-        inputs, errors = EnergyInputs(of.samples, weight), reading_errors(of)
-        measured = zip(of.measured, errors, strict=True)
+        inputs = costs.CostInputs(costs.ReadingInputs(of.samples, None, 1.0, 0.0), mass=weight)
+        measured = zip(of.measured, reading_errors(of), strict=True)
         return list(np.array([energy_interval(*trial, error, inputs).value for trial, error in measured]).T)
 
     rows = (

@@ -111,12 +111,14 @@ def test_evidence_of_settling_is_the_settling_time() -> None:
     trials = among(run(IDEAL, [3000.0, 4400.0], [60.0, 72.0]), IDEAL)
     found = outcomes(trials)
     assert set(found.outcome) == {"settled"}
-    for trial, row in zip(trials, found.first_row.tolist(), strict=True):
+    for trial, row in zip(trials, found.outcome_row.tolist(), strict=True):
         response = find_response(trial)
         cost = costs.settling(trial, response, judge(trial, response), 4)["settle_2pct"]
         assert row - response.edge_row - 4 == cost.value
     np.testing.assert_allclose(found.band, BAND * 8.0 / trials.stiffness, rtol=1e-12)
-    assert all(f"sample {row} of the log on" in text for row, text in zip(found.first_row, found.evidence, strict=True))
+    assert all(
+        f"sample {row} of the log on" in text for row, text in zip(found.outcome_row, found.evidence, strict=True)
+    )
 
 
 @pytest.mark.parametrize("size", [-3.0, 1.5])
@@ -155,7 +157,7 @@ def test_clipping_is_dated_by_the_unclipped_command() -> None:
     (free,) = run(IDEAL, [9000.0], [40.0])
     found = outcomes(among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL))
     assert found.outcome[:2].tolist() == ["saturated", "settled"]
-    assert found.first_row[0] == np.argmax(np.abs(free.command) > 11.0)
+    assert found.outcome_row[0] == np.argmax(np.abs(free.command) > 11.0)
     assert "clipped at 11 " in found.evidence[0]
 
 
@@ -170,11 +172,11 @@ def test_travel_limit_and_stop_are_dated() -> None:
     held = run(replace(FALCON, stop=0.01), [25000.0, 0.0], [90.0, 0.0])
     found = outcomes(among(join([left, held])))
     assert found.outcome[:4].tolist() == ["travel_limit"] * 4, found.evidence[:4]
-    assert (found.first_row[:2] == left.rows - 1).all()
+    assert (found.outcome_row[:2] == left.rows - 1).all()
     at_stop = np.abs(stacked(held, "position") - FALCON.centre) > 0.01 - 1e-5
     # a blow is dated by the first time at that place, a rebound by the first abrupt one: some contacts later at most
-    assert (found.first_row[2:4] >= np.argmax(at_stop, axis=1)).all()
-    assert found.first_row[3] <= np.argmax(at_stop[1]) + 2
+    assert (found.outcome_row[2:4] >= np.argmax(at_stop, axis=1)).all()
+    assert found.outcome_row[3] <= np.argmax(at_stop[1]) + 2
 
 
 def test_without_others_a_log_that_ended_early_is_not_known_to_have() -> None:
@@ -290,7 +292,7 @@ def test_stop_of_the_simulator_is_never_passed_and_holds_against_the_force() -> 
 def test_a_log_has_settled_once_some_samples_lie_within_the_band(more: int, outcome: str) -> None:
     whole = run(IDEAL, [3000.0], [90.0])
     final = find_response(whole[0]).position_final_expected
-    entry = int(outcomes(whole).first_row[0])
+    entry = int(outcomes(whole).outcome_row[0])
     log = run(replace(IDEAL, rows=entry + more), [3000.0], [90.0])
     assert outcomes(log).outcome.tolist() == [outcome]
     settled = costs.settling(log[0], find_response(log[0]), judge(log[0]), 4)["settle_2pct"].value
