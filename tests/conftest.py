@@ -12,10 +12,9 @@ from typing import Any
 
 import pytest
 from filelock import FileLock
-from labs import Lab, make_lab
+from labs import Lab, Outcome, make_lab
 
 from pipeline.base import provenance
-from pipeline.comparison.compare import Outcome
 from pipeline.device_data.devices import load_device
 from pipeline.shell.cli import run
 

@@ -15,11 +15,10 @@ from pipeline.base.errors import UsageError
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import __version__, code_digest
 from pipeline.base.wording import listed
-from pipeline.comparison.experiment_result import estimated_theories, experiment_result, nominal_theories
+from pipeline.comparison.experiment_result import experiment_numbers, nominal_theories
 from pipeline.comparison.figures.responses import trials_of
 from pipeline.comparison.scene.origin import excluded_trials
-from pipeline.comparison.scene.scene import SceneData, open_scene
-from pipeline.comparison.scores.scores import add_scores
+from pipeline.comparison.scene.scene import StoredData, open_scene
 from pipeline.loop.normalised_loop import LoopUnits
 from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.identified_loop import identified_loop
@@ -32,7 +31,7 @@ from pipeline.records.results import (
     BoundaryDifference,
     ComparisonResult,
     CostDifference,
-    ExperimentResult,
+    ExperimentNumbers,
     LimitDifference,
     PairDifference,
     Side,
@@ -440,8 +439,8 @@ class _Gathered:
     """One stored experiment: its name, scene, result and theory."""
 
     side: Side
-    data: SceneData
-    result: ExperimentResult
+    data: StoredData
+    result: ExperimentNumbers
     theory: Theory | None
 
     @property
@@ -474,11 +473,9 @@ class _Gathered:
         return units.stiffness, units.damping
 
 
-def _gathered(data: SceneData, notes: Sequence[Note]) -> _Gathered:
-    theories = nominal_theories(data)
+def _gathered(data: StoredData, notes: Sequence[Note]) -> _Gathered:
     name = data.experiments[0].experiment
-    result = experiment_result(data, data.experiments[0], theories.get(name))
-    theories = theories or estimated_theories([result], data)
+    result = experiment_numbers(data, data.experiments[0], nominal_theories(data).get(name))
     side = Side(
         device=data.scene.device,
         experiment=name,
@@ -488,7 +485,7 @@ def _gathered(data: SceneData, notes: Sequence[Note]) -> _Gathered:
         notes=tuple(notes),
         simulated=data.simulated,
     )
-    return _Gathered(side, data, add_scores(data, [result], theories)[0], theories.get(name))
+    return _Gathered(side, data, result, Theory(result.theory) if result.theory else None)
 
 
 def _code(of: Document) -> str:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from pipeline.base.disk import if_writable, read_result, write_result
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import code_digest, digest
+from pipeline.comparison.ground_truth import true_limits, truth_held
 from pipeline.comparison.loops.departures import SHORT as OTHER_WALL
-from pipeline.comparison.loops.departures import LawRows, law_departures, other_gains, untimed
-from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.loop_basis import adequate_theory
+from pipeline.comparison.loops.departures import experiment_departures, other_gains, untimed
+from pipeline.comparison.loops.findings import examine_loop
+from pipeline.comparison.loops.loop_basis import adequate_theory, identified_device
 from pipeline.comparison.loops.recording_faults import cause_of, recording_faults, unsafe_recording, words_of
-from pipeline.comparison.loops.wall_replay import with_large_motion
+from pipeline.comparison.loops.wall_replay import large_motion_limits
 from pipeline.comparison.scene.origin import header_lines
-from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.comparison.scene.scene import StoredData, needed_stages
+from pipeline.comparison.scores.scores import scores_of
 from pipeline.comparison.summary.recommended_walls import region_to_use
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import ESTIMATE_PARAMETERS
@@ -35,9 +37,16 @@ from pipeline.measured.experiment.estimates import (
 from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
+from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import BoundaryPoint, Estimate
-from pipeline.records.models import Experiment
-from pipeline.records.results import NOT_ADEQUATE, ExperimentResult, LoopFindings, SourcedLoop
+from pipeline.records.results import (
+    NOT_ADEQUATE,
+    ExperimentNumbers,
+    LoopFindings,
+    MeasuredExperiment,
+    SourcedLoop,
+    UseRegion,
+)
 from pipeline.rendering.labels import Units
 from pipeline.store.storage import stage_folder
 from pipeline.theory.predictions import Theory
@@ -53,7 +62,7 @@ USUAL_SHARES, USUAL_SHARE = {"response": 6.0, "parts": 12.0}, 0.5
 """Usual run times of stages, in any unit, for the progress display; and the run time of any other stage."""
 
 
-def nominal_theories(data: SceneData) -> dict[str, Theory]:
+def nominal_theories(data: StoredData) -> dict[str, Theory]:
     """Return the theory by the device file for all of its experiments (a table may use parameters of another one).
 
     An experiment has no theory if its delay exceeds the range of theory, or if no wall stabilises its loop.
@@ -74,15 +83,50 @@ def _with(loop: Loop) -> str:
     return f"{text}; without {', '.join(loop.left_out)}" if loop.left_out else text
 
 
-def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
-    """Return the theory by the estimates of each experiment whose loop is adequate."""
-    both = zip(results, data.experiments, strict=True)
-    found = {result.experiment: adequate_theory(result, stages) for result, stages in both}
-    return {name: theory for name, theory in found.items() if theory is not None}
+def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theory | None) -> ExperimentNumbers:
+    """Compute and collect the required results of one experiment, except its first screen.
+
+    Parameters
+    ----------
+    data : StoredData
+    stages : ExperimentStages
+    theory : Theory or None
+        Theory by the device file. For an unknown device it is that by the estimates, if the loop is adequate.
+    """
+    measured = _measured(data, stages)
+    with part_of_work("", LOOP_BEGINS, 1.0):
+        loop = _examined(data, stages, measured)
+    if data.device is None:
+        theory = adequate_theory(loop, stages)
+    linear = large_motion_limits(measured, loop, stages)
+    use, why = _use(measured, stages, linear)
+    truth = data.truth.get(stages.experiment)
+    values = truth.values if truth is not None else {}
+    unsure = loop.loop is not None and not loop.loop.adequate
+    if unsure and (device := stages.once(identified_loop)) is not None:
+        unsure = not device.tells
+    estimates = {
+        name: _completed(each, values.get(name), doubted=unsure and name in _OF_A_LOOP)
+        for name, each in measured.estimates.items()
+    }
+    limits = true_limits(truth, [point.damping for point in measured.boundary])
+    boundary = tuple(
+        point.model_copy(update={"stiffness_large_motion": linear.get(point.damping), "truth": limit})
+        for point, limit in zip(measured.boundary, limits, strict=True)
+    )
+    return ExperimentNumbers(
+        **(dict(measured) | dict(loop) | {"estimates": estimates, "boundary": boundary}),
+        theory=theory.described if theory else None,
+        scores=scores_of(measured, stages, theory, by_file=data.device is not None),
+        use=use,
+        use_reason=why or None,
+        truth=truth,
+        truth_held=truth_held(estimates.values(), boundary) if truth is not None else None,
+    )
 
 
-def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
-    """Compute and collect the required results of one experiment."""
+def _measured(data: StoredData, stages: ExperimentStages) -> MeasuredExperiment:
+    """Compute the required stages of an experiment, and collect their results."""
     needed = needed_stages(data)
     ordered = sorted(needed, key=list(NEEDS).index)
     shares = np.cumsum([0.0, *(USUAL_SHARES.get(stage, USUAL_SHARE) for stage in ordered)])
@@ -90,16 +134,18 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     for stage, begin, end in zip(ordered, shares.tolist(), shares[1:].tolist(), strict=False):
         with part_of_work("", begin, end):
             stages.table(stage)
-    units = data.units
-    named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
-    entry = named.get(stages.experiment)
-    limits = _known_points(stages)
-    best = {criterion: stages.optimum(criterion, limits) for criterion in data.scene.criteria}
-    optimum = {criterion: found for criterion, found in best.items() if found is not None}
-    missing = {c: stages.cost(c)[1] or "no stable trial has this cost" for c in best if c not in optimum}
+    entry = next((e for e in (data.device.experiments if data.device else ()) if e.name == stages.experiment), None)
+    limits, gains, fault = _known_points(stages), stages.once(other_gains), stages.once(unsafe_recording)
+    if fault is not None or (gains is not None and gains.most):
+        optimum, reason = {}, words_of(fault) if fault is not None else OTHER_WALL
+        missing = dict.fromkeys(data.scene.criteria, reason)
+    else:
+        best = {criterion: stages.optimum(criterion, limits) for criterion in data.scene.criteria}
+        optimum = {criterion: found for criterion, found in best.items() if found is not None}
+        missing = {c: stages.cost(c)[1] or "no stable trial has this cost" for c in best if c not in optimum}
     periods = set(stages.trials.column("sampling_period_s").to_pylist())
     grips = sorted(set(stages.trials.column("grip").to_pylist()))
-    result = ExperimentResult(
+    return MeasuredExperiment(
         experiment=stages.experiment,
         configuration=entry.configuration if entry else "",
         grip=grips[0] if len(grips) == 1 else "none",
@@ -109,94 +155,96 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
         model_check=model_check(stages) if "model" in needed else None,
-        estimates=_estimates(stages, needed, units),
+        estimates=_estimates(stages, needed, data.units),
         boundary=limits,
         optimum=optimum,
         missing=missing,
-        theory=theory.described if theory else None,
         header=header_lines(stages),
         recording=stages.once(recording_faults),
     )
-    gains, fault = stages.once(other_gains), stages.once(unsafe_recording)
-    if fault is not None or (gains is not None and gains.most):
-        why = words_of(fault) if fault is not None else OTHER_WALL
-        result = result.model_copy(update={"optimum": {}, "missing": dict.fromkeys(data.scene.criteria, why)})
-        use = None
-    else:
-        use, why = region_to_use(result, stages)
-    causes = [cause_of(each) for each in result.recording if each.is_unsafe]
-    causes += [] if gains is None or gains.few else [gains.cause]
-    result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": tuple(causes)})
-    with part_of_work("", LOOP_BEGINS, 1.0):
-        return _with_loop(data, stages, result, units) if "device" in needed else result
+
+
+def _use(
+    measured: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float | None]
+) -> tuple[UseRegion | None, str]:
+    """Return the walls to use, and why there are none; ``linear`` are the limits for large motions, if friction was
+    found."""
+    fault, gains = stages.once(unsafe_recording), stages.once(other_gains)
+    if fault is not None:
+        return None, words_of(fault)
+    if gains is not None and gains.most:
+        return None, OTHER_WALL
+    limits = {damping: K for damping, K in linear.items() if K is not None}
+    if linear and (device := stages.once(identified_device)) is not None:
+        others = np.setdiff1d(stages.column("response", "damping"), [*limits])
+        limits |= zip(others.tolist(), linear_limits(device.loop, others).tolist(), strict=True)
+    return region_to_use(measured, stages, limits)
 
 
 def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
     """Return the measured boundary; without limits if the recordings do not determine any."""
     if stages.once(unsafe_recording) is None:
         return stages.boundary_points
-    nothing = {"estimate": None, "low": None, "high": None, "stable": None, "unstable": None, "censored": True}
-    return tuple(point.model_copy(update=nothing) for point in stages.boundary_points)
+    return tuple(
+        BoundaryPoint(
+            damping=each.damping,
+            stable=None,
+            unstable=None,
+            censored=True,
+            trials=each.trials,
+            undecided=each.undecided,
+        )
+        for each in stages.boundary_points
+    )
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
 """Estimates that are valid only if their loop is adequate."""
 
 
-def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
-    """Add the loop and its consequences; drop or flag results that need a better loop."""
-    fault = stages.once(unsafe_recording)
-    if fault is not None:
-        nothing = {name: _without(each.unit, words_of(fault)) for name, each in result.estimates.items()}
-        result = result.model_copy(update={"estimates": nothing})
-    elif reason := untimed(law_departures(stages.once(LawRows.of))):
-        kept = {"boundary_area": result.estimates["boundary_area"]}
-        others = {name: _without(each.unit, reason) for name, each in result.estimates.items()}
-        result = result.model_copy(update={"estimates": others | kept})
-    findings = _findings(data, stages, result, units)
-    found = dict(result.estimates)
-    if not findings.loop.adequate:
-        device = stages.once(identified_loop)
-        if device is None or not device.tells:
-            found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
-    named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
-    return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
-
-
-def _findings(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> LoopFindings:
+def _examined(data: StoredData, stages: ExperimentStages, measured: MeasuredExperiment) -> LoopFindings:
     """Return the loop and its consequences: the stored ones if all inputs are unchanged.
 
     Simulating the identified device at the tested walls takes longer than reading all stages.
     """
+    if "device" not in needed_stages(data):
+        gains = stages.once(other_gains)
+        causes = [cause_of(each) for each in measured.recording if each.is_unsafe]
+        return LoopFindings(
+            optimum=measured.optimum, causes=(*causes, *([] if gains is None or gains.few else [gains.cause]))
+        )
     device = data.device.model_dump_json() if data.device else ""
     keys = [stages.key(stage) for stage in sorted(NEEDS)]
-    key = digest([result.model_dump_json(), device, code_digest("report"), *keys])
+    key = digest([measured.model_dump_json(), device, code_digest("report"), *keys])
     folder = stage_folder(stages.processed, stages.device, stages.experiment)
     stored = json.loads(read_result(folder, FINDINGS, ".json") or b"{}")
     if stored.get("key") == key:
         return LoopFindings.model_validate(stored["findings"])
-    found = loop_findings(result, stages, data.device, units)
+    found = examine_loop(measured, stages, data.device, data.units)
     with if_writable():
         document = {"key": key, "findings": found.model_dump(mode="json")}
         write_result(folder, FINDINGS, ".json", json.dumps(document, allow_nan=False).encode())
     return found
 
 
-def _doubted(estimate: Estimate) -> Estimate:
-    if estimate.value is None:
-        return estimate
-    doubt = f"{NOT_ADEQUATE}, so that its interval may be too narrow"
-    return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, doubt]))})
+def _completed(estimate: Estimate, truth: float | None, *, doubted: bool) -> Estimate:
+    """Return an estimate with its true value, and with a warning if it depends on a loop that is not adequate."""
+    doubt = f"{NOT_ADEQUATE}, so that its interval may be too narrow" if doubted and estimate.value is not None else ""
+    warning = "; ".join(filter(None, [estimate.warning, doubt])) or None
+    return estimate.model_copy(update={"truth": truth, "warning": warning})
 
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
-    """Return the estimates of an experiment: delay, mass and damping, and those derived from its boundary."""
+    """Return the estimates of an experiment: delay, mass and damping, and those derived from its boundary.
+
+    Recordings that show no delay leave the area, or nothing.
+    """
     area = boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}")
     if "device" not in needed:
         why = "left out: neither a criterion that was asked for nor a theory curve needs it"
         of = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
         return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
-    return {
+    estimates = {
         "delay_samples": stages.once(delay_estimate),
         "mass": stages.once(mass_estimate) if "mass" in needed else by_model(stages, "mass"),
         "damping": stages.once(damping_estimate),
@@ -204,6 +252,14 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         **{name: by_model(stages, parameter) for name, parameter in ESTIMATE_PARAMETERS.items()},
         "constant_force": by_model(stages, "constant_force"),
         "jitter_samples": jitter_estimate(stages),
+    }
+    fault = stages.once(unsafe_recording)
+    reason = words_of(fault) if fault is not None else untimed(stages.once(experiment_departures))
+    if not reason:
+        return estimates
+    return {
+        name: each if name == "boundary_area" and fault is None else _without(each.unit, reason)
+        for name, each in estimates.items()
     }
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from pipeline.device.loop import Loop
 from pipeline.device.parts import LoopTable
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate, holds
-from pipeline.records.results import ExperimentResult, SourcedLoop, Truth, TruthHeld
+from pipeline.records.results import SourcedLoop, Truth, TruthHeld
 from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.predictions import Theory
@@ -83,32 +83,20 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     )
 
 
-def add_ground_truth(result: ExperimentResult, truth: Truth | None) -> ExperimentResult:
-    """Return a result with the truth of its estimates and limits, and the number of intervals that contain it."""
-    if truth is None:
-        return result
-    values = truth.values
-    estimates = {
-        name: one.model_copy(update={"truth": values[name]}) if name in values else one
-        for name, one in result.estimates.items()
-    }
-    limits = _limits(truth, [point.damping for point in result.boundary])
-    both = zip(result.boundary, limits, strict=True)
-    boundary = tuple(point.model_copy(update={"truth": limit}) for point, limit in both)
-    told = [held for held in map(_holds, estimates.values()) if held is not None]
-    seen = [held for held in map(_holds, boundary) if held is not None]
-    held = TruthHeld(estimates=len(told), estimates_held=sum(told), limits=len(seen), limits_held=sum(seen))
-    changed = {"estimates": estimates, "boundary": boundary, "truth": truth, "truth_held": held}
-    return result.model_copy(update=changed)
-
-
-def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
-    """Return the largest stable stiffness of the true loop at each damping, 0 without any."""
-    if truth.limit_reason or not damping:
-        return [None] * len(damping)
+def true_limits(truth: Truth | None, dampings: Sequence[float]) -> list[float | None]:
+    """Return the largest stable stiffness of the true loop at each damping, 0 without any; None if unknown."""
+    if truth is None or truth.limit_reason or not dampings:
+        return [None] * len(dampings)
     theory = Theory(truth.loop)
-    limit = stiffness_limit(theory.normalised, np.array(damping) / theory.units.damping) * theory.units.stiffness
+    limit = stiffness_limit(theory.normalised, np.array(dampings) / theory.units.damping) * theory.units.stiffness
     return [float(each) for each in np.maximum(limit, 0.0)]
+
+
+def truth_held(estimates: Iterable[Estimate], boundary: Iterable[BoundaryPoint]) -> TruthHeld:
+    """Return the number of intervals with a known truth, and of those that contain it."""
+    told = [held for held in map(_holds, estimates) if held is not None]
+    seen = [held for held in map(_holds, boundary) if held is not None]
+    return TruthHeld(estimates=len(told), estimates_held=sum(told), limits=len(seen), limits_held=sum(seen))
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:

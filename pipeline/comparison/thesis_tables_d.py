@@ -8,13 +8,13 @@ from functools import cache
 from itertools import product
 from typing import Any
 
-from pipeline.comparison.scene.scene import SceneData, layouts
+from pipeline.comparison.scene.scene import StoredData, layouts
 from pipeline.comparison.scores.deviation import deviation_of
 from pipeline.device_data.published import find, published_deviation
 from pipeline.records.criteria import DISCRETE, criterion_of
 from pipeline.records.findings import Optimum, holds
 from pipeline.records.models import ComparisonRow, Deviation, TableLayout
-from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.records.results import ExperimentNumbers, SourcedLoop
 from pipeline.rendering.figures.overview import DampedCosts
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
@@ -32,12 +32,12 @@ class TableBuilder:
 
     Parameters
     ----------
-    data : SceneData
+    data : StoredData
     theories : mapping of experiment to Theory
         Theory for each experiment (and for those whose parameters a table names); missing where unavailable.
     """
 
-    data: SceneData
+    data: StoredData
     theories: Mapping[str, Theory]
 
     def requests(self) -> list[Request]:
@@ -52,7 +52,7 @@ class TableBuilder:
                         result.append((loop, criterion))
         return list(dict.fromkeys(result))
 
-    def rows(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> tuple[ComparisonRow, ...]:
+    def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
         """Return all rows, table after table: per criterion those of theory, then the experiments."""
         measured = {r.experiment: r for r in results}
         stages = {e.experiment: e for e in self.data.experiments}
@@ -83,7 +83,7 @@ class TableBuilder:
                         rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
         return tuple(rows)
 
-    def damped(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> DampedCosts:
+    def damped(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> DampedCosts:
         """Return theory's costs over delay with the measured damping, if it differs from that of the device file."""
         measured = {result.experiment: result.estimates["damping"] for result in results}
         wanted: dict[tuple[str, str, float], tuple[Theory, str]] = {}
@@ -114,7 +114,7 @@ class TableBuilder:
         self,
         table: TableLayout,
         criterion: str,
-        result: ExperimentResult,
+        result: ExperimentNumbers,
         theory: Theory | None,
         discrete: Prediction | None,
         parts: Deviation | None,

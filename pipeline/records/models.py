@@ -318,7 +318,7 @@ else:
     """A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
 
 
-class SceneFile(Record):
+class SceneFile(Shown):
     """Scene as a file (TOML): the content of one report. A missing key means everything for which there is data.
 
     Parameters
@@ -339,10 +339,6 @@ class SceneFile(Record):
     criteria: tuple[CriterionWord, ...] | None = Field(default=None, min_length=1)
     bands: tuple[Band, ...] = Field(default=tuple(_BANDS), min_length=1)
     delays: tuple[NonNegative, ...] | None = Field(default=None, min_length=1)
-    overlays: tuple[Overlay, ...] | None = None
-    figures: tuple[FigureKind, ...] | None = None
-    tables: tuple[Name, ...] | None = None
-    measuring: Measuring = Measuring()
     report: Name | None = None
 
     @property

@@ -357,10 +357,10 @@ class RecordingFault(Record):
 class LoopFindings(Record):
     """Loop, limits, passive wall and causes of one experiment; a missing result is None, with a reason.
 
-    ``optimum`` states for each optimum whether it is passive.
+    ``loop`` is None if nothing requested needs a device. ``optimum`` states for each optimum whether it is passive.
     """
 
-    loop: LoopResult
+    loop: LoopResult | None = None
     optimum: dict[str, Optimum] = Field(default_factory=dict)
     loop_boundary: tuple[Limit, ...] | None = None
     passive: PassiveWall | None = None
@@ -368,7 +368,7 @@ class LoopFindings(Record):
     implied_delay: ImpliedDelay | None = None
     straight_bound: StraightBound | None = None
     replay: WallReplay | None = None
-    causes: tuple[Cause, ...] = Field(default=())
+    causes: tuple[Cause, ...] = ()
 
 
 class Truth(Record):
@@ -578,11 +578,10 @@ class HeaderLine(Record):
     values: dict[str, int]
 
 
-class ExperimentResult(Record):
-    """All results for one experiment.
+class MeasuredExperiment(Record):
+    """Results of one experiment by its logs alone: verdicts, estimates, boundary, optima and faults of the recordings.
 
-    ``use_reason`` states why there is no recommended region, or why none was chosen by a cost; ``sampling_period_s`` is
-    null if the trials have several.
+    ``sampling_period_s`` is null if the trials have several.
     """
 
     experiment: str
@@ -595,32 +594,31 @@ class ExperimentResult(Record):
     model_check: ModelCheck | None = None
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
-    optimum: dict[str, Optimum]
+    optimum: dict[str, Optimum] = Field(default_factory=dict)
     missing: dict[str, str] = Field(default_factory=dict)
-    theory: SourcedLoop | None = None
-    scores: tuple[Scores, ...] = ()
-    loop: LoopResult | None = None
-    loop_boundary: tuple[Limit, ...] | None = None
-    passive: PassiveWall | None = None
-    passive_reason: str | None = None
-    implied_delay: ImpliedDelay | None = None
-    straight_bound: StraightBound | None = None
-    replay: WallReplay | None = None
-    causes: tuple[Cause, ...] = ()
     recording: tuple[RecordingFault, ...] = ()
     header: tuple[HeaderLine, ...] = ()
     sampling_period_s: float | None = None
-    use: UseRegion | None = None
-    use_reason: str | None = None
-    truth: Truth | None = None
-    truth_held: TruthHeld | None = None
-    answer: Answer | None = None
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
         """Limit with the largest stable stiffness, None if no trial is stable."""
         known = [point for point in self.boundary if point.stable is not None]
         return max(known, key=lambda point: (point.stable, point.damping), default=None)
+
+
+class ExperimentNumbers(MeasuredExperiment, LoopFindings):
+    """All results for one experiment, except the first screen.
+
+    ``use_reason`` states why there is no recommended region, or why none was chosen by a cost.
+    """
+
+    theory: SourcedLoop | None = None
+    scores: tuple[Scores, ...] = ()
+    use: UseRegion | None = None
+    use_reason: str | None = None
+    truth: Truth | None = None
+    truth_held: TruthHeld | None = None
 
     @property
     def delay(self) -> Estimate:
@@ -632,6 +630,12 @@ class ExperimentResult(Record):
         judged = self.replay is not None and self.replay.verdicts_same is not None
         doubted = factor.warning is not None and NOT_ADEQUATE in factor.warning
         return fitted if self.loop.adequate or not (judged or doubted) else factor
+
+
+class ExperimentResult(ExperimentNumbers):
+    """All results for one experiment."""
+
+    answer: Answer | None = None
 
 
 class LogList(Record):

@@ -14,7 +14,7 @@ from pipeline.device.parameters import MOTIONS
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, NearOptimum, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
-from pipeline.records.results import ComparisonResult, ExperimentResult
+from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.records.tables import COLUMNS, unit_of_column
 
 if TYPE_CHECKING:  # loads for half a second
@@ -116,7 +116,7 @@ def units_of_tables(motion: Motion) -> dict[str, str]:
     }
 
 
-def estimates_frame(results: Iterable[ExperimentResult], *, all_methods: bool = False) -> pd.DataFrame:
+def estimates_frame(results: Iterable[ExperimentNumbers], *, all_methods: bool = False) -> pd.DataFrame:
     """Return the ``recommended`` estimates, on request followed by those of the other methods."""
     rows = []
     for result in results:
@@ -128,7 +128,7 @@ def estimates_frame(results: Iterable[ExperimentResult], *, all_methods: bool = 
     return frame_of(_ESTIMATES, rows, {})
 
 
-def boundary_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
+def boundary_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.DataFrame:
     """Return the measured limits; ``stiffness`` is by the growth rates, ``low`` and ``high`` are its 95 % interval."""
     rows = ({"experiment": e.experiment, **dict(p), "stiffness": p.estimate} for e in results for p in e.boundary)
     units = units_of(_WALL, {motion})
@@ -136,7 +136,7 @@ def boundary_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.Da
     return frame_of(_BOUNDARY, rows, units | more)
 
 
-def optima_frame(results: Iterable[ExperimentResult], motion: Motion) -> pd.DataFrame:
+def optima_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.DataFrame:
     """Return the best trials, and the reason if a criterion has none."""
     rows: list[Row] = []
     for e in results:
@@ -167,7 +167,7 @@ def flat(record: Record) -> Row:
     return row
 
 
-def _records(results: Sequence[ExperimentResult], field: str, units: Mapping[str, str]) -> pd.DataFrame:
+def _records(results: Sequence[ExperimentNumbers], field: str, units: Mapping[str, str]) -> pd.DataFrame:
     """Return a field of all experiments, either one record or several."""
     rows = []
     for e in results:
@@ -186,7 +186,7 @@ def _of_row(row: ComparisonRow, periods: Mapping[str, float | None]) -> Row:
     return {**dict(row), **dict(row.deviation or {}), "cost_s": in_seconds(row.criterion, row.cost, period)}
 
 
-def _scores(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+def _scores(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
     """Yield the numbers of all scores; ``x_low`` and ``x_high`` are the interval of an ``x``."""
     for e, scores in ((each, scores) for each in results for scores in each.scores):
         about = {"experiment": e.experiment, "basis": scores.basis}
@@ -200,27 +200,27 @@ def _scores(results: Iterable[ExperimentResult]) -> Iterator[Row]:
             yield {**about, "score": name, "reason": reason}
 
 
-def _header(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+def _header(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
     for e in results:
         for line in e.header:
             for value, trials in line.values.items():
                 yield {"experiment": e.experiment, "key": line.key, "text": value, "trials": trials}
 
 
-def _counts(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+def _counts(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
     for e in results:
         for kind, counts in (("verdict", e.verdicts), ("outcome", e.outcomes)):
             for what, number in counts.items():
                 yield {"experiment": e.experiment, "kind": kind, "what": what, "trials": number}
 
 
-def _missing(results: Iterable[ExperimentResult]) -> Iterator[Row]:
+def _missing(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
     for e in results:
         for what, why in e.missing.items():
             yield {"experiment": e.experiment, "what": what, "reason": why}
 
 
-def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]:
+def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row]:
     """Yield limits and estimates by experiment, with the header lines that differ; empty without such lines."""
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
@@ -236,7 +236,7 @@ def _trend(results: Sequence[ExperimentResult], motion: Motion) -> Iterator[Row]
                 yield {**about, **dict(found), "quantity": name, "bound": False}
 
 
-def differing_lines(results: Sequence[ExperimentResult]) -> tuple[str, ...]:
+def differing_lines(results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
     """Return the header lines of at least two experiments whose values differ; dates first."""
     values: dict[str, list[str]] = {}
     for e in results:
@@ -246,13 +246,13 @@ def differing_lines(results: Sequence[ExperimentResult]) -> tuple[str, ...]:
     return tuple(sorted(keys, key=lambda key: not all(_date(line_text(e, key)) for e in results)))
 
 
-def line_text(result: ExperimentResult, key: str) -> str:
+def line_text(result: ExperimentNumbers, key: str) -> str:
     """Return the value of a header line in the logs of an experiment, or the first of several; empty without one."""
     line = next((line for line in result.header if line.key == key), None)
     return f"{next(iter(line.values))}{' …' if line.different > 1 else ''}" if line else ""
 
 
-def in_order(results: Sequence[ExperimentResult], keys: Sequence[str]) -> list[ExperimentResult]:
+def in_order(results: Sequence[ExperimentNumbers], keys: Sequence[str]) -> list[ExperimentNumbers]:
     """Return experiments sorted by the date in the first of the header lines; in their original order without dates."""
     dates = [_date(line_text(e, keys[0])) for e in results]
     return [results[n] for n in sorted(range(len(dates)), key=lambda n: (dates[n], n))] if all(dates) else list(results)

@@ -19,7 +19,7 @@ from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.paths import path_of_text
 from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.against import against_experiments
-from pipeline.comparison.compare import compare
+from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
 from pipeline.comparison.figures.responses import overlaid_figure, response_figures, trial_figure, trials_of
 from pipeline.comparison.figures.trial_page import reason_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
@@ -239,16 +239,16 @@ def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, pr
     for name in asked["experiments"]:
         _computed(settings, (asked["device"], name), {})
     with heard_by(Names(progress)):
-        result = compare(
+        what = ComparisonSelection(
             asked["device"],
             settings.processed,
             experiments=asked["experiments"],
             criteria=asked["criteria"],
-            report=report,
             notes=_notes(asked),
-        ).result
-    assert result is not None, "only a dry run has none"
-    return result
+        )
+        finished = run(plan_comparison(what, ReportOptions(report) if report is not None else None))
+        write_report(finished)
+    return finished.document
 
 
 def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:

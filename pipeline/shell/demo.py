@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pipeline.base.errors import PipelineError
 from pipeline.base.progress import Names, heard_by
-from pipeline.comparison.compare import compare
+from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.shell.report_index import INDEX_FILE, write_index
@@ -75,10 +75,11 @@ def run_demo(
     for part in parts:
         report = pages / f"{part.device}.html"
         with heard_by(Names(lambda text, device=part.device: say(f"{device}: {text}"))):  # type: ignore[misc]
-            result = compare(part.device, processed, experiments=part.experiments or None, report=report).result
-        assert result is not None, "only a dry run has no result"
+            selection = ComparisonSelection(part.device, processed, experiments=part.experiments or None)
+            finished = run(plan_comparison(selection, ReportOptions(report)))
+            write_report(finished)
         reports.append(report)
-        told += [f"{result.title}: {line}" for line in result.summary]
+        told += [f"{finished.document.title}: {line}" for line in finished.document.summary]
     write_index(pages)
     head = f"{logs} simulated logs in {raw}, compared in {time.monotonic() - began:.0f} s; open in a browser:"
     return reports, [head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *told]

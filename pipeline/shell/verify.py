@@ -15,7 +15,14 @@ from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageEr
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
-from pipeline.comparison.compare import compare, report_code
+from pipeline.comparison.compare import (
+    ComparisonSelection,
+    ReportOptions,
+    plan_comparison,
+    report_code,
+    run,
+    write_report,
+)
 from pipeline.device_data.devices import digest_of, known_devices
 from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
@@ -261,20 +268,15 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield from leaves(part, f"{place}/{key}")
 
 
-def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult | None:
+def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult:
     """Write a page of the same size from freshly read logs, and return its document."""
+    scene, truth, notes = request.scene, request.truth, request.notes
+    what = scene.experiments, scene.criteria, scene.shown
+    selection = ComparisonSelection(scene.device, store, *what, truth=truth, notes=notes)
     try:
-        return compare(
-            request.scene.device,
-            store,
-            experiments=request.scene.experiments,
-            criteria=request.scene.criteria,
-            report=page,
-            full=request.full,
-            shown=request.scene.shown,
-            truth=request.truth,
-            notes=request.notes,
-        ).result
+        finished = run(plan_comparison(selection, ReportOptions(page, full=request.full)))
+        write_report(finished)
+        return finished.document
     except (UsageError, StoreError):
         raise
     except PipelineError as error:

@@ -260,8 +260,7 @@ def _reports(watched: Watched) -> Iterator[Event]:
 def _report(watched: Watched, name: str) -> Event:
     """Bring the report of a device or scene up to date; return the event."""
     from pipeline.base.paths import path_text
-    from pipeline.comparison.compare import compare
-    from pipeline.comparison.scene.scene import RUN
+    from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.store.names import report_of
 
@@ -269,18 +268,13 @@ def _report(watched: Watched, name: str) -> Event:
     device = scene.device if scene else name
     report = Path(scene.report) if scene and scene.report else report_of(watched.reports, device)
     began = time.monotonic()
-    found = compare(
-        device,
-        watched.processed,
-        experiments=scene.experiments if scene else None,
-        criteria=scene.chosen_criteria if scene else None,
-        shown=scene.shown if scene else None,
-        report=report,
-    )
-    renewed = any(stage == "report" and action == RUN for stage, action, _ in found.stages)
-    trials = sum(e.trials for e in found.result.experiments) if found.result else 0
+    asked = (scene.experiments, scene.chosen_criteria, scene.shown) if scene else ()
+    finished = run(plan_comparison(ComparisonSelection(device, watched.processed, *asked), ReportOptions(report)))
+    write_report(finished)
+    trials = sum(each.trials for each in finished.document.experiments)
     places = {"what": name, "device": device, "report": path_text(report)}
     seconds = round(time.monotonic() - began, 3)
+    renewed = finished.plan.unchanged is None
     return {"event": "report" if renewed else "unchanged", **places, "trials": trials, "seconds": seconds}
 
 

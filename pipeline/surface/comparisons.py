@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
-from pipeline.comparison.compare import compare as compare_stored
+from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
 from pipeline.device_data.devices import read_device
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame
@@ -38,9 +37,7 @@ class Comparison:
         Repeats the comparison and writes its report to a path; None for a loaded comparison.
     """
 
-    def __init__(
-        self, result: ComparisonResult, compute: Callable[[Path], ComparisonResult | None] | None = None
-    ) -> None:
+    def __init__(self, result: ComparisonResult, compute: Callable[[Path], ComparisonResult] | None = None) -> None:
         self.result = result
         self._compute = compute
 
@@ -195,10 +192,14 @@ def compare(
         if isinstance(words, str):
             raise UsageError(f"{name} = {words!r}: expected a list of names, such as [{words!r}].")
     known = read_device(Path(device)) if device.endswith(".toml") else device
-    ask = partial(compare_stored, known, folder_of(processed), experiments=experiments, criteria=criteria, full=full)
-    result = ask().result
-    assert result is not None, "only a dry run has none"
-    return Comparison(result, lambda path: ask(report=path).result)
+    selection = ComparisonSelection(known, folder_of(processed), experiments=experiments, criteria=criteria)
+
+    def written(path: Path) -> ComparisonResult:
+        finished = run(plan_comparison(selection, ReportOptions(path, full=full)))
+        write_report(finished)
+        return finished.document
+
+    return Comparison(run(plan_comparison(selection)).document, written)
 
 
 def load(report: PathLike) -> Comparison:

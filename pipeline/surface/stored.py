@@ -11,8 +11,8 @@ import pandas as pd
 import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.comparison.experiment_result import experiment_result
-from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
+from pipeline.comparison.experiment_result import experiment_numbers
+from pipeline.comparison.scene.scene import StoredData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import HumanArm
@@ -20,7 +20,7 @@ from pipeline.device_data.published import human_arms as all_arms
 from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import MEASURED
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentNumbers
 from pipeline.records.table_files import read_table
 from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.store.samples import load_trials
@@ -264,18 +264,18 @@ def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
             yield {"experiment": stages.experiment, "criterion": criterion, **dict(zip(columns, row, strict=True))}
 
 
-def _open(processed: PathLike, device: str, experiment: str | None) -> SceneData:
+def _open(processed: PathLike, device: str, experiment: str | None) -> StoredData:
     return open_scene(device, folder_of(processed), None if experiment is None else [experiment], None)
 
 
-def _computed(data: SceneData) -> SceneData:
+def _computed(data: StoredData) -> StoredData:
     """Compute missing stages, by several processes if that saves time."""
     compute_stages(data.experiments, needed_stages(data))
     return data
 
 
-def _results(data: SceneData) -> Iterator[ExperimentResult]:
-    return (experiment_result(data, stages, None) for stages in _computed(data).experiments)
+def _results(data: StoredData) -> Iterator[ExperimentNumbers]:
+    return (experiment_numbers(data, stages, None) for stages in _computed(data).experiments)
 
 
 def folder_of(processed: PathLike) -> Path:

@@ -12,7 +12,7 @@ from pipeline.device.loop import Loop
 from pipeline.measured.experiment.identified_loop import nominal_loop
 from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import BoundaryPoint
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import MeasuredExperiment
 
 MASS, DAMPING, T = 0.58, 4.0, 1e-3
 
@@ -22,7 +22,7 @@ def basis_of(**more) -> LoopBasis:
     return LoopBasis(None, nominal_loop(loop))
 
 
-def result_of(damping, limits, error) -> ExperimentResult:
+def result_of(damping, limits, error) -> MeasuredExperiment:
     reach = 1.96 * error
     points = tuple(
         BoundaryPoint(
@@ -36,7 +36,7 @@ def result_of(damping, limits, error) -> ExperimentResult:
         )
         for b, k, r in zip(damping, limits, np.broadcast_to(reach, np.shape(limits)), strict=True)
     )
-    return ExperimentResult.model_construct(boundary=points)
+    return MeasuredExperiment.model_construct(boundary=points)
 
 
 def limit_by_eigenvalues(damping: float, delay: int) -> float:

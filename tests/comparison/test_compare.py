@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labs import compare
 from typer.testing import CliRunner
 
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare as comparison
-from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
@@ -40,7 +40,7 @@ def actions(outcome) -> dict[str, str]:
 @pytest.fixture
 def plain_page(monkeypatch):
     """A report without figures, which take a second: these tests are about what is run and when."""
-    monkeypatch.setattr(comparison, "write_report", lambda data, path: write_text(path, data.result.device))
+    monkeypatch.setattr(comparison, "write_page", lambda data, path: write_text(path, data.result.device))
     monkeypatch.setattr(comparison, "map_figures", lambda *_: [])
 
 
@@ -76,7 +76,7 @@ def nothing_is_computed(monkeypatch):
         monkeypatch.setattr(stage_tables.ExperimentStages, "_computed", refuse)
         monkeypatch.setattr(stage_tables, "load_trials", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
-        monkeypatch.setattr(comparison, "write_report", refuse)
+        monkeypatch.setattr(comparison, "write_page", refuse)
         monkeypatch.setattr(comparison, "write_text", refuse)
 
     return forbid

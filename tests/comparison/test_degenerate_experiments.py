@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labs import compare
 from small_experiments import compared, compared_trials, trials, write_logs
 
 from pipeline.comparison.against import against_experiments
-from pipeline.comparison.compare import compare
 from pipeline.intake.ingest import ingest
 from pipeline.records.trials import Trials
 

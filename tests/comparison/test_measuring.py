@@ -6,8 +6,8 @@ import shutil
 
 import numpy as np
 import pytest
+from labs import compare
 
-from pipeline.comparison.compare import compare
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import Measuring, Shown
 from pipeline.rendering.frames import frames

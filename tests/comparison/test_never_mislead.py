@@ -7,10 +7,10 @@ import re
 
 import numpy as np
 import pytest
+from labs import compare
 
 import pipeline
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.compare import compare
 from pipeline.device.parts import Friction, LoopTable
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from device_files import written
+from labs import compare
 from state_matrix import needed_damping, radius
 from test_every_parameter_in_every_output import LEFT_OUT, ROWS, Cell, loops
 
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.results import ExperimentResult

@@ -5,10 +5,10 @@ import re
 
 import pyarrow.parquet as pq
 import pytest
+from labs import compare
 from native_logs import FAULTS, short_log
 from stored import check_whole, flip, merge_all
 
-from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stage_tables import ExperimentStages

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from labs import Lab, make_lab
+from labs import Lab, compare, make_lab
 from native_logs import log_text
 from stored import merge_all
 from typer.testing import CliRunner
@@ -16,7 +16,6 @@ import pipeline
 from pipeline.base import disk
 from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
 from pipeline.comparison.against import against_document, against_experiments, read_document
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest

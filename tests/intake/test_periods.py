@@ -45,7 +45,7 @@ def test_another_period_is_another_experiment(logs, processed, at_once):
 
 @pytest.mark.slow
 def test_a_course_whose_clocks_differ_a_little_is_compared(tmp_path):
-    from pipeline.comparison.compare import compare
+    from labs import compare
 
     (tmp_path / "logs").mkdir()
     for seed, period in enumerate((0.001, 0.001004, 0.000997)):

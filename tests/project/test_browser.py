@@ -15,10 +15,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from labs import Outcome
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
 from pipeline.shell.report_index import write_index
 from pipeline.surface.log_picture import look

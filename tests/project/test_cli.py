@@ -476,13 +476,13 @@ def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
     def damaged(*_, **__):
         raise StoreError("a.parquet: is damaged.")
 
-    monkeypatch.setattr(compare, "compare", damaged)
+    monkeypatch.setattr(compare, "plan_comparison", damaged)
     assert call("compare", "--device", "lwr") == (1, "", "Error: a.parquet: is damaged.\n")
 
     def broken(*_, **__):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(compare, "compare", broken)
+    monkeypatch.setattr(compare, "plan_comparison", broken)
     with pytest.raises(ZeroDivisionError, match="a defect"):
         run(["compare", "--device", "lwr"])
 

@@ -8,10 +8,10 @@ import warnings
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from labs import compare
 from places import SHARED
 from scipy.io import loadmat
 
-from pipeline.comparison.compare import compare
 from pipeline.intake.ingest import ingest
 from pipeline.measured.signal.response import declare_edge, find_response
 from pipeline.measured.thesis import by_momentum, first_change

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import simulated
+from labs import compare
 from native_logs import log_text
 from report_data import HOSTILE
 from test_cli import document
 
 from pipeline.base.errors import DeviceError
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.estimates import delay_estimate

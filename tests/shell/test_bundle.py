@@ -12,10 +12,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from labs import compare
 from typer.testing import CliRunner
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import device_file
 from pipeline.intake.ingest import ingest
 from pipeline.shell.bundle import bundle, verify_bundle

@@ -13,12 +13,11 @@ from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
-from labs import make_lab
+from labs import compare, make_lab
 from stored import replace_table
 from typer.testing import CliRunner
 
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table

@@ -17,13 +17,14 @@ from types import SimpleNamespace
 
 import pytest
 from command_lines import fault
+from labs import compare
 from locks import is_free
 from native_logs import FAULTS, log_text, short_log
 from places import ROOT
 from report_data import document_without_places
 
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
-from pipeline.comparison.compare import compare
+from pipeline.comparison import compare as comparison
 from pipeline.comparison.scene.scene_file import read_scene
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
@@ -219,15 +220,20 @@ def compared(monkeypatch):
     asked: dict[str, Path] = {}
     answers: dict[str, object] = {}
 
-    def fake(device, processed, report, **options):
-        asked[device] = report
-        if device in answers:
-            raise answers[device]
-        report.parent.mkdir(exist_ok=True)
-        report.write_text(device)
-        return SimpleNamespace(result=None, stages=(("report", "run", ""),))
+    def plan(selection, report):
+        asked[selection.device] = report.path
+        if selection.device in answers:
+            raise answers[selection.device]
+        return SimpleNamespace(unchanged=None, device=selection.device, path=report.path)
 
-    monkeypatch.setattr("pipeline.comparison.compare.compare", fake)
+    def write(finished):
+        finished.plan.path.parent.mkdir(exist_ok=True)
+        finished.plan.path.write_text(finished.plan.device)
+
+    empty = SimpleNamespace(experiments=())
+    monkeypatch.setattr(comparison, "plan_comparison", plan)
+    monkeypatch.setattr(comparison, "run", lambda planned: SimpleNamespace(plan=planned, document=empty))
+    monkeypatch.setattr(comparison, "write_report", write)
     return asked, answers
 
 

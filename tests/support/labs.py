@@ -6,12 +6,36 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.comparison.compare import Outcome, compare
+from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import Device
+from pipeline.records.results import ComparisonResult
 from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 from pipeline.store.storage import read_trials
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Document of a comparison (None where it was only planned), its stages, and the report."""
+
+    result: ComparisonResult | None
+    stages: tuple[tuple[str, str, str], ...]
+    report: Path | None
+
+
+def compare(device: str | Device, processed: Path, *, report: Path | None = None, dry_run: bool = False, **options):
+    """Plan, run and write: options are those of a selection, of a report, or the executor."""
+    looks = {name: options.pop(name) for name in ("full", "scene_file", "figures") if name in options}
+    how = {name: options.pop(name) for name in ("executor",) if name in options}
+    plan = plan_comparison(
+        ComparisonSelection(device, processed, **options), ReportOptions(report, **looks) if report else None
+    )
+    if dry_run:
+        return Outcome(None, plan.stages, None)
+    finished = run(plan, **how)
+    write_report(finished)
+    return Outcome(finished.document, plan.stages, report)
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from labs import compare
 
-from pipeline.comparison.compare import compare
 from pipeline.device.loop import Loop
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header

@@ -1,10 +1,10 @@
 """A delay that is longer than theory is computed for: the measured part of a report stands, without theory."""
 
 import pytest
+from labs import compare
 from report_data import experiment
 
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
-from pipeline.comparison.compare import compare
 from pipeline.comparison.summary.summary_warnings import too_late
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest

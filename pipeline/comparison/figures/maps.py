@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.comparison.scene.scene import SceneData, layouts
+from pipeline.comparison.scene.scene import StoredData, layouts
 from pipeline.comparison.scores.deviation import FEWEST
 from pipeline.comparison.scores.local_planes import local_planes
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.findings import Optimum
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentNumbers
 from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import BLUE, GREEN, INK, PAPER, VERMILLION, Figure, Panel, Series, dots, reach
@@ -158,7 +158,7 @@ def _lowest(cost: Floats, place: Floats, *, refine: bool = True) -> float:
 
 
 def map_figures(
-    data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory], predictions: Predictions
+    data: StoredData, results: Sequence[ExperimentNumbers], theories: Mapping[str, Theory], predictions: Predictions
 ) -> list[Figure]:
     """Return one cost figure for each criterion of each table of optima: theory, then each experiment."""
     stages = {e.experiment: e for e in data.experiments}
@@ -179,7 +179,7 @@ def map_figures(
 
 
 def _theory_maps(
-    theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
+    theory: Theory, shown: Sequence[ExperimentNumbers], criteria: Sequence[str], predictions: Predictions
 ) -> dict[str, CostMap]:
     """Return maps of theory by criterion over its stable region and all tested walls."""
     points = [point for result in shown for point in result.boundary]
@@ -197,7 +197,7 @@ def _theory_maps(
     return maps
 
 
-def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
+def _measured_map(result: ExperimentNumbers, stages: ExperimentStages, criterion: str) -> CostMap:
     """Return the map of an experiment: smoothed costs of its stable trials, and the unsmoothed trials."""
     cost = stages.sure_cost(criterion)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
@@ -397,7 +397,7 @@ def _triangles(K: Floats, B: Floats) -> Any:
     return Triangulation(K, B, triangles.triangles, mask=longest > LONGEST_EDGE)
 
 
-def departure_figures(data: SceneData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
+def departure_figures(data: StoredData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
     """Return one figure per tabled criterion: where measured costs depart from theory at the tested walls."""
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)

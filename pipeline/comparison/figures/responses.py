@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.loops.loop_basis import adequate_theory
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import StoredData
 from pipeline.device.parameters import is_rotation, unit_of
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
@@ -21,7 +21,7 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.thesis import first_change
 from pipeline.measured.wall_command.log_rows import LogRows
 from pipeline.records.models import ComparisonRow, Motion
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentNumbers
 from pipeline.records.trials import Booleans, Floats, Trial
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
 from pipeline.rendering.figures.overview import thinned
@@ -73,7 +73,7 @@ def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:
     return K, B, stages.verdicts.verdict
 
 
-def response_figures(data: SceneData) -> list[Figure]:
+def response_figures(data: StoredData) -> list[Figure]:
     """Return the first response of the first experiment that has one, with a close-up of its onset; empty without a
     step.
 
@@ -178,14 +178,14 @@ def _response_figure(
     return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
 
 
-def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str, motion: Motion) -> Figure:
+def trial_figure(stages: ExperimentStages, result: ExperimentNumbers, trial: str, motion: Motion) -> Figure:
     """Return a trial with theory and fitted loops, and the residual of the wall law.
 
     Parameters
     ----------
     stages : ExperimentStages
         Stages of its experiment. Missing results, such as those of an excluded trial, are left out.
-    result : ExperimentResult
+    result : ExperimentNumbers
     trial : str
         Its id.
     motion : {"translation", "rotation"}
@@ -248,7 +248,7 @@ SHOWN_SAMPLES = 150
 """Samples after the command edge in the figure of the recommended wall: three times a settling time with d = 8."""
 
 
-def wall_figure(stages: ExperimentStages, result: ExperimentResult, theory: Theory, best: ComparisonRow) -> Figure:
+def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: Theory, best: ComparisonRow) -> Figure:
     """Return the logged and theoretical response of the recommended wall, and the response at theory's optimum.
 
     Parameters
@@ -332,7 +332,7 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 
 
 def _beside(
-    stages: ExperimentStages, result: ExperimentResult, of: MeasuredTrial, measured: Floats
+    stages: ExperimentStages, result: ExperimentNumbers, of: MeasuredTrial, measured: Floats
 ) -> tuple[list[tuple[str, str, Floats]], list[str]]:
     """Return label, kind and displacement of the responses to compare with a log, and their errors or why they are
     missing."""

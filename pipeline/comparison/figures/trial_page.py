@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.wall_replay import usual_trial
-from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.comparison.scene.scene import StoredData, needed_stages
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import unit_of
 from pipeline.measured.signal.outcome import OUTCOMES
@@ -24,7 +24,7 @@ from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, simulate_behind
 from pipeline.records.criteria import CRITERIA, criterion_of
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentNumbers
 from pipeline.records.trials import Floats, Integers, Trial
 from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import few_digits
@@ -66,7 +66,7 @@ PARTS = 4096
 
 
 def trial_page(
-    data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory], *, full: bool = False
+    data: StoredData, results: Sequence[ExperimentNumbers], theories: Mapping[str, Theory], *, full: bool = False
 ) -> TrialPage:
     """Collect the trials of all experiments, in the order of ``data``; with ``full`` every response."""
     criteria, modelled = data.scene.criteria, "model" in needed_stages(data)
@@ -114,7 +114,7 @@ class _Experiment:
 
     number: int
     stages: ExperimentStages
-    result: ExperimentResult
+    result: ExperimentNumbers
     theory: Theory | None
     criteria: tuple[str, ...]
     modelled: bool
@@ -203,7 +203,7 @@ class _Experiment:
     def _entries(self, rows: Sequence[int]) -> list[dict[str, Any]]:
         """Return the responses of some trials."""
         measured = [MeasuredTrial(self.stages.samples[row]) for row in rows]
-        device, alone = identified_device(self.stages) if self.modelled else None, {}
+        device, alone = self.stages.once(identified_device) if self.modelled else None, {}
         if device is not None:
             usual = replace(usual_trial(self.result, self.stages), quantum=0.0, jitter=0.0)
             alone = _alone(device.loop, measured, usual)

@@ -17,7 +17,7 @@ from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.student import NORMAL_95, ROUNDING, student_95
 from pipeline.planning.loop_limits import linear_limits
 from pipeline.records.findings import Quantity
-from pipeline.records.results import ExperimentResult, ImpliedDelay, StraightBound
+from pipeline.records.results import ImpliedDelay, MeasuredExperiment, StraightBound
 from pipeline.records.trials import Floats
 
 NEAR = 0.5
@@ -49,7 +49,7 @@ class _Limits:
         return len(self.damping)
 
 
-def _limits(result: ExperimentResult) -> _Limits:
+def _limits(result: MeasuredExperiment) -> _Limits:
     """Return the limits of an experiment that a stable and an unstable trial enclose."""
     found = measured_limits(result.boundary)
     which = found.known & ~found.censored & (found.limit > 0)
@@ -57,12 +57,12 @@ def _limits(result: ExperimentResult) -> _Limits:
     return _Limits(found.damping[which], found.limit[which], np.maximum(error, ROUNDING * found.limit[which]))
 
 
-def implied_delay(result: ExperimentResult, basis: LoopBasis | None) -> ImpliedDelay:
+def implied_delay(result: MeasuredExperiment, basis: LoopBasis | None) -> ImpliedDelay:
     """Return the pure delay with which theory comes closest to the measured boundary, near its origin and as a whole.
 
     Parameters
     ----------
-    result : ExperimentResult
+    result : MeasuredExperiment
         Its measured limits.
     basis : LoopBasis or None
         Source of mass, damping and stiffness. Lag, filter, mode and friction are left out, so that the delay includes
@@ -176,13 +176,13 @@ def _nearest(curve: Callable[[float], Floats], limits: _Limits, start: int) -> f
     return float(found.x) if found.fun < lost_at[best] else float(DELAYS[best])
 
 
-def straight_bound(result: ExperimentResult, basis: LoopBasis | None) -> StraightBound | None:
+def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> StraightBound | None:
     """Return the line through the measured limits at and beyond the damping of the stiffest wall; None for fewer than
     four limits.
 
     Parameters
     ----------
-    result : ExperimentResult
+    result : MeasuredExperiment
     basis : LoopBasis or None
         Loop whose limits at the same dampings give the curvature to compare with the measured one.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.departures import SENTENCES, CourseFilter, LawDeparture, OtherGains
+from pipeline.comparison.loops.loop_basis import LoopBasis
 from pipeline.comparison.loops.recording_faults import cause_of
 from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.device.loop import Loop
@@ -18,7 +19,7 @@ from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, damping_of_stiffest, linear_limits, step_limits
 from pipeline.records.findings import MATTERS
-from pipeline.records.results import Cause, CauseCode, ExperimentResult
+from pipeline.records.results import Cause, CauseCode, MeasuredExperiment
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
@@ -30,32 +31,23 @@ ALONG = np.linspace(0.0, 1.0, 6)
 limit falls so steeply that any change is large."""
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A possible cause; ``effect`` is the largest change of a result that it makes, or the share of logs that show
-    it."""
-
-    code: CauseCode
-    effect: float
-    sentence: str
-    evidence: str
+Candidate = tuple[float, Cause]
+"""A possible cause after the largest change of a result that it makes, or the share of logs that show it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
-    """Input for the search of causes: the experiment, its usual trial, departures, filter, the identified loop, the
-    mass of the device file, and the relative error of limits by replay."""
+class LoopEvidence:
+    """Input for the search of causes: the experiment, its usual trial, departures, filter, other gains, and its loop,
+    if any."""
 
-    result: ExperimentResult
+    result: MeasuredExperiment
     stages: ExperimentStages
     trial: StepTrial
     units: Units
     departures: list[LawDeparture]
     velocity: CourseFilter | None
     gains: OtherGains | None
-    identified: IdentifiedLoop | None
-    nominal_mass: float | None
-    error: float
+    basis: LoopBasis | None
 
     @property
     def motion(self) -> Motion:
@@ -63,33 +55,38 @@ class Shown:
         return self.stages.motion
 
 
-def causes_of(shown: Shown) -> tuple[Cause, ...]:
+def causes_of(evidence: LoopEvidence) -> tuple[Cause, ...]:
     """Return the causes that change a result by more than `MATTERS`: departures by number of logs, then parts of
     the device by their effect, then gaps in the tested walls; empty for an ideal loop."""
-    first = [cause_of(each) for each in shown.result.recording if each.is_unsafe]
-    first += [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
-    found = [*_departures(shown), *sorted(_parts(shown), key=lambda each: -each.effect), *_course(shown)]
-    told: dict[str, Cause] = {cause.code: cause for cause in first}
-    for each in found:
-        if each.effect > MATTERS and each.code not in told:
-            told[each.code] = Cause(code=each.code, sentence=each.sentence, evidence=each.evidence)
+    first = [cause_of(each) for each in evidence.result.recording if each.is_unsafe]
+    first += [] if evidence.gains is None or evidence.gains.few else [evidence.gains.cause]
+    parts = sorted(_parts(evidence), key=lambda candidate: -candidate[0])
+    found = [*_departures(evidence), *parts, *_course(evidence)]
+    causes = [*first, *(cause for effect, cause in found if effect > MATTERS)]
+    told: dict[str, Cause] = {}
+    for cause in causes:
+        told.setdefault(cause.code, cause)
     return tuple(told.values())
+
+
+def _candidate(code: CauseCode, effect: float, sentence: str, evidence: str) -> Candidate:
+    return effect, Cause(code=code, sentence=sentence, evidence=evidence)
 
 
 UNNAMED = {"other_wall", "other_unit", "unknown"}
 """Departures that are not reported as causes: their nature is unknown, or `other_gains` reports them."""
 
 
-def _departures(shown: Shown) -> Iterator[Candidate]:
-    for each in shown.departures:
+def _departures(evidence: LoopEvidence) -> Iterator[Candidate]:
+    for each in evidence.departures:
         sentence = SENTENCES[each.code]
         if each.code == "velocity_filter":
             # a controller filters the velocity in all trials or in none; single logs can imitate it
-            if not each.most or shown.velocity is None:
+            if not each.most or evidence.velocity is None:
                 continue
-            sentence = f"The velocity of the wall law {shown.velocity.words}."
+            sentence = f"The velocity of the wall law {evidence.velocity.words}."
         if each.code not in UNNAMED:
-            yield Candidate(each.code, each.logs / each.of, sentence, each.shown)  # type: ignore[arg-type]
+            yield _candidate(each.code, each.logs / each.of, sentence, each.shown)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -126,33 +123,36 @@ PARTS = {
 }
 
 
-def _parts(shown: Shown) -> Iterator[Candidate]:
+def _parts(evidence: LoopEvidence) -> Iterator[Candidate]:
     """Yield the parts of the identified loop, and parameters that any loop has."""
-    device = shown.identified
-    if device is None:
+    basis = evidence.basis
+    device = basis.identified if basis is not None else None
+    if basis is None or device is None:
         return
     is_known = "constant_force" in device.values and not device.why_unknown("constant_force")
     force = device.interval("constant_force") if is_known else None
     more_parts = ["force"] if force is not None and force.low * force.high > 0 else []
-    stable = shown.stages.column("response", "stiffness")[shown.stages.verdicts.verdict == "stable"]
-    least = {"step": abs(shown.trial.step) or np.inf, "wall": float(stable[stable > 0].min(initial=np.inf)), "": np.inf}
+    stable = evidence.stages.column("response", "stiffness")[evidence.stages.verdicts.verdict == "stable"]
+    wall = float(stable[stable > 0].min(initial=np.inf))
+    least = {"step": abs(evidence.trial.step) or np.inf, "wall": wall, "": np.inf}
     for name in dict.fromkeys([*device.parts, *more_parts]):
         if (part := PARTS.get(name)) is None or device.why_unknown(part.number):
             continue
         number, rest = device.interval(part.number), abs(device.values[part.number]) / least[part.over]
-        effect, change = _limit_change(device.loop, _without(device, name), shown)
+        effect, change = _limit_change(device.loop, _without(device, name), evidence)
         if name == "saturation":
             effect, change = device.saturated, f"{share_text(device.saturated)} % of the stable trials command more"
         elif rest > effect:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
-        more = _rest_off_target(number.value, shown.trial.step) if name == "friction" else ""
+        more = _rest_off_target(number.value, evidence.trial.step) if name == "friction" else ""
         if name == "lag" and "delay_samples" in device.bounds:
             more = ", or a fast mode vibrates and the delay is longer by as much: logs cannot decide"
-        value = f"{significant(part.scale * number.value, 3)} {part.unit or PARAMETERS[part.number].unit(shown.motion)}"
+        unit = part.unit or PARAMETERS[part.number].unit(evidence.motion)
+        value = f"{significant(part.scale * number.value, 3)} {unit}"
         sentence = part.sentence.format(value=value, more=more, at=f"at the {device.mode_sensor}")
         ends = span(lambda value: significant(value, 4), part.scale * number.low, part.scale * number.high)
-        yield Candidate(part.code, effect, sentence, f"95 %: {ends}; {change}")
-    yield from _shared(shown, device)
+        yield _candidate(part.code, effect, sentence, f"95 %: {ends}; {change}")
+    yield from _shared(evidence, basis, device)
 
 
 def _without(device: IdentifiedLoop, part: str) -> Loop:
@@ -169,75 +169,75 @@ def _rest_off_target(coulomb: float, step: float) -> str:
     return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
 
 
-def _limit_change(loop: Loop, other: Loop, shown: Shown) -> tuple[float, str]:
+def _limit_change(loop: Loop, other: Loop, evidence: LoopEvidence) -> tuple[float, str]:
     """Return the largest relative difference between the limits of two devices, and both limits in words."""
     where = np.unique(np.concatenate([ALONG * damping_of_stiffest(each) for each in (loop, other)]))
     limits, others = linear_limits(loop, where), linear_limits(other, where)
     if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # friction is negligible for large motions
-        limits = np.maximum(np.nan_to_num(step_limits(loop, where, shown.trial, np.zeros(len(where)))[0]), limits)
+        limits = np.maximum(np.nan_to_num(step_limits(loop, where, evidence.trial, np.zeros(len(where)))[0]), limits)
     larger = np.maximum(limits, others)
     some = larger > LOW * larger.max(initial=0.0)
     apart = np.divide(np.abs(limits - others), larger, out=np.zeros(len(where)), where=some)
     if not some.any():
         return 0.0, ""
     place = int(np.argmax(apart))
-    K, B = shown.units.stiffness, shown.units.damping
+    K, B = evidence.units.stiffness, evidence.units.damping
     text = f"limit at B = {significant(where[place], 3)} {B}, for example: K = {significant(limits[place], 3)} {K} "
     return float(apart[place]), f"{text}with it, {significant(others[place], 3)} without"
 
 
-def _shared(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
+def _shared(evidence: LoopEvidence, basis: LoopBasis, device: IdentifiedLoop) -> Iterator[Candidate]:
     """Yield a non-integer delay, jitter, and a mass that differs from that of the device file."""
     loop, delay, mass = device.loop, device.interval("delay_samples"), device.interval("mass")
     part = delay.value - round(delay.value)
-    jitter = list(_jitter(shown, device))
+    jitter = list(_jitter(evidence, device))
     yield from jitter
     if not (jitter or loop.actuator_lag_s or abs(part) <= delay.high - delay.value):
-        effect, _ = _limit_change(loop, loop.replace({"delay_samples": max(delay.value - part, 0.0)}), shown)
-        yield Candidate(
+        effect, _ = _limit_change(loop, loop.replace({"delay_samples": max(delay.value - part, 0.0)}), evidence)
+        yield _candidate(
             "fractional_delay",
-            effect * (effect > shown.error),
+            effect * (effect > basis.error),
             f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
             "a sample adds to a whole one: logs cannot decide.",
             f"by the likelihood of all trials, 95 %: {_span(delay)}",
         )
-    stated = shown.nominal_mass
+    stated = basis.loop.mass if basis.nominal is not None else None
     if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
         change = percent_text(100 * (stated / mass.value - 1))
-        yield Candidate(
+        yield _candidate(
             "force_gain",
-            _limit_change(loop, device.at({**device.values, "mass": stated}), shown)[0],
+            _limit_change(loop, device.at({**device.values, "mass": stated}), evidence)[0],
             f"Force per unit of command, or the stated mass, is off by {change} %.",
             f"mass by the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
             f"{significant(stated, 4)}",
         )
 
 
-def _jitter(shown: Shown, device: IdentifiedLoop) -> Iterator[Candidate]:
+def _jitter(evidence: LoopEvidence, device: IdentifiedLoop) -> Iterator[Candidate]:
     """Yield jitter of the delay within trials."""
-    jitter = shown.result.estimates.get("jitter_samples")
+    jitter = evidence.result.estimates.get("jitter_samples")
     if jitter is not None and (jitter.low or 0.0) > 0:
         later = device.values["delay_samples"] + (jitter.low or 0.0)
-        yield Candidate(
+        yield _candidate(
             "delay_jitter",
-            _limit_change(device.loop, device.at({**device.values, "delay_samples": later}), shown)[0],
+            _limit_change(device.loop, device.at({**device.values, "delay_samples": later}), evidence)[0],
             f"The delay jitters within a trial: standard deviation {significant(jitter.value or 0.0, 2)} samples.",
             f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples",
         )
 
 
-def _course(shown: Shown) -> Iterator[Candidate]:
+def _course(evidence: LoopEvidence) -> Iterator[Candidate]:
     """Yield the causes that lie in the choice of trials."""
-    stages, result, share = shown.stages, shown.result, coarse(shown.stages)
+    stages, result, share = evidence.stages, evidence.result, coarse(evidence.stages)
     middle = float(np.median(share)) if len(share) else 0.0
-    yield Candidate(
+    yield _candidate(
         "coarse_sensor",
         middle,
         "The position sensor is coarse for the motions that were recorded.",
         f"its quantum is {share_text(middle)} % of the final displacement in the median of "
         f"{counted(len(share), 'stable trial')}",
     )
-    yield Candidate(
+    yield _candidate(
         "few_trials",
         float(result.trials < FEW),
         "There are few trials.",
@@ -246,7 +246,7 @@ def _course(shown: Shown) -> Iterator[Candidate]:
     verdict = stages.verdicts.verdict[stages.column("response", "stiffness") > 0]
     counts = {said: int((verdict == said).sum()) for said in ("stable", "unstable")}
     for none, other in (("stable", "unstable"), ("unstable", "stable")):
-        yield Candidate(
+        yield _candidate(
             "no_stable_trial" if none == "stable" else "no_unstable_trial",
             float(not counts[none] and counts[other] > 0.5 * len(verdict)),
             f"No trial was {none}.",

@@ -222,6 +222,11 @@ def course_filter(rows: LawRows) -> CourseFilter | None:
     return CourseFilter(usual.declared, [shown.declared for shown in filters], usual.words())
 
 
+def experiment_departures(stages: ExperimentStages) -> list[LawDeparture]:
+    """Return the departures of the logs of an experiment from the wall law, the most frequent first."""
+    return law_departures(stages.once(LawRows.of))
+
+
 def experiment_filter(stages: ExperimentStages) -> CourseFilter | None:
     """Return the velocity filter on which most logs of an experiment agree; None if they do not agree."""
     return course_filter(stages.once(LawRows.of))

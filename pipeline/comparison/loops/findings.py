@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.boundary_shape import implied_delay, straight_bound
-from pipeline.comparison.loops.causes import Shown, causes_of
+from pipeline.comparison.loops.causes import LoopEvidence, causes_of
 from pipeline.comparison.loops.departures import (
     CourseFilter,
-    LawRows,
+    experiment_departures,
     experiment_filter,
-    law_departures,
     other_gains,
     untimed,
 )
@@ -32,10 +32,10 @@ from pipeline.comparison.loops.wall_replay import (
 )
 from pipeline.device.loop import Loop
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.planning.loop_limits import limits_of
-from pipeline.records.findings import Quantity
+from pipeline.planning.loop_limits import StepTrial, limits_of
+from pipeline.records.findings import Limit, Quantity
 from pipeline.records.models import Device, Experiment
-from pipeline.records.results import LIMITS_WITHIN, ExperimentResult, LoopFindings, LoopResult, WallReplay
+from pipeline.records.results import LIMITS_WITHIN, LoopFindings, LoopResult, MeasuredExperiment, WallReplay
 from pipeline.records.trials import Floats
 from pipeline.rendering.labels import Units, significant
 
@@ -59,74 +59,145 @@ JITTERS = (
 )
 
 
-def loop_findings(
-    result: ExperimentResult, stages: ExperimentStages, device: Device | None, units: Units
+@dataclass(frozen=True)
+class LogsUnusable:
+    """The recordings, or the walls that their commands obey, show no loop."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class NotIdentified:
+    """Mass, damping or delay cannot be identified, and no device file states them."""
+
+    reason: str = NOTHING
+
+
+@dataclass(frozen=True, eq=False)
+class Inadequate:
+    """A loop that no replay of tested walls confirms.
+
+    Parameters
+    ----------
+    basis : LoopBasis
+    limits : tuple of Limit
+        Limits of the loop at the tested dampings.
+    replay : WallReplay or None
+        None if no tested wall could be replayed.
+    reason : str
+        Result of the replay and source of the loop, as a clause.
+    """
+
+    basis: LoopBasis
+    limits: tuple[Limit, ...]
+    replay: WallReplay | None
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Adequate(Inadequate):
+    """A loop that predicts the tested walls."""
+
+
+Findings = LogsUnusable | NotIdentified | Inadequate | Adequate
+
+
+def examine_loop(
+    measured: MeasuredExperiment, stages: ExperimentStages, device: Device | None, units: Units
 ) -> LoopFindings:
     """Return the loop of an experiment, its adequacy, its limits, a passive wall and causes.
 
     Parameters
     ----------
-    result : ExperimentResult
-        With its estimates and boundary.
+    measured : MeasuredExperiment
     stages : ExperimentStages
     device : Device or None
         Device as its file describes it.
     units : Units
+    """
+    gains, fault = stages.once(other_gains), stages.once(unsafe_recording)
+    misled = gains is not None and gains.most
+    departures = [] if misled else stages.once(experiment_departures)
+    velocity = None if misled else stages.once(experiment_filter)
+    unusable = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
+    unusable = words_of(fault) if fault is not None else unusable or untimed(departures)
+    entry = next((entry for entry in device.experiments if entry.name == stages.experiment), None) if device else None
+    of_file = device.loop_for(entry) if device is not None and entry is not None else None
+    trial = usual_trial(measured, stages)
+    found = LogsUnusable(unusable) if unusable else judge_loop(measured, stages, of_file, trial)
+    basis = found.basis if isinstance(found, Inadequate) else None
+    causes = causes_of(LoopEvidence(measured, stages, trial, units, departures, velocity, gains, basis))
+    # the damping of a hand vanishes when it lets go
+    grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
+    refused = _passivity_unknown(found, grips, trial)
+    wall, none = (None, refused) if basis is None or refused else passive_wall(basis, measured)
+    optimum = measured.optimum
+    if basis is not None and not refused:
+        optimum = {
+            name: best.model_copy(update={"passive": is_passive(basis, best.stiffness, best.damping)})
+            for name, best in optimum.items()
+        }
+    return LoopFindings(
+        loop=_record(measured, found, velocity, of_file),
+        loop_boundary=(found.limits or None) if isinstance(found, Inadequate) else None,
+        passive=wall,
+        passive_reason=none,
+        optimum=optimum,
+        implied_delay=implied_delay(measured, basis),
+        straight_bound=straight_bound(measured, basis),
+        replay=found.replay if isinstance(found, Inadequate) else None,
+        causes=causes,
+    )
+
+
+def judge_loop(
+    measured: MeasuredExperiment, stages: ExperimentStages, of_file: Loop | None, trial: StepTrial
+) -> Findings:
+    """Return whether usable logs show a loop, and whether it predicts the tested walls.
+
+    Parameters
+    ----------
+    measured : MeasuredExperiment
+    stages : ExperimentStages
+    of_file : Loop or None
+        Loop of the device file.
+    trial : StepTrial
+        Usual trial of the experiment.
 
     Notes
     -----
     Only the replay of the identified device decides. The loop is that of the device file if it reproduces the measured
     limits (without any, those of the identified device); else it is the identified one.
     """
-    gains = stages.once(other_gains)
-    misled = gains is not None and gains.most
-    departures = [] if misled else law_departures(stages.once(LawRows.of))
-    velocity = None if misled else stages.once(experiment_filter)
-    unknown = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
-    fault = stages.once(unsafe_recording)
-    unknown = words_of(fault) if fault is not None else unknown or untimed(departures)
-    identified = None if unknown else identified_device(stages)
-    entry = next((entry for entry in device.experiments if entry.name == stages.experiment), None) if device else None
-    of_file = device.loop_for(entry) if device is not None and entry is not None else None
-    basis = None if unknown else loop_basis(identified, of_file)
-    trial = usual_trial(result, stages)
-    limits, replay, refused = [], None, ""
-    if basis is not None:
-        B = np.array([point.damping for point in result.boundary])
-        limits = [limits_of(known, B, trial, softest(result, stages)) for known in basis.devices]
-        if identified is not None:
-            replay = wall_replay(result, stages, identified, limits[-1][0], trial)
-        basis = replace(basis, error=replay_error(replay))
-        if basis.nominal is not None and identified is not None:
-            basis, limits, refused = _judged(basis, result, limits)
-    nominal_mass = basis.loop.mass if basis is not None and basis.nominal is not None else None
-    error = basis.error if basis is not None else 0.0
-    shown = Shown(result, stages, trial, units, departures, velocity, gains, identified, nominal_mass, error)
-    causes = causes_of(shown)
-    adequate = basis is not None and replay is not None and replay.is_right
-    reason = unknown or NOTHING
-    if basis is not None:
-        reason = _reason(basis, replay, refused, of_file, walls=bool(result.boundary))
-    record = _record(result, basis, velocity, of_file, adequate=adequate, reason=reason)
-    shape = {"implied_delay": implied_delay(result, basis), "straight_bound": straight_bound(result, basis)}
-    findings = LoopFindings(loop=record, replay=replay, causes=causes, optimum=result.optimum, **shape)
+    basis = loop_basis(stages.once(identified_device), of_file)
     if basis is None:
-        return findings.model_copy(update={"passive_reason": reason})
-    findings = findings.model_copy(update={"loop_boundary": limits_with_intervals(result, basis, limits) or None})
-    if not adequate:
-        return findings.model_copy(update={"passive_reason": f"needs an adequate loop, and this one is not: {reason}"})
-    has_spring = basis.nominal is None and identified is not None and "spring" in identified.parts
-    # the damping of a hand vanishes when it lets go
-    grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
-    refused = GRIPPED.format(listed(grips)) if grips else HELD if has_spring else JITTERS if trial.jitter else ""
-    if refused:
-        return findings.model_copy(update={"passive_reason": refused})
-    wall, none = passive_wall(basis, result)
-    optimum = {
-        criterion: best.model_copy(update={"passive": is_passive(basis, best.stiffness, best.damping)})
-        for criterion, best in result.optimum.items()
-    }
-    return findings.model_copy(update={"passive": wall, "passive_reason": none, "optimum": optimum})
+        return NotIdentified()
+    B, least = np.array([point.damping for point in measured.boundary]), softest(measured, stages)
+    by_file = limits_of(basis.nominal, B, trial, least) if basis.nominal is not None else None
+    by_logs, replay, refused = None, None, ""
+    if basis.identified is not None:
+        by_logs = limits_of(basis.identified, B, trial, least)
+        replay = wall_replay(measured, stages, basis.identified, by_logs[0], trial)
+    if by_file is not None and by_logs is not None and (refused := _file_refused(measured, by_file[0], by_logs[0])):
+        by_file, basis = None, replace(basis, nominal=None)
+    basis = replace(basis, error=replay_error(replay))
+    limits = limits_with_intervals(measured, basis, [each for each in (by_file, by_logs) if each is not None])
+    reason = _reason(basis, replay, refused, of_file, walls=bool(measured.boundary))
+    return (Adequate if replay is not None and replay.is_right else Inadequate)(basis, limits, replay, reason)
+
+
+def _passivity_unknown(found: Findings, grips: Sequence[str], trial: StepTrial) -> str:
+    """Return why no passive wall can be given; empty if one may be."""
+    if isinstance(found, LogsUnusable | NotIdentified):
+        return found.reason
+    if not isinstance(found, Adequate):
+        return f"needs an adequate loop, and this one is not: {found.reason}"
+    if grips:
+        return GRIPPED.format(listed(grips))
+    basis = found.basis
+    if basis.nominal is None and basis.identified is not None and "spring" in basis.identified.parts:
+        return HELD
+    return JITTERS if trial.jitter else ""
 
 
 def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
@@ -135,37 +206,28 @@ def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
     return sorted(grip for grip in grips if grip and grip != "none")
 
 
-def _judged(
-    basis: LoopBasis, result: ExperimentResult, limits: list[tuple[Floats, Floats]]
-) -> tuple[LoopBasis, list[tuple[Floats, Floats]], str]:
-    """Return the loop by its file with its limits, or by the logs alone if the limits of the file differ; and why."""
-    (by_file, _), (by_logs, _) = limits
-    off = limits_off(result, by_file)
+def _file_refused(measured: MeasuredExperiment, by_file: Floats, by_logs: Floats) -> str:
+    """Return why the limits of the device file's loop are not used; empty if they agree with the measured ones."""
+    off = limits_off(measured, by_file)
     if off is None:
         off = median(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1))
     if off is None or off <= LIMITS_WITHIN:
-        return basis, limits, ""
-    why = f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
-    return replace(basis, nominal=None), limits[1:], why
+        return ""
+    return f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
 
 
 def _record(
-    result: ExperimentResult,
-    basis: LoopBasis | None,
-    velocity: CourseFilter | None,
-    of_file: Loop | None,
-    *,
-    adequate: bool,
-    reason: str,
+    measured: MeasuredExperiment, found: Findings, velocity: CourseFilter | None, of_file: Loop | None
 ) -> LoopResult:
-    check, friction = result.model_check, result.estimates.get("friction")
+    check, friction = measured.model_check, measured.estimates.get("friction")
     known = friction is not None and None not in (friction.value, friction.low, friction.high)
     operator = of_file.operator if of_file is not None else None
+    basis = found.basis if isinstance(found, Inadequate) else None
     numbers = loop_numbers(basis, velocity.of_logs if velocity else (), operator) if basis is not None else {}
     return LoopResult(
         source="estimated" if basis is None or basis.nominal is None else "device file",
-        adequate=adequate,
-        reason=reason,
+        adequate=isinstance(found, Adequate),
+        reason=found.reason,
         explained=check.explained / check.trials if check and check.trials else None,
         **numbers,
         friction=Quantity(**friction.model_dump(include={"value", "low", "high", "unit"}))

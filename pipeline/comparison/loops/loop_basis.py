@@ -19,7 +19,7 @@ from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.records.findings import Quantity
-from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.records.results import LoopFindings, SourcedLoop
 from pipeline.records.trials import Floats
 from pipeline.theory.predictions import Theory
 
@@ -102,12 +102,12 @@ def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopB
     return LoopBasis(identified, nominal, operator_damping=damping) if identified or nominal else None
 
 
-def adequate_theory(result: ExperimentResult, stages: ExperimentStages) -> Theory | None:
+def adequate_theory(findings: LoopFindings, stages: ExperimentStages) -> Theory | None:
     """Return the theory by the identified loop of an experiment that is adequate and has stable walls, else None.
 
     A negative damping counts as zero, as theory needs b >= 0. Theory does not include friction.
     """
-    identified = identified_device(stages) if result.loop is not None and result.loop.adequate else None
+    identified = stages.once(identified_device) if findings.loop is not None and findings.loop.adequate else None
     if identified is None or identified.loop.friction is not None:
         return None
     theory = Theory(SourcedLoop(loop=identified.loop, source="estimated from the logs"))

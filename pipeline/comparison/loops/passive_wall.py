@@ -13,7 +13,7 @@ from pipeline.device.loop import Loop
 from pipeline.loop.normalised_loop import LARGEST_DELAY, LoopUnits, NormalisedLoop
 from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.planning.loop_limits import limits_of
-from pipeline.records.results import ExperimentResult, PassiveWall
+from pipeline.records.results import MeasuredExperiment, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 
 SPARE = 1e-4
@@ -24,14 +24,14 @@ TRIES = 200
 total, while rounding costs 0.1 %."""
 
 
-def passive_wall(basis: LoopBasis, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
+def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveWall | None, str | None]:
     """Return the stiffest wall that is passive and stable for all loops within intervals and replay error, or None and
     why.
 
     Parameters
     ----------
     basis : LoopBasis
-    result : ExperimentResult
+    result : MeasuredExperiment
         Its measured limits bound the wall.
 
     Notes
@@ -120,7 +120,7 @@ def _rounded_down(value: float) -> float:
     return float(f"{floor(value / step) * step:.{SET_DIGITS}g}")
 
 
-def _measured(result: ExperimentResult, damping: float) -> float | None:
+def _measured(result: MeasuredExperiment, damping: float) -> float | None:
     """Return the lower end of the measured limits at a damping; None outside the dampings with a measured limit.
 
     If no trial was stable, only the softest unstable one is known.

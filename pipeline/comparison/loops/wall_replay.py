@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.base.progress import report
 from pipeline.base.wording import counted
-from pipeline.comparison.limits import NARROW, measured_limits
+from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device
 from pipeline.device.loop import Loop
 from pipeline.measured.cost.costs import settling
@@ -24,7 +24,7 @@ from pipeline.measured.stages.measured_trial import MeasuredTrial, about
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, linear_limits, simulate_behind
 from pipeline.records.findings import MATTERS, Limit
-from pipeline.records.results import ExperimentResult, ReplayResiduals, WallReplay
+from pipeline.records.results import LoopFindings, MeasuredExperiment, ReplayResiduals, WallReplay
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 from pipeline.rendering.labels import share_text, significant
 
@@ -41,7 +41,7 @@ LOW = 0.25
 """Smallest limit, relative to the largest, that is compared in percent: at its ends a boundary tends to zero."""
 
 
-def usual_trial(result: ExperimentResult, stages: ExperimentStages) -> StepTrial:
+def usual_trial(result: MeasuredExperiment, stages: ExperimentStages) -> StepTrial:
     """Return the usual trial of an experiment, with the jitter of its logs, and the sensor resolution if it matters."""
     jitter, share = result.estimates.get("jitter_samples"), coarse(stages)
     matters = len(share) and float(np.median(share)) > MATTERS
@@ -71,7 +71,7 @@ def excitation(of: MeasuredTrial) -> float:
     return find_release(of.trial).size
 
 
-def softest(result: ExperimentResult, stages: ExperimentStages) -> Floats:
+def softest(result: MeasuredExperiment, stages: ExperimentStages) -> Floats:
     """Return half the stiffness of the softest tested wall at each tested damping [N/m, Nm/rad]."""
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     least = np.array([K[(K > 0) & (each.damping == B)].min(initial=np.inf) for each in result.boundary])
@@ -86,13 +86,13 @@ def coarse(stages: ExperimentStages) -> Floats:
 
 
 def wall_replay(
-    result: ExperimentResult, stages: ExperimentStages, device: IdentifiedLoop, limits: Floats, trial: StepTrial
+    result: MeasuredExperiment, stages: ExperimentStages, device: IdentifiedLoop, limits: Floats, trial: StepTrial
 ) -> WallReplay | None:
     """Return the cross-validated predictions of an identified device at the tested walls; None without a wall.
 
     Parameters
     ----------
-    result : ExperimentResult
+    result : MeasuredExperiment
     stages : ExperimentStages
     device : IdentifiedLoop
     limits : float64, shape (n,)
@@ -173,7 +173,7 @@ def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, r
     return [trials[place] for place in range(len(steps))]
 
 
-def _of_chance(result: ExperimentResult, K: Floats, B: Floats) -> Booleans:
+def _of_chance(result: MeasuredExperiment, K: Floats, B: Floats) -> Booleans:
     """Return which walls lie within the interval of the limit measured at their damping, shape (n,)."""
     limits = measured_limits(result.boundary)
     ends = dict(zip(limits.damping.tolist(), zip(limits.low.tolist(), limits.high.tolist(), strict=True), strict=True))
@@ -210,7 +210,7 @@ def replay_words(replay: WallReplay) -> str:
 
 
 def limits_with_intervals(
-    result: ExperimentResult, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
+    result: MeasuredExperiment, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
 ) -> tuple[Limit, ...]:
     """Return the limits of a loop at the tested dampings with their intervals, and those of the linear loop if they
     differ."""
@@ -225,45 +225,28 @@ def limits_with_intervals(
     )
 
 
-def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
-    """Return a result with causes and, if its logs show friction, with limits for large motions.
+def large_motion_limits(
+    measured: MeasuredExperiment, findings: LoopFindings, stages: ExperimentStages
+) -> dict[float, float | None]:
+    """Return the linear limit at each tested damping; empty unless the logs show friction.
 
-    The effect of Coulomb friction decreases with the size of a motion and is negligible for a large one. Walls that
-    large motions make unstable are not recommended.
+    The effect of Coulomb friction decreases with the size of a motion and is negligible for a large one.
     """
-    device = identified_device(stages)
-    has_friction = any(cause.code == "coulomb_friction" for cause in result.causes)
-    if not has_friction or device is None or not result.boundary:
-        return result
-    B = [point.damping for point in result.boundary]
-    linear = dict(zip(B, linear_limits(device.loop, np.array(B)).tolist(), strict=True))
-    linear |= {each.damping: each.stiffness_large_motion for each in result.loop_boundary or ()}
-    points = tuple(
-        point.model_copy(update={"stiffness_large_motion": linear[point.damping]}) for point in result.boundary
-    )
-    result = result.model_copy(update={"boundary": points})
-    if (use := result.use) is None:
-        return result
-    limit = linear.get(use.point.damping)
-    if limit is None:
-        limit = float(linear_limits(device.loop, np.array([use.point.damping]))[0])
-    margin = limit / use.point.stiffness
-    if margin >= NARROW:
-        point = use.point.model_copy(update={"margin_large_motion": margin})
-        return result.model_copy(update={"use": use.model_copy(update={"point": point})})
-    why = (
-        f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
-        f"from {significant(limit, 3)} on: friction dissipates a smaller part of it"
-    )
-    return result.model_copy(update={"use": None, "use_reason": why})
+    has_friction = any(cause.code == "coulomb_friction" for cause in findings.causes)
+    device = stages.once(identified_device) if has_friction else None
+    if device is None:
+        return {}
+    B = [point.damping for point in measured.boundary]
+    linear = dict(zip(B, linear_limits(device.loop, np.array(B)).tolist(), strict=True)) if B else {}
+    return linear | {each.damping: each.stiffness_large_motion for each in findings.loop_boundary or ()}
 
 
-def limits_off(result: ExperimentResult, predicted: Floats) -> float | None:
+def limits_off(result: MeasuredExperiment, predicted: Floats) -> float | None:
     """Return the median error of predicted limits at the dampings with a measured limit [%]."""
     return median(_limit_errors(result, predicted)[0])
 
 
-def _limit_errors(result: ExperimentResult, predicted: Floats) -> tuple[Floats, Floats, Floats]:
+def _limit_errors(result: MeasuredExperiment, predicted: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the errors of predicted limits, the half widths of the measured intervals, and the distances of predicted
     limits outside these intervals [%]."""
     measured = measured_limits(result.boundary)
@@ -296,7 +279,9 @@ def median(values: Floats) -> float | None:
     return float(np.median(known)) if len(known) else None
 
 
-def _costs_off(result: ExperimentResult, stages: ExperimentStages, chosen: Integers, predicted: Floats) -> float | None:
+def _costs_off(
+    result: MeasuredExperiment, stages: ExperimentStages, chosen: Integers, predicted: Floats
+) -> float | None:
     """Return the median error of predicted settling times [%]; None if not requested."""
     if "settle_2pct" not in {*result.optimum, *result.missing}:
         return None

@@ -13,7 +13,7 @@ from importlib.metadata import version
 
 from pipeline.base.paths import path_of_text
 from pipeline.base.provenance import __version__, digest, sha256
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import StoredData
 from pipeline.device_data.devices import digest_of
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
@@ -68,7 +68,7 @@ def header_lines(stages: ExperimentStages) -> tuple[HeaderLine, ...]:
     )
 
 
-def excluded_trials(data: SceneData) -> tuple[ExcludedTrial, ...]:
+def excluded_trials(data: StoredData) -> tuple[ExcludedTrial, ...]:
     """Return the trials that were excluded by hand, as a report names them."""
     return tuple(
         ExcludedTrial(
@@ -88,13 +88,13 @@ def joint_sha256(hashes: Sequence[str]) -> str:
 
 
 def provenance(
-    data: SceneData, lists: Sequence[LogList], processed: str, *, key: str, code: str, output: Sequence[str] = ()
+    data: StoredData, lists: Sequence[LogList], processed: str, *, key: str, code: str, output: Sequence[str] = ()
 ) -> dict[str, str]:
     """Return the entries of a report's origin, for people.
 
     Parameters
     ----------
-    data : SceneData
+    data : StoredData
     lists : sequence of LogList
         Logs of each experiment.
     processed : str
@@ -130,7 +130,7 @@ def provenance(
     return entries
 
 
-def request(data: SceneData, lists: Sequence[LogList], processed: str, code: str) -> dict[str, object]:
+def request(data: StoredData, lists: Sequence[LogList], processed: str, code: str) -> dict[str, object]:
     """Return request and inputs of the comparison, so that `verify` can repeat it."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
@@ -140,7 +140,7 @@ def request(data: SceneData, lists: Sequence[LogList], processed: str, code: str
     return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth, "device_file": device}
 
 
-def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
+def _command(data: StoredData, processed: str, output: Sequence[str]) -> str:
     scene = data.scene
     words = ["pipeline", "compare", "--device", scene.device]
     words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]

@@ -41,8 +41,8 @@ class PlannedStage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SceneData:
-    """A scene with the device, if known, and the stages of its experiments."""
+class StoredData:
+    """Stored data of a comparison: its scene, the device, if known, and the stages of its experiments."""
 
     scene: Scene
     device: Device | None
@@ -72,7 +72,7 @@ def open_scene(
     experiments: Sequence[str] | None,
     criteria: Sequence[str] | None,
     shown: Shown | None = None,
-) -> SceneData:
+) -> StoredData:
     """Collect the stored data for a comparison, of a device by its name or by a device file.
 
     Raises
@@ -136,7 +136,7 @@ def open_scene(
     needed = required(_wanted(chosen))
     # an unknown device has only the theory by the estimates
     estimates = asked.has_overlay("estimates") or (known is None and asked.has_overlay("theory"))
-    return SceneData(
+    return StoredData(
         scene=scene,
         device=known,
         experiments=data,
@@ -152,7 +152,7 @@ def _wanted(criteria: Sequence[str]) -> set[str]:
     return {"boundary", *(family.name for family in families)}
 
 
-def needed_stages(data: SceneData) -> set[str]:
+def needed_stages(data: StoredData) -> set[str]:
     """Return the stages of the measured branch that the scene needs."""
     needed = required(_wanted(data.scene.criteria))
     if data.scene.shown.has_table("outcomes") or data.scene.shown.has_figure("trials"):
@@ -173,7 +173,7 @@ _LEFT_OUT = {  # except results that a report shows only on request
 }
 
 
-def plan_measured(data: SceneData) -> list[PlannedStage]:
+def plan_measured(data: StoredData) -> list[PlannedStage]:
     """Return the action for each experiment and stage, and its reason."""
     needed = needed_stages(data)
     plan = []
@@ -189,7 +189,7 @@ def plan_measured(data: SceneData) -> list[PlannedStage]:
     return plan
 
 
-def layouts(data: SceneData) -> tuple[TableLayout, ...]:
+def layouts(data: StoredData) -> tuple[TableLayout, ...]:
     """Return the tables that the stored experiments can fill: published layouts, then one for each other experiment."""
     asked = data.scene.criteria
     stored = data.scene.experiments

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import SceneError
-from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneData, layouts, open_scene
+from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, StoredData, layouts, open_scene
 from pipeline.profiles.profile_files import Mistake, Place, key_lines
 from pipeline.records.criteria import REPORTED, SETTLING_BANDS
 from pipeline.records.models import MOMENTUM_WINDOW_S, FigureKind, SceneFile
@@ -44,7 +44,7 @@ REPORT_TABLES = {
 """Tables of a report in addition to those of optima, with their contents."""
 
 
-def plan_parts(data: SceneData) -> list[PlannedStage]:
+def plan_parts(data: StoredData) -> list[PlannedStage]:
     """Return the action for each figure and table of the report, and its reason."""
     shown = data.scene.shown
     plan = []

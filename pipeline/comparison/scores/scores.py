@@ -2,49 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.limits import MeasuredLimits, Overlap, Stretches, measured_limits, overlap
 from pipeline.comparison.loops.departures import other_gains
-from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.results import DampingScore, ExperimentResult, RegionScore, Scores, StiffnessScore
+from pipeline.records.results import DampingScore, MeasuredExperiment, RegionScore, Scores, StiffnessScore
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.crossings import stable_intervals
 from pipeline.theory.predictions import Theory
 
 
-def add_scores(
-    data: SceneData, results: Sequence[ExperimentResult], theories: Mapping[str, Theory]
-) -> list[ExperimentResult]:
-    """Return the results, with scores if there is a theory.
+def scores_of(
+    result: MeasuredExperiment, stages: ExperimentStages, theory: Theory | None, *, by_file: bool
+) -> tuple[Scores, ...]:
+    """Return the scores of one experiment, with reasons for missing ones; empty if theory or measured limits are
+    missing.
 
     Parameters
     ----------
-    data : SceneData
-        Its experiments in the order of ``results``.
-    results : sequence of ExperimentResult
-    theories : mapping of experiment to Theory
-        Theory of the tables: by the device file, or by the estimates of a device without one.
+    result : MeasuredExperiment
+    stages : ExperimentStages
+    theory : Theory or None
+    by_file : bool
+        Whether theory is by the device file, not by the estimates.
     """
-    basis = "estimates" if data.device is None else "device file"
-    scored = []
-    for result, stages in zip(results, data.experiments, strict=True):
-        gains, theory = stages.once(other_gains), theories.get(result.experiment)
-        # if the command obeys other walls, the few remaining trials are no evidence about the device in these units
-        told = theory is not None and not (gains is not None and gains.most)
-        scores = (_scores(result, stages, theory, basis),) if theory is not None and told else ()
-        scored.append(result.model_copy(update={"scores": scores}))
-    return scored
-
-
-def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, basis: str) -> Scores:
-    """Return the scores of one experiment, with reasons for missing ones."""
+    gains = stages.once(other_gains)
+    # if the command obeys other walls, the few remaining trials are no evidence about the device in these units
+    if theory is None or (gains is not None and gains.most):
+        return ()
     limits = measured_limits(result.boundary)
     stretches = _theory_stretches(theory, limits.damping)
     predicted = stretches.high.max(axis=0, initial=0.0)
@@ -67,7 +56,8 @@ def _scores(result: ExperimentResult, stages: ExperimentStages, theory: Theory, 
         "damping": "no stable trial at K > 0",
     }
     missing = {name: reason for name, reason in why.items() if found[name] is None}
-    return Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found})
+    basis = "device file" if by_file else "estimates"
+    return (Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found}),)
 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
@@ -112,7 +102,7 @@ def _region(limits: MeasuredLimits, stretches: Stretches) -> RegionScore | None:
 
 
 def _stiffness(
-    limits: MeasuredLimits, predicted: Floats, theory: Theory, result: ExperimentResult
+    limits: MeasuredLimits, predicted: Floats, theory: Theory, result: MeasuredExperiment
 ) -> StiffnessScore | None:
     stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
     if not stable or not (predicted > 0).any():
@@ -131,7 +121,7 @@ def _stiffness(
     )
 
 
-def _damping(theory: Theory, result: ExperimentResult) -> DampingScore | None:
+def _damping(theory: Theory, result: MeasuredExperiment) -> DampingScore | None:
     stable = [point.damping for point in result.boundary if point.stable is not None]
     if not stable:
         return None

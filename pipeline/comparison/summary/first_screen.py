@@ -16,7 +16,7 @@ from pipeline.comparison.limits import measured_limits
 from pipeline.comparison.loops.departures import other_gains
 from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.recording_faults import unsafe_recording
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import StoredData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
 from pipeline.loop.normalised_loop import LARGEST_DELAY
@@ -33,7 +33,7 @@ from pipeline.records.results import (
     AnswerEstimate,
     Cause,
     DistanceScore,
-    ExperimentResult,
+    ExperimentNumbers,
     NextWall,
     Prediction,
     ReachableCost,
@@ -72,21 +72,21 @@ CLOSE = 0.05
 """Largest median distance of limits from those of the identified device with friction for which it predicts them."""
 
 
-def told_most(results: Sequence[ExperimentResult]) -> int:
+def told_most(results: Sequence[ExperimentNumbers]) -> int:
     """Return the index of the experiment to unfold: the first one with the most answers."""
     return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
 
 
 def answer(
-    data: SceneData, stages: ExperimentStages, result: ExperimentResult, rows: Sequence[ComparisonRow]
+    data: StoredData, stages: ExperimentStages, result: ExperimentNumbers, rows: Sequence[ComparisonRow]
 ) -> Answer:
     """Return the answers about an experiment.
 
     Parameters
     ----------
-    data : SceneData
+    data : StoredData
     stages : ExperimentStages
-    result : ExperimentResult
+    result : ExperimentNumbers
         Result of these stages, with its scores and walls to use.
     rows : sequence of ComparisonRow
         Rows of all experiments, whose costs are judged together: one has too few.
@@ -125,18 +125,18 @@ def _safest(stages: ExperimentStages) -> TestedWall | None:
     return TestedWall(stiffness=float(K[best]), damping=float(B[best]), decay_per_s=-float(growth[best]))
 
 
-def _worth(result: ExperimentResult) -> tuple[bool, bool, bool]:
+def _worth(result: ExperimentNumbers) -> tuple[bool, bool, bool]:
     """Return whether an experiment has a limit to compare with theory, a wall to use, any limit."""
     return bool(result.scores and _known(result)), result.use is not None, bool(result.boundary)
 
 
-def _known(result: ExperimentResult) -> bool:
+def _known(result: ExperimentNumbers) -> bool:
     """Return whether the region shows where the device becomes unstable: with stable trials only, any overlap is 1."""
     region = result.scores[0].region if result.scores else None
     return region is not None and region.censored < region.dampings
 
 
-def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: ExperimentStages) -> float | None:
+def _spacing(result: ExperimentNumbers, rows: Sequence[ComparisonRow], stages: ExperimentStages) -> float | None:
     """Return the grid spacing of the tested walls above the one to use [%]; None unless the coarse grid raises the cost
     much."""
     parts = [row.deviation for row in rows if row.deviation and row.experiment == result.experiment]
@@ -148,7 +148,7 @@ def _spacing(result: ExperimentResult, rows: Sequence[ComparisonRow], stages: Ex
     return float(100 * (above.min() / point.stiffness - 1)) if len(above) else None
 
 
-def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
+def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
     """Return delay, mass, damping, friction, largest limit and replay, preferably of a device fitted to all trials."""
     found, doubt = [], _doubt(result)
     for name in ("delay_samples", "mass", "damping", "friction"):
@@ -193,7 +193,7 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
     return tuple(found)
 
 
-def _doubt(result: ExperimentResult) -> str:
+def _doubt(result: ExperimentNumbers) -> str:
     """Return why there are no intervals of delay, mass, damping and friction; empty if there are."""
     warned = {name: result.estimates[name].warning or "" for name in NEEDED}
     drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
@@ -208,7 +208,7 @@ def _doubt(result: ExperimentResult) -> str:
     return f"No interval where the loop is not adequate: {first_clause(loop.reason)}."
 
 
-def _other_parameters(result: ExperimentResult, of_file: Experiment | None, units: Units) -> list[Cause]:
+def _other_parameters(result: ExperimentNumbers, of_file: Experiment | None, units: Units) -> list[Cause]:
     """Return, as a cause, the parameters of the device file that lie more than `MATTERS` outside the intervals by the
     logs."""
     scores = result.scores[0] if result.scores else None
@@ -236,7 +236,7 @@ def _other_parameters(result: ExperimentResult, of_file: Experiment | None, unit
     return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
 
 
-def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
+def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
     """Return whether theory predicts the device: limits of one experiment, costs of all.
 
     ``misled`` is the reason why the logs give no limit; empty if they do.
@@ -277,7 +277,7 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     )
 
 
-def _too_few_limits(result: ExperimentResult, known: int) -> str:
+def _too_few_limits(result: ExperimentNumbers, known: int) -> str:
     """Return how many limits are missing to judge theory, at which dampings, and the prediction of the identified loop
     there."""
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
@@ -293,7 +293,7 @@ def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
     return "yes" if well else "partly" if partly else "no"
 
 
-def _reachable(result: ExperimentResult) -> ReachableCost | None:
+def _reachable(result: ExperimentNumbers) -> ReachableCost | None:
     """Return the lowest cost that the delay of an experiment allows; None if delay or sampling period is unknown."""
     period, loop = result.sampling_period_s, result.loop
     delay = loop.delay_samples.value if loop is not None and loop.delay_samples is not None else result.delay.value
@@ -313,7 +313,7 @@ def _reachable(result: ExperimentResult) -> ReachableCost | None:
     )
 
 
-def _with_friction(result: ExperimentResult) -> DistanceScore | None:
+def _with_friction(result: ExperimentNumbers) -> DistanceScore | None:
     """Return the distance of the limits from those of the identified device with friction; None if these are wrong,
     too.
 
@@ -336,13 +336,13 @@ def _percent(distance: DistanceScore | None) -> float | None:
 
 
 def _next(
-    data: SceneData, result: ExperimentResult, of_file: Experiment | None, stages: ExperimentStages
+    data: StoredData, result: ExperimentNumbers, of_file: Experiment | None, stages: ExperimentStages
 ) -> dict[str, Any]:
     """Return the next wall that the planner requests given the verdicts so far, or why there is none."""
     name, wish = result.experiment, PlanOptions()
     try:
         # limits alone need no device
-        found = identified_device(stages) if result.loop is not None else None
+        found = stages.once(identified_device) if result.loop is not None else None
         if found is not None and found.may_have_friction:
             found = replace(found, directions=_directions(stages))
         plan = plan_of(replace(campaign_of(stages, data.device, of_file, wish), found=found), wish)

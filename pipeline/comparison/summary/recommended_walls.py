@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +11,9 @@ from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
 from pipeline.device.parameters import unit_of
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Optimum
-from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
+from pipeline.records.results import STIFFEST, CostRange, MeasuredExperiment, UsePoint, UseRegion
 from pipeline.records.trials import Booleans, Floats
-from pipeline.rendering.labels import criterion_name
+from pipeline.rendering.labels import criterion_name, significant
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
 """Criteria for recommended walls; the first one with a cost is used. A user feels how fast a wall comes to rest.
@@ -51,19 +51,23 @@ Rectangle = tuple[float, float, float, float]
 """Least and largest stiffness, least and largest damping."""
 
 
-def recommended(result: ExperimentResult) -> tuple[str, Optimum] | None:
+def recommended(result: MeasuredExperiment) -> tuple[str, Optimum] | None:
     """Return criterion and trial of the lowest cost, or None if no criterion of `PREFERRED` has a cost."""
     return next(((c, result.optimum[c]) for c in PREFERRED if c in result.optimum), None)
 
 
-def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[UseRegion | None, str]:
+def region_to_use(
+    result: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float] | None = None
+) -> tuple[UseRegion | None, str]:
     """Return the walls to use, and why there are none or why no cost selected them.
 
     Parameters
     ----------
-    result : ExperimentResult
-        With its boundary and optima.
+    result : MeasuredExperiment
     stages : ExperimentStages
+    linear : mapping of damping to stiffness, optional
+        For a device with friction, the limit for large motions at each tested damping. A wall above it is not
+        recommended.
 
     Notes
     -----
@@ -94,7 +98,14 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
         criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
         if region is None:
             return None, f"{why}; {_lacking(limits, K, B, usable & clean, unit_of('stiffness', stages.motion))}"
-    return _described(criterion, tested, region, limits, result, stages), why
+    use = _described(criterion, tested, region, limits, result, stages, linear or {})
+    if use.point.margin_large_motion is not None and use.point.margin_large_motion < NARROW:
+        limit = use.point.margin_large_motion * use.point.stiffness
+        return None, (
+            f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
+            f"from {significant(limit, 3)} on: friction dissipates a smaller part of it"
+        )
+    return use, why
 
 
 def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable: Booleans, unit: str) -> str:
@@ -138,7 +149,7 @@ def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) ->
     return above
 
 
-def _judged(result: ExperimentResult, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
+def _judged(result: MeasuredExperiment, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
     """Return which trials have a cost due to the wall alone, and which of them came to rest.
 
     With friction a device comes to rest away from x_0 + F_0/K. An offset within the range of friction is not a
@@ -165,8 +176,9 @@ def _described(
     tested: WallTrials,
     region: Rectangle,
     limits: MeasuredLimits,
-    result: ExperimentResult,
+    result: MeasuredExperiment,
     stages: ExperimentStages,
+    linear: Mapping[float, float],
 ) -> UseRegion:
     """Return a region with the costs of its trials, and the one of them to set."""
     at = tested.inside(region)
@@ -188,6 +200,7 @@ def _described(
             trial_id=str(stages.texts("response", "trial_id")[best]),
             costs={name: float(cost[best]) for name, cost in costs.items() if np.isfinite(cost[best])},
             margin=float(rooms[best] / tested.stiffness[best]),
+            margin_large_motion=linear[float(tested.damping[best])] / float(tested.stiffness[best]) if linear else None,
         ),
     )
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.loops.departures import OtherGains, other_gains
-from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scene.scene import StoredData
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS
 from pipeline.records.models import Device
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentNumbers
 from pipeline.rendering.labels import quantity_name
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.store.storage import natural_key
@@ -42,14 +42,14 @@ _ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
 """Parts in which equal warnings of several experiments differ."""
 
 
-def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
+def warnings_of(data: StoredData, results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
     """Return the warnings about the numbers, the most serious first; empty without any."""
     found = [*_of_trials(data, results), *_of_device(data, results), *_of_estimates(results)]
     text = fill_template("warnings.txt.j2", found=found, all=len(results), device=data.scene.device)
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 
-def _of_trials(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
+def _of_trials(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, Any]]:
     simulated = [r.experiment for r in results if r.simulated]
     if 0 < len(simulated) < len(results):
         yield {"code": "mixed", "experiments": simulated}
@@ -109,7 +109,7 @@ def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[floa
     return list(found.items())
 
 
-def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[tuple[str, float, float]]:
+def _extrapolated(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterator[tuple[str, float, float]]:
     """Yield experiment, weight and share of the optimal energy costs that lie beyond the end of the recording."""
     for result, stages in zip(results, data.experiments, strict=False):
         for criterion in members(ENERGY):
@@ -121,7 +121,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> Itera
                     yield result.experiment, criterion.weight, 100 * abs(tail) / best.cost
 
 
-def _of_device(data: SceneData, results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
+def _of_device(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, Any]]:
     """Yield warnings if the logs of a known device contradict its device file, so that theory does not apply."""
     device = data.device
     if device is None:
@@ -147,7 +147,7 @@ def _too_late(device: Device, name: str) -> float:
     return LARGEST_DELAY if entry.delay_samples > LARGEST_DELAY else 0.0
 
 
-def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any]]:
+def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, Any]]:
     """Yield warnings about missing or doubtful estimates; equal ones of several experiments are merged.
 
     Remarks on single numbers are in the table of methods.
@@ -186,7 +186,7 @@ def _of_estimates(results: Sequence[ExperimentResult]) -> Iterator[dict[str, Any
         yield {"code": "doubt", **doubt, "texts": doubt["texts"] if len(doubt["texts"]) == 1 else texts}
 
 
-def too_late(result: ExperimentResult) -> bool:
+def too_late(result: ExperimentNumbers) -> bool:
     """Return True if a delay, or the upper end of its interval, exceeds the longest delay for which theory is
     computed."""
     delay = result.estimates["delay_samples"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, PublishedBound, Shown
-from pipeline.records.results import ExperimentResult, SourcedLoop
+from pipeline.records.results import ExperimentNumbers, SourcedLoop
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
@@ -80,7 +80,7 @@ def by_theory(theory: Theory, label: str, number: int | None = None) -> Series:
     return Series(label, "theory", border.alpha * units.stiffness, border.beta * units.damping, number=number)
 
 
-def _identified(result: ExperimentResult, label: str) -> Series:
+def _identified(result: ExperimentNumbers, label: str) -> Series:
     """Return the limits that the identified loop predicts at the tested dampings."""
     limits = result.loop_boundary or ()
     return Series(label, "identified", *np.array([(limit.stiffness, limit.damping) for limit in limits]).T)
@@ -111,14 +111,14 @@ def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tu
 
 
 def answer_figure(
-    result: ExperimentResult, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
+    result: ExperimentNumbers, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
 ) -> Figure:
     """Return the figure of the first screen: measured and theoretical limits, limits with friction, walls to use, all
     trials.
 
     Parameters
     ----------
-    result : ExperimentResult
+    result : ExperimentNumbers
     theory : Theory, optional
     motion : Motion
     number : int
@@ -146,12 +146,12 @@ def answer_figure(
     return limits_figure(title, caption, [limits_panel("", series, motion)], ANSWER)
 
 
-def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *, predicted: bool = True) -> Figure:
+def plane_figure(entries: Sequence[tuple[str, ExperimentNumbers, Theory, int]], *, predicted: bool = True) -> Figure:
     """Return measured limits of experiments, possibly of several devices, in the plane of alpha and beta.
 
     Parameters
     ----------
-    entries : sequence of (str, ExperimentResult, Theory, int)
+    entries : sequence of (str, ExperimentNumbers, Theory, int)
         Label, result, the theory whose mass and sampling period normalise it, and the number of its colour.
     predicted : bool
         Whether the boundaries of these theories are drawn, too.
@@ -180,7 +180,7 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory, int]], *
 
 
 def boundary_figures(
-    results: Sequence[ExperimentResult],
+    results: Sequence[ExperimentNumbers],
     theories: Mapping[str, Theory],
     motion: Motion,
     shown: Shown,
@@ -247,7 +247,7 @@ def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
 
 
 def _over_each_other(
-    group: Sequence[tuple[int, ExperimentResult]], theories: Mapping[str, Theory], shown: Shown, others: int
+    group: Sequence[tuple[int, ExperimentNumbers]], theories: Mapping[str, Theory], shown: Shown, others: int
 ) -> list[Series]:
     """Return limits of experiments with theory; colours of delays follow those of all experiments."""
     series: list[Series] = []
@@ -267,7 +267,7 @@ def _over_each_other(
     return series
 
 
-def _with_loop(result: ExperimentResult, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
+def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
     """Return measured limits of one experiment with its theory, its identified loop, and conditions."""
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
     if result.loop_boundary:

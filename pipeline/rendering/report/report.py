@@ -21,8 +21,8 @@ from pipeline.explorer import page as explorer
 from pipeline.explorer.entries import measured_entries
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
-from pipeline.records.models import FigureKind
-from pipeline.records.results import ComparisonResult
+from pipeline.records.models import FigureKind, Motion
+from pipeline.records.results import Answer, ComparisonResult
 from pipeline.rendering.figures.drawing import Drawn, Figure, draw
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import page_template, report_parts
@@ -141,11 +141,19 @@ def answer_content(result: ComparisonResult) -> dict[str, Any]:
     return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
 
 
-def answer_lines(result: ComparisonResult) -> tuple[str, ...]:
-    """Return the five answers as lines of text; empty without an answer."""
-    if result.answer is None:
+def answer_lines(answer: Answer | None, motion: Motion, period: float | None) -> tuple[str, ...]:
+    """Return the five answers as lines of text; empty without an answer.
+
+    Parameters
+    ----------
+    answer : Answer or None
+    motion : Motion
+    period : float or None
+        Sampling period of its experiment [s].
+    """
+    if answer is None:
         return ()
-    text = fill_template("answer.txt.j2", result=result, **answer_content(result))
+    text = fill_template("answer.txt.j2", answer=answer, motion=motion, units=UNITS[motion], period=period)
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -30,8 +30,8 @@ from pipeline.shell.commands.options import (
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
-    from pipeline.comparison.compare import Outcome
     from pipeline.records.models import Shown
+    from pipeline.records.results import ComparisonResult
     from pipeline.rendering.report.report_against import AgainstPage
     from pipeline.shell.watch import Event
 
@@ -66,9 +66,11 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
+    from pipeline.comparison.against import against_document, read_document
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
-    from pipeline.store.names import report_of
+    from pipeline.shell.report_index import write_index
+    from pipeline.store.names import page_against_document, report_of
     from pipeline.store.objects import opened
 
     earlier = Path(against) if against is not None and against.endswith(".json") else None
@@ -95,14 +97,38 @@ def compare(
             _compare_against((name, names), against, folder, wanted, report)
         return
     target = report or (Path(asked.report) if asked and asked.report else report_of(reports_folder(), name))
-    how: dict[str, Any] = {"experiments": names, "criteria": wanted, "dry_run": dry_run, "full": full}
-    how |= {
-        "device": of_file or name,
-        "shown": _shown(asked.shown if asked else None, final, momentum_delay, momentum_window),
-        "scene_file": scene,
-        "executor": executor_of(executor),
-    }
-    _write_report(name, processed, target, how, earlier, export)
+    if not dry_run:
+        check_output(target, "--report", document_beside=True)
+    compute, shown = (
+        executor_of(executor),
+        _shown(asked.shown if asked else None, final, momentum_delay, momentum_window),
+    )
+    # read it before the comparison, which may replace it
+    document = None if earlier is None else read_document(earlier, name)
+    with console.progress("compare"), opened(processed, name) as folder:
+        from pipeline.comparison.compare import (  # takes a second
+            ComparisonSelection,
+            ReportOptions,
+            plan_comparison,
+            run,
+            write_report,
+        )
+
+        selection = ComparisonSelection(of_file or name, folder, names, wanted, shown)
+        plan = plan_comparison(selection, ReportOptions(target, full, scene, export and export / "figures"))
+        finished = None if dry_run else run(plan, compute)
+        if finished is not None:
+            write_report(finished)
+    if finished is None:
+        stages = [row._asdict() for row in plan.stages]
+        console.tell(stages, console.table(stages, ("stage", "action", "reason")))
+        return
+    # in other folders an existing index is updated, but none is created
+    write_index(target.parent, only_renew=target.parent != reports_folder())
+    if document is not None and earlier is not None:
+        _tell_against(against_document(finished.document, document), page_against_document(target, earlier))
+    else:
+        _tell(finished.document, target, export)
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
@@ -118,47 +144,15 @@ def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, m
     return shown.model_copy(update={"measuring": shown.measuring.model_copy(update=chosen)})
 
 
-def _write_report(
-    device: str, processed: str, target: Path, how: dict[str, Any], earlier: Path | None, export: Path | None
-) -> None:
-    """Compare a device as requested, and print the result, or the differences from an earlier document."""
-    from pipeline.comparison.against import against_document, read_document
-    from pipeline.shell.report_index import write_index
-    from pipeline.store.names import page_against_document
-    from pipeline.store.objects import opened
-
-    if not how["dry_run"]:
-        check_output(target, "--report", document_beside=True)
-    # read it before the comparison, which may replace it
-    document = None if earlier is None else read_document(earlier, device)
-    figures = export and export / "figures"
-    with console.progress("compare"), opened(processed, device) as folder:
-        from pipeline.comparison.compare import compare as compare_device  # takes a second
-
-        outcome = compare_device(how.pop("device"), folder, report=target, figures=figures, **how)
-    if outcome.result is not None:
-        # in other folders an existing index is updated, but none is created
-        write_index(target.parent, only_renew=target.parent != reports_folder())
-    if outcome.result is not None and document is not None and earlier is not None:
-        _tell_against(against_document(outcome.result, document), page_against_document(target, earlier))
-    else:
-        _tell(outcome, export)
-
-
-def _tell(outcome: Outcome, export: Path | None) -> None:
-    """Print the result of a comparison and export its tables to a folder; after a dry run, print the planned work."""
+def _tell(result: ComparisonResult, report: Path, export: Path | None) -> None:
+    """Print the result of a comparison, and export its tables to a folder."""
     from pipeline.rendering.table_export import export_tables
 
-    if outcome.result is None:
-        stages = [row._asdict() for row in outcome.stages]
-        console.tell(stages, console.table(stages, ("stage", "action", "reason")))
-        return
-    lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
-    lines.append(f"report: {outcome.report}")
+    lines = [*result.summary, *(f"Warning: {text}" for text in result.warnings), f"report: {report}"]
     if export is not None:
-        export_tables(outcome.result, export / "tables")
+        export_tables(result, export / "tables")
         lines.append(f"tables and figures: {export}")
-    console.tell(outcome.result.model_dump(mode="json"), lines)
+    console.tell(result.model_dump(mode="json"), lines)
 
 
 def _compare_against(

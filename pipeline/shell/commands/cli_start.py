@@ -201,7 +201,7 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
 
 def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compares: bool) -> int:
     """Store the logs of a folder, compare or identify, open the report, and print how to repeat it."""
-    from pipeline.comparison.compare import compare
+    from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of
     from pipeline.store.objects import opened, stored_by
@@ -228,14 +228,14 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
         target = report_of(reports_folder(), device)
         check_output(target, "", document_beside=True)
         with console.progress("compare"), opened(processed, device) as store:
-            outcome = compare(device, store, report=target)
+            finished = run(plan_comparison(ComparisonSelection(device, store), ReportOptions(target)))
+            write_report(finished)
         commands.append(f"pipeline compare --device {shlex.quote(device)}")
-        if outcome.result is not None:
-            lines = [*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)]
-        document["report"] = str(outcome.report)
-        lines.append(f"report: {outcome.report}")
-        if opens and outcome.report is not None:
-            _open(Path(outcome.report))
+        lines = [*finished.document.summary, *(f"Warning: {text}" for text in finished.document.warnings)]
+        document["report"] = str(target)
+        lines.append(f"report: {target}")
+        if opens:
+            _open(target)
     elif compares:
         from pipeline.shell.commands.cli_device import identified_lines
 

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from stored import trials_of
 from trial_pages import decode, unpack
 
-from pipeline.comparison.experiment_result import experiment_result, nominal_theories
+from pipeline.comparison.experiment_result import experiment_numbers, nominal_theories
 from pipeline.comparison.figures import trial_page as page_module
 from pipeline.comparison.figures.trial_page import (
     COLUMNS,
@@ -36,7 +36,7 @@ SIGNALS = arrays(np.float64, st.integers(2, 60), elements=st.floats(-1e3, 1e3))
 def scene(noisy):
     data = open_scene("falcon", noisy.processed, None, None)
     theories = nominal_theories(data)
-    return data, [experiment_result(data, data.experiments[0], theories["1"])], theories
+    return data, [experiment_numbers(data, data.experiments[0], theories["1"])], theories
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +117,7 @@ def test_few_responses_cover_the_plane_and_the_number_of_samples_holds(scene, mo
 
 def test_without_theory_and_model_trials_are_shown_all_the_same(noisy):
     data = open_scene("falcon", noisy.processed, None, ["overshoot"])
-    page = trial_page(data, [experiment_result(data, data.experiments[0], None)], {})
+    page = trial_page(data, [experiment_numbers(data, data.experiments[0], None)], {})
     columns, responses = parts(page)
     assert columns["theory"] is None
     assert len(page.content["criteria"]) == 1

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from kinds import kinds, record
+from labs import compare
 
 import pipeline
-from pipeline.comparison.compare import compare
 from pipeline.comparison.loops.loop_basis import filter_quantities
 from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device

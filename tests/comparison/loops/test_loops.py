@@ -7,8 +7,8 @@ from math import floor
 import numpy as np
 import pytest
 from kinds import kinds, record
+from labs import compare
 
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.radius import spectral_radius

@@ -4,8 +4,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 from general_devices import ManyDigits
+from labs import compare
 
-from pipeline.comparison.compare import compare
 from pipeline.device.loop import Loop
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from labs import compare
 from logged import FORMATS, RIGS, lab, scattered, write
 
-from pipeline.comparison.compare import compare
 from pipeline.comparison.loops.departures import LawRows, course_filter, law_departures
 from pipeline.intake.ingest import ingest
 from pipeline.measured.wall_command.velocity_filter import VelocityFilterFound

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from labs import compare
 from native_logs import log_text
 
-from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.origin import MOST_VALUES
 from pipeline.intake.ingest import ingest
 from pipeline.rendering.report.report_parts import take_apart

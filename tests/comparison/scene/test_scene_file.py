@@ -8,11 +8,11 @@ import shutil
 import tomllib
 
 import pytest
+from labs import compare
 from places import ROOT
 from typer.testing import CliRunner
 
 from pipeline.base.errors import DeviceError, SceneError
-from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import LEAVE_OUT, open_scene
 from pipeline.comparison.scene.scene_file import draft_scene, read_scene
 from pipeline.measured.stages.stage_tables import ExperimentStages

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.comparison.scores.scores import _scores
+from pipeline.comparison.scores.scores import scores_of
 from pipeline.records.findings import BoundaryPoint
 from pipeline.theory.boundary import stiffness_limit
 
@@ -51,7 +51,7 @@ def test_theory_against_itself_is_perfect(ideal):
         BoundaryPoint(damping=b, stable=k or None, unstable=k + 1, censored=False, estimate=k, low=k, high=k)
         for b, k in zip(B.tolist(), K.tolist(), strict=True)
     )
-    found = _scores(result.model_copy(update={"boundary": points}), stages, theory, "device file")
+    (found,) = scores_of(result.model_copy(update={"boundary": points}), stages, theory, by_file=True)
     region = found.region
     values = (region.overlap, region.overlap_low, region.overlap_high, region.covered, region.area_ratio)
     assert values == pytest.approx([1.0] * 5, rel=1e-12)
@@ -66,7 +66,7 @@ def test_censored_dampings_bound_the_window(ideal):
         p if p.stable is None else p.model_copy(update={"stable": 2000.0, "unstable": None, "censored": True})
         for p in result.boundary
     )
-    found = _scores(result.model_copy(update={"boundary": points}), stages, theory, "device file")
+    (found,) = scores_of(result.model_copy(update={"boundary": points}), stages, theory, by_file=True)
     assert found.region.censored == sum(p.censored for p in points) > 5
     assert found.region.overlap > 0.9
     assert found.region.theory_area < 0.5 * result.scores[0].region.theory_area
@@ -77,7 +77,7 @@ def test_censored_dampings_bound_the_window(ideal):
 def test_missing_scores_have_a_reason(ideal):
     result, stages, theory = ideal
     bare = result.model_copy(update={"boundary": ()})
-    found = _scores(bare, stages, theory, "device file")
+    (found,) = scores_of(bare, stages, theory, by_file=True)
     for name in ("region", "distance", "stiffness"):
         assert getattr(found, name) is None
         assert found.missing[name]

@@ -22,6 +22,11 @@ def told(data, result, rows=None, **changes):
     return answer(data, data.experiments[0], experiment, result.tables if rows is None else rows)
 
 
+def lines_of(result):
+    """Lines of the first screen of a document."""
+    return answer_lines(result.answer, result.motion, result.told.sampling_period_s)
+
+
 def scored(result, **changes):
     """Scores of the only experiment, changed."""
     return (result.experiments[0].scores[0].model_copy(update=changes),)
@@ -57,10 +62,10 @@ def test_lines_stand_in_the_order_of_the_questions(result):
 
 
 def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
-    assert answer_lines(result)[3] == "What deviates: nothing found."
+    assert lines_of(result)[3] == "What deviates: nothing found."
     unknown = result.answer.model_copy(update={"estimates": result.answer.estimates[4:]})
     without = result.model_copy(update={"answer": unknown})
-    assert answer_lines(without)[3] == "What deviates: unknown, since no device was identified."
+    assert lines_of(without)[3] == "What deviates: unknown, since no device was identified."
 
 
 @pytest.mark.parametrize(("overlap", "code"), [(0.95, "yes"), (0.75, "no")])
@@ -77,7 +82,7 @@ def test_words_tell_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})
     found = told(data, result, scores=scored(result, distance=distance))
     assert found.predicts.percent == pytest.approx(100 * median)
-    assert words in answer_lines(result.model_copy(update={"answer": found}))[2]
+    assert words in lines_of(result.model_copy(update={"answer": found}))[2]
 
 
 def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
@@ -102,7 +107,7 @@ def test_friction_that_explains_the_limits_is_a_code_of_its_own(data, result):
     assert (around.predicts.code, around.predicts.percent_with_friction) == ("with_friction", None)
     assert (
         "limits scatter about theory with the friction found"
-        in answer_lines(result.model_copy(update={"answer": around}))[2]
+        in lines_of(result.model_copy(update={"answer": around}))[2]
     )
 
 
@@ -111,7 +116,7 @@ def test_words_say_what_the_tested_walls_leave_open(result):
     largest = largest.model_copy(update={"at_last_damping": True})
     replay = replay.model_copy(update={"limits_known_percent": 12.0})
     known = result.answer.model_copy(update={"estimates": (*others, largest, replay)})
-    line = answer_lines(result.model_copy(update={"answer": known}))[1]
+    line = lines_of(result.model_copy(update={"answer": known}))[1]
     assert ", the largest tested, perhaps more beyond" in line
     assert "limits as measured, ±12 % (median)" in line
     assert "limits off by" not in line
@@ -170,7 +175,7 @@ def test_a_coarse_grid_is_said_as_such(data, result):
     found = told(data, result, [row(0.0, grid=2 * COARSE)])
     K = np.unique(data.experiments[0].column("response", "stiffness"))
     assert found.spacing_percent == pytest.approx(100 * (K[found.wall.stiffness < K][0] / found.wall.stiffness - 1))
-    assert "K tested every " in answer_lines(result.model_copy(update={"answer": found}))[0]
+    assert "K tested every " in lines_of(result.model_copy(update={"answer": found}))[0]
 
 
 def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
@@ -200,7 +205,7 @@ def test_intervals_are_left_out_where_several_estimates_drift(data, result, name
 def test_without_limits_the_answers_say_why(data, result):
     found = told(data, result, (), scores=(), boundary=(), use=None, use_reason="no stability limit is known")
     assert (found.wall, found.predicts.code) == (None, "unknown")
-    lines = answer_lines(result.model_copy(update={"answer": found}))
+    lines = lines_of(result.model_copy(update={"answer": found}))
     safest = found.safest
     assert lines[0].startswith("Wall: None recommended: no stability limit is known. The stable tested wall")
     assert lines[0].endswith(f"K = {safest.stiffness:g}, B = {safest.damping:g}.")
@@ -226,7 +231,7 @@ def test_boundary_and_costs_are_judged_apart(data, result):
     assert (found.code, found.boundary, found.optimal_costs) == ("yes", "partly", "yes")
     assert (found.above, found.below, found.bounded) == (9, 0, 20)
     few = told(data, result, [], scores=scored(result, distance=bent))
-    line = answer_lines(result.model_copy(update={"answer": few}))[2]
+    line = lines_of(result.model_copy(update={"answer": few}))[2]
     assert "Yes (shape of the boundary: partly, optimal costs: too few)." in line
     straight = distance.model_copy(update={"bounded": 20, "agreeing": 19, "above": 0})
     found = told(data, result, [row(40.0)] * 5, scores=scored(result, distance=straight)).predicts
@@ -242,7 +247,7 @@ def test_the_best_settling_time_is_that_of_the_delay(data, result):
     # five samples for each sample of delay and one (5.19, Table 5.1)
     assert found.best == pytest.approx(4.9 * 5, abs=0.05)
     assert found.reached == result.experiments[0].optimum["settle_2pct"].cost
-    assert "24.5 samples = 24.5 ms at best" in answer_lines(result)[2]
+    assert "24.5 samples = 24.5 ms at best" in lines_of(result)[2]
     assert told(data, result, sampling_period_s=None).reachable is None
 
 

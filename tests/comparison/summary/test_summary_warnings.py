@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from labs import compare
 from native_logs import ROWS, log_text
 
-from pipeline.comparison.compare import compare
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.intake.ingest import ingest
 from pipeline.records.findings import Estimate, Optimum

@@ -15,13 +15,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from failing_disk import FailingOs
-from labs import make_lab
+from labs import compare, make_lab
 from logged import RIGS, record
 from places import ROOT
 
 from pipeline.base import disk
 from pipeline.base.disk import write_text
-from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
@@ -219,7 +218,7 @@ import os, sys
 os.cpu_count = lambda: int(sys.argv[2])
 from pathlib import Path
 from pipeline.comparison import stage_pool
-from pipeline.comparison.compare import compare
+from labs import compare
 stage_pool.LARGE = 20
 if __name__ == "__main__":
     compare("falcon", Path(sys.argv[1]), criteria=("overshoot", "energy_step_w0"), report=Path("report.html"))
@@ -233,7 +232,10 @@ def test_documents_do_not_depend_on_hash_seed_or_workers(lab, tmp_path):
     for seed, workers in ((0, 1), (1, 2), (2, 1)):
         folder = tmp_path / f"{seed}"
         copy_store(lab, folder / "processed")
-        environment = os.environ | {"PYTHONHASHSEED": str(seed), "PYTHONPATH": str(ROOT)}
+        environment = os.environ | {
+            "PYTHONHASHSEED": str(seed),
+            "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests' / 'support'}",
+        }
         command = [sys.executable, str(tmp_path / "compare.py"), "processed", str(workers)]
         subprocess.run(command, cwd=folder, env=environment, check=True)
         documents.add(tuple((folder / f"report.{kind}").read_bytes() for kind in ("json", "html")))
