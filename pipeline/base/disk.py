@@ -321,13 +321,13 @@ def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] 
     """Take the lock on a file, which is released when the file is closed or its process ends."""
     from filelock import lock_descriptor  # saves 0.07 s in commands that only read
 
-    began, told = time.monotonic(), False
+    began, announced = time.monotonic(), False
     try:
         while not lock_descriptor(file, blocking=False):
             waited = time.monotonic() - began
-            if say and not told and waited >= _GRACE_S:
+            if say and not announced and waited >= _GRACE_S:
                 say(f"{processed}: {_noted(file)} writes there; waiting up to {wait_s:g} s")
-                told = True
+                announced = True
             if waited >= max(wait_s, _GRACE_S):
                 raise StoreError(
                     f"{processed}: {_noted(file)} writes there; waited {wait_s:g} s. Only one command may "

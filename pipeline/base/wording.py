@@ -83,8 +83,8 @@ def of_most(reasons: Iterable[str]) -> str:
     >>> of_most(["", "too short"]), of_most([""])
     ('; most trials: too short', '')
     """
-    told = commonest(reasons)
-    return f"; most trials: {told}" if told else ""
+    reason = commonest(reasons)
+    return f"; most trials: {reason}" if reason else ""
 
 
 def first_clause(text: str) -> str:

@@ -198,8 +198,8 @@ def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
-    foretold = target.predicted(tried.stiffness[alike], tried.damping[alike])
-    return int(alike[np.argmin(np.nan_to_num(foretold, nan=np.inf))])
+    predicted = target.predicted(tried.stiffness[alike], tried.damping[alike])
+    return int(alike[np.argmin(np.nan_to_num(predicted, nan=np.inf))])
 
 
 def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
@@ -228,13 +228,13 @@ def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats
     """Return B and K of the trials, and the difference of the logarithms of measured and predicted costs."""
     K, B = tried.stiffness, tried.damping
     inside = SHARES[-1] * target.highest_at(B) > K
-    foretold = np.full(len(K), np.nan)
-    foretold[inside] = target.predicted(K[inside], B[inside])
-    value = np.log(tried.cost + target.offset) - foretold
+    predicted = np.full(len(K), np.nan)
+    predicted[inside] = target.predicted(K[inside], B[inside])
+    value = np.log(tried.cost + target.offset) - predicted
     usual = float(np.nanmean(value)) if np.isfinite(value).any() else 0.0
     value = np.where(inside & np.isnan(tried.cost), usual + NO_COST, value)
-    told = np.isfinite(value)
-    return np.column_stack([B, K])[told], value[told]
+    known = np.isfinite(value)
+    return np.column_stack([B, K])[known], value[known]
 
 
 def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:

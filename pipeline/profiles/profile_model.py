@@ -802,7 +802,7 @@ class Profile(TextLayout, StepTime):
         places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
             if len(given := entry.declared) > 1:
-                yield (*place, given[1]), f"given beside {given[0]}; expected one of them"
+                yield (*place, given[1]), f"given in addition to {given[0]}; expected one of them"
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
             if step.sampling_period_s is not None:

@@ -218,8 +218,8 @@ class FileColumns:
             line = '[columns.time]\nkind = "sampled" # one row each sampling period, without the column of time'
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1, line=line)
         units, hints = (
-            {key: told[name] for key in columns if (name := self.find(key)) in told}
-            for told in (self.units, self.hints)
+            {key: source[name] for key in columns if (name := self.find(key)) in source}
+            for source in (self.units, self.hints)
         )
         row = self.row if len(self.row) else np.arange(1, next(iter(rows.values())) + 1)
         return replace(self, columns=columns, units=units, hints=hints, row=row)

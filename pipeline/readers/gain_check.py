@@ -105,11 +105,11 @@ def followed_gains(log: Log) -> FollowedGains | None:
     largest = float(np.abs(command).max())
     values, error, left = _fit(terms[:, free], command[free])
     if left <= min(EXACT * size, EXPLAINED * _size(off[free])):
-        told = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
+        visible = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
         least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
         # a position that is logged a row or two before or after its command looks like B + K T
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
-        other = told & (np.abs(values - gains) > least)
+        other = visible & (np.abs(values - gains) > least)
         return (
             FollowedGains({name: float(values[i]) for i, name in enumerate(stated) if other[i]}, stated)
             if any(other)
@@ -201,8 +201,8 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
     values, error, left = _fit(terms[:, free], command[free])
     if left > EXACT * _size(command):
         return None
-    told = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
-    return WallGains(*map(float, np.where(told, values, 0.0))), error
+    visible = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
+    return WallGains(*map(float, np.where(visible, values, 0.0))), error
 
 
 def _edges(command: Floats) -> list[int]:
@@ -323,12 +323,12 @@ def _alone(profile: Profile, found: FollowedGains) -> str:
     )
     places |= {key: f"its column {name!r}" for key, name in profile.condition_columns.items()}
     places |= {key: f"its value {name!r}" for key, name in profile.attributes.items()}
-    told = []
+    parts = []
     for key, value in found.found.items():
         if key in places:
             unit = getattr(profile.units, key, None) or si_unit(quantity(key, profile.motion))
-            told.append(f"{key} {value / profile.condition_factor(key):.4g} {unit} in {places[key]}")
-    return ", ".join(told)
+            parts.append(f"{key} {value / profile.condition_factor(key):.4g} {unit} in {places[key]}")
+    return ", ".join(parts)
 
 
 def _lines(key: str, source: Source, factor: float) -> list[str]:

@@ -403,13 +403,13 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
     found: dict[str, tuple[str, Any]] = dict.fromkeys(IMPLIED[profile.kind], (f"kind = {profile.kind!r}", 0.0))
     found |= {key: ("constants", value) for key, value in profile.constants.given().items()}
     try:
-        told = {} if profile.name_pattern is None else conditions_in_name(profile.name_pattern, name)
+        from_name = {} if profile.name_pattern is None else conditions_in_name(profile.name_pattern, name)
     except ParameterError as error:
         raise refusal("condition-wrong", "", f"file name {name!r}: {error}") from error
-    if told is None:
+    if from_name is None:
         text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
         raise refusal("profile-wrong", "", text)
-    found |= {key: ("name_pattern", value) for key, value in told.items()}
+    found |= {key: ("name_pattern", value) for key, value in from_name.items()}
     found |= {key: (f"attributes: {attribute!r}", None) for key, attribute in profile.attributes.items()}
     found |= {key: (f"condition_columns: {column!r}", None) for key, column in profile.condition_columns.items()}
     if entry is not None:

@@ -107,8 +107,8 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
     try:
         ready = Profile.model_validate(values)
     except ValidationError:
-        told = "; ".join(dict.fromkeys(mistake.text for mistake in find_mistakes(values, "")))
-        raise ProfileError(f"{path}: with the rows of this sheet the profile is wrong: {told}") from None
+        mistakes = "; ".join(dict.fromkeys(mistake.text for mistake in find_mistakes(values, "")))
+        raise ProfileError(f"{path}: with the rows of this sheet the profile is wrong: {mistakes}") from None
     present = [name for name in logs if profile.claims(name) and name != path.name]
     return SheetRead(ready, tuple(_missing(path, rows, present)) if logs else ())
 
@@ -125,12 +125,12 @@ def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str
     here = {name.lower() for name in present}
     lost = [f"{text} (row {number})" for name, (number, text) in rows.items() if name.lower() not in here]
     alone = [name for name in present if name.lower() not in {row.lower() for row in rows}]
-    told = []
+    lines = []
     for listed, kind, what in ((lost, "row", "without a log"), (alone, "log", "without a row")):
         if listed:
             more = f" and {len(listed) - LISTED_FILES} more" if len(listed) > LISTED_FILES else ""
-            told.append(f"{counted(len(listed), kind)} {what}: {', '.join(listed[:LISTED_FILES])}{more}.")
-    return told
+            lines.append(f"{counted(len(listed), kind)} {what}: {', '.join(listed[:LISTED_FILES])}{more}.")
+    return lines
 
 
 def read_sheet(path: Path) -> SheetTable:

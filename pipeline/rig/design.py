@@ -214,10 +214,10 @@ def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
     K, B = best.stiffness, best.damping
     limit = float(loop.limits(B)["stiffness"].iloc[0])
     (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
-    told = {"stiffness": K, "damping": B, "stiffness_limit": None if math.isnan(limit) else limit}
+    wall = {"stiffness": K, "damping": B, "stiffness_limit": None if math.isnan(limit) else limit}
     samples, overshoot = (row[name] if math.isfinite(row[name]) else None for name in ("settle_2pct", "overshoot"))
     settling = None if samples is None else samples * loop.sampling_period_s
-    return told | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
+    return wall | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
 
 
 def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float | None:

@@ -74,27 +74,27 @@ class Guidelines:
 
     def sentences(self) -> list[str]:
         """Return the guidelines of 3.6 with the numbers of this rig."""
-        told = []
+        lines = []
         if self.delay_percent is not None:
-            told.append(f"A sample less of delay changes the largest stable K by {_signed(self.delay_percent)}.")
-        told.append(
+            lines.append(f"A sample less of delay changes the largest stable K by {_signed(self.delay_percent)}.")
+        lines.append(
             f"Sampling twice as fast with the same delay in time changes it by {_signed(self.sampling_percent)}: it "
             "pays where sampling, and not the delay, is the larger part."
         )
-        told.append(
+        lines.append(
             f"Without its own damping it would change by {_signed(self.damping_percent)}: damping of the device is "
             f"{'no way to stability' if abs(self.damping_percent) < 20 else 'a part of its stability'}."
         )
         if self.hand:
             parts = ", ".join(f"{each.name} {each.value:g} {_signed(each.percent)}" for each in self.hand)
-            told.append(f"A hand ({self.arm}), one number at a time: {parts}.")
+            lines.append(f"A hand ({self.arm}), one number at a time: {parts}.")
         outside = [name for name, inside in self.within.items() if not inside]
         values = f"gamma = {self.gamma:.3g}, delta = {self.delta:.3g}"
-        told.append(
+        lines.append(
             f"With it, {values} {'lie in' if not outside else 'lie outside'} the ranges of (3.17)"
             + ("." if not outside else f" ({', '.join(f'{name} at most {RANGES[name]:g}' for name in outside)}).")
         )
-        return told
+        return lines
 
 
 def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidelines:

@@ -71,7 +71,7 @@ def run_demo(
             f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) of {raw} were refused; expected "
             "only simulated ones there). Remove the file, or the folder, and run the demo again."
         )
-    reports, told = [], []
+    reports, summaries = [], []
     for part in parts:
         report = pages / f"{part.device}.html"
         with heard_by(Names(lambda text, device=part.device: say(f"{device}: {text}"))):  # type: ignore[misc]
@@ -79,7 +79,7 @@ def run_demo(
             finished = run(plan_comparison(selection, ReportOptions(report)))
             write_report(finished)
         reports.append(report)
-        told += [f"{finished.document.title}: {line}" for line in finished.document.summary]
+        summaries += [f"{finished.document.title}: {line}" for line in finished.document.summary]
     write_index(pages)
     head = f"{logs} simulated logs in {raw}, compared in {time.monotonic() - began:.0f} s; open in a browser:"
-    return reports, [head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *told]
+    return reports, [head, *(f"  {page}" for page in (*reports, pages / INDEX_FILE)), *summaries]

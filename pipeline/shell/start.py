@@ -107,8 +107,8 @@ class Proposal:
 
     def answered(self, given: Mapping[str, Any]) -> Proposal:
         """Return the proposal with answers to questions."""
-        told = {place: Answer(value, "as answered") for place, value in given.items()}
-        return replace(self, answers=self.answers | told)
+        answers = {place: Answer(value, "as answered") for place, value in given.items()}
+        return replace(self, answers=self.answers | answers)
 
 
 def look_at(path: Path) -> Folder:
@@ -184,7 +184,7 @@ def propose(folder: Folder) -> Proposal:
         if not place.startswith(("units", "name_pattern")) or place.removeprefix("units.") in inside
     }
     layout = samples[0].layout
-    found |= {key: Answer(layout.keys[key], told) for key, told in layout.evidence.items()}
+    found |= {key: Answer(layout.keys[key], evidence) for key, evidence in layout.evidence.items()}
     for key, words in layout.questions.items():
         found[key] = Answer(",", question=words)
     alike = {tuple(law.columns.values()) for law in common_laws(samples)}
@@ -308,17 +308,17 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
             cells = table.column(column)
             stated = unit_in_heading(column, ())[1]
             unit = stated if stated and find_unit(stated) else None
-            told = "the heading states it"
+            evidence = "the heading states it"
             if unit is None and logs:
                 numbers = [_number(cells[row]) if (row := at[name]) is not None else None for name in logs]
                 unit = proved_unit(numbers, _obeyed(laws, logs, key), key, _kind(laws))
-                told = f"what {len(logs)} commands obey"
+                evidence = f"what {len(logs)} commands obey"
             if unit is None and key in by_name:
                 si = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
                 words = f"in which unit is the column {column!r} of the sheet ({key})?"
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:
-                found[f"units.{key}"] = Answer(unit, f"column {column!r} of the sheet: {told}")
+                found[f"units.{key}"] = Answer(unit, f"column {column!r} of the sheet: {evidence}")
             else:
                 continue
             taken.add(column)

@@ -297,8 +297,8 @@ def lines_of(verification: Verification) -> list[str]:
         return [*lines, f"{verification.report}: all equal ({counts})"]
     number = len(verification.differences)
     parts = f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}"
-    told = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples are not those"
-    return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
+    changed = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples are not those"
+    return [*lines, f"{verification.report}: {changed} of the report ({counts} checked)"]
 
 
 def read_report(report: Path) -> tuple[str, Parts, Request]:

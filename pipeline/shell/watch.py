@@ -161,7 +161,7 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
     """Yield events endlessly while logs arrive, without unchanged states and repeated messages."""
     places = {"folders": [str(f) for f in watched.folders], "interval_s": interval_s, "settle_s": watched.settle_s}
     yield {"event": "started", **places, "processed": str(watched.processed), "reports": str(watched.reports)}
-    arrivals, unreachable, told = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()
+    arrivals, unreachable, reported = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()
     # reports may already be out of date, even if no logs arrive
     due, retry_s = time.monotonic() + watched.settle_s, RETRY_S
     while True:
@@ -177,11 +177,11 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
                 waiting |= bool(event.get("waiting"))
                 failed |= {key} if key[0] == "failed" else set()
                 is_news = event["event"] not in ("unchanged", "ingest") or event.get("ingested")
-                if is_news and told.get(key) != event:
+                if is_news and reported.get(key) != event:
                     yield event
                 if key[0] in ("failed", "refused"):
-                    told[key] = event
-            told = {key: event for key, event in told.items() if key[0] == "refused" or key in failed}
+                    reported[key] = event
+            reported = {key: event for key, event in reported.items() if key[0] == "refused" or key in failed}
             wait_s = retry_s if failed else watched.settle_s if waiting and not growing else float("inf")
             retry_s = min(2 * retry_s, LONGEST_RETRY_S) if failed else RETRY_S
             due = time.monotonic() + wait_s
@@ -297,7 +297,7 @@ def plan_beside(
     from pipeline.planning.campaign import open_campaign
     from pipeline.planning.planner import plan_of, remember
 
-    told, running = set[tuple[str, str]](), list["Future[ChosenParts]"]()
+    reported, running = set[tuple[str, str]](), list["Future[ChosenParts]"]()
 
     def parts(recordings: list[Recording]) -> ChosenParts | None:
         if not running:
@@ -320,9 +320,9 @@ def plan_beside(
                 arrivals = Arrivals(PLAN_SETTLE_S)
                 time.sleep(1.0)
                 continue
-            for path, reason in {(refusal.path, refusal.reason) for refusal in report.quarantined} - told:
+            for path, reason in {(refusal.path, refusal.reason) for refusal in report.quarantined} - reported:
                 console.note(f"refused: {path}: {reason}")
-                told.add((path, reason))
+                reported.add((path, reason))
             campaign = open_campaign(name, processed, experiment, options, known, parts)
             known, first, answer = campaign.learnt, False, plan_of(campaign, options)
             remember(answer, campaign, processed)

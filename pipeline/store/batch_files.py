@@ -74,9 +74,11 @@ class ExperimentKey(NamedTuple):
 def key_of_file(file: Path) -> ExperimentKey:
     """Return the common properties of the trials of a file."""
     with open_table(file) as stored:
-        told = metadata_of(stored.schema_arrow)
-    motion = cast(Motion, told["pipeline.motion"])
-    return ExperimentKey(told["pipeline.device"], told["pipeline.experiment"], motion, readers_of(file.stat().st_mode))
+        metadata = metadata_of(stored.schema_arrow)
+    motion = cast(Motion, metadata["pipeline.motion"])
+    return ExperimentKey(
+        metadata["pipeline.device"], metadata["pipeline.experiment"], motion, readers_of(file.stat().st_mode)
+    )
 
 
 def write_batch(

@@ -240,9 +240,9 @@ class Loop(device_loop.Loop):
         """
         K, B = _as_walls(stiffness, damping)
         walls = costs_of_walls(Case(self.normalised_loop, self.units), np.stack([K, B], axis=1), criteria)
-        told = {"stable": walls.stable, "spectral_radius": walls.spectral_radius}
+        stability = {"stable": walls.stable, "spectral_radius": walls.spectral_radius}
         reason = np.array(walls.reason, np.object_)
-        return self._frame({"stiffness": K, "damping": B, **told, **walls.costs, "reason": reason})
+        return self._frame({"stiffness": K, "damping": B, **stability, **walls.costs, "reason": reason})
 
     def limits(self, damping: object, *, step: float | None = None, samples: int = 400) -> pd.DataFrame:
         """Return the limits of stability at dampings.

@@ -311,8 +311,8 @@ def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
         known = limits(loop, levels, floor=-loop.gamma)
     soft = np.isfinite(known.alpha)
     ends = [levels[soft], known.low[soft], known.alpha[soft], known.low_angle[soft], known.angle[soft]]
-    beside = np.column_stack([known.islands, np.full((len(known.islands), 2), np.nan)])
-    rows = np.concatenate([np.transpose(ends), beside])
+    islands = np.column_stack([known.islands, np.full((len(known.islands), 2), np.nan)])
+    rows = np.concatenate([np.transpose(ends), islands])
     rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
     alpha, beta, theta = _edges(rows, np.searchsorted(levels, rows[:, 0]), -loop.gamma).T
     return Boundary(

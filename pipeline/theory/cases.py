@@ -147,9 +147,9 @@ class PointCosts:
     def columns(self) -> dict[str, list[Any]]:
         """Return the columns of a table, None where a cost is NaN."""
         walls = {name: values.tolist() for name, values in zip(self.names, self.walls.T, strict=True)}
-        told = {"stable": self.stable.tolist(), "spectral_radius": self.spectral_radius.tolist()}
+        stability = {"stable": self.stable.tolist(), "spectral_radius": self.spectral_radius.tolist()}
         costs = {name: _listed(values) for name, values in self.costs.items()}
-        return {**walls, **told, **costs, "reason": list(self.reason)}
+        return {**walls, **stability, **costs, "reason": list(self.reason)}
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return the document of ``theory points``: one row of the columns per wall."""

@@ -240,8 +240,8 @@ def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Float
         levels=grids.looks,
         dear=_DEAR,
     )
-    beside = np.pad(floors.cost, 1, constant_values=np.inf)
-    left = np.isfinite(floors.cost) & (floors.cost <= np.minimum(beside[:-2], beside[2:]))
+    padded = np.pad(floors.cost, 1, constant_values=np.inf)
+    left = np.isfinite(floors.cost) & (floors.cost <= np.minimum(padded[:-2], padded[2:]))
     chosen: list[int] = []
     while left.any() and len(chosen) < grids.starts:
         index = int(np.flatnonzero(left)[np.argmin(floors.cost[left])])

@@ -140,7 +140,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
         ('name = "F"', "", 13, "'columns.command.name': missing. Add name = "),
         ("skip_rows = 1", 'header_at = "["', 7, "'header_at': no regular expression"),
         ("skip_rows = 1", 'records = "x"', 7, "'records': for format json"),
-        ("skip_rows = 1", "step_row = 1", 9, "'step_at': given beside step_row"),
+        ("skip_rows = 1", "step_row = 1", 9, "'step_at': given in addition to step_row"),
         (
             "skip_rows = 1",
             'units.stiffness = "Nm/rad"',

@@ -153,24 +153,24 @@ def boundary_band(
     single = NORMAL_95 * scatter / found.slope
     # two rates leave no degree of freedom for an error: then only the verdicts count (error is NaN)
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
-    told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
+    decided = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     # growth below the zero is that of another mode than the one that crosses zero
-    told &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
+    decided &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     between = np.isfinite(columns.growth) & (columns.stiffness >= low[:, None]) & (columns.stiffness <= high[:, None])
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
     # an interpolation is ambiguous for more than two rates; a range that begins at 0 has no middle
     interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
     # rates that contradict the verdicts: a mode that grows below the sensor's floor next to one that decays
-    apart = ~told & ~interpolated
+    apart = ~decided & ~interpolated
     low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
-    value = np.where(told | interpolated, np.clip(found.zero, low, high), _middle(columns, low, high))
+    value = np.where(decided | interpolated, np.clip(found.zero, low, high), _middle(columns, low, high))
     low, high = (
-        np.where(told, np.fmax(found.zero - reach, low), low),
-        np.where(told, np.fmin(found.zero + reach, high), high),
+        np.where(decided, np.fmax(found.zero - reach, low), low),
+        np.where(decided, np.fmin(found.zero + reach, high), high),
     )
     limited = np.isfinite(high)
     # without a certainly stable trial the middle between 0 and the first unstable one is not a limit
-    located = limited & (told | interpolated | (low > 0))
+    located = limited & (decided | interpolated | (low > 0))
     counts = np.isfinite(columns.stiffness).sum(axis=1)
     return tuple(
         p.model_copy(

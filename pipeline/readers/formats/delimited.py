@@ -350,8 +350,8 @@ def text_layout(name: str, data: bytes) -> Layout:
     keys |= {"skip_rows": skipped} if skipped else {}
     if any(not line.strip() for line in between):
         keys["blank_lines"] = "skip"
-    beside = (*above[:skipped], *between)
-    if found := [(line, match[2]) for line in beside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
+    outside = (*above[:skipped], *between)
+    if found := [(line, match[2]) for line in outside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
         keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
         # labels in comment lines are read if the profile states the comment sign
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}

@@ -129,8 +129,8 @@ def identify(
     if copies:
         what = f"{counted(len(copies), 'log')} with the samples of another one count{'s' * (len(copies) == 1)} once"
         console.note(f"{what}: {', '.join(copies[:_SHOWN])}")
-    told = (each for each in document["findings"] if each["log"] not in copies)
-    for line in console.warned((each["log"], each["sentence"], each["code"]) for each in told):
+    findings = (each for each in document["findings"] if each["log"] not in copies)
+    for line in console.warned((each["log"], each["sentence"], each["code"]) for each in findings):
         console.note(f"warning: {line}")
     for each in document["refused"]:
         row = "" if each["row"] is None else f", row {each['row']}"
@@ -296,8 +296,8 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     for row in document["sensitivities"]:
         yield f"  {row['quantity']}: {row['stiffness_max_percent']:+.3g} % per percent"
     yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
-    told = [row for row in document["published"] if row["stiffness"] is not None]
-    yield from console.table(told, ("stiffness", "promises", "condition", "assumes"))
+    limits = [row for row in document["published"] if row["stiffness"] is not None]
+    yield from console.table(limits, ("stiffness", "promises", "condition", "assumes"))
     yield from ("", "Guidelines (Hulin 2017, 3.6), with the numbers of this rig:")
     yield from (f"  {sentence}" for sentence in document["guidelines"]["sentences"])
     best = document["reachable"]

@@ -404,12 +404,12 @@ def quarantine(
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     """Yield the logs in quarantine with id, path, row, code and reason, with a profile line that may help."""
-    told = []
+    refusals = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
         code = "" if one["code"] is None else f" [{one['code']}]"
-        told.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
-    yield from console.grouped(told)
+        refusals.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
+    yield from console.grouped(refusals)
     other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
     yield from (draft_hint(path) for path in other[:1])
     yield f"{len(records)} in quarantine"

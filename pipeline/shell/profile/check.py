@@ -170,7 +170,7 @@ def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
     """Return samples as lines of text: the first readable one in full, one line for each other."""
-    lines, told, others, refused = list[str](), [], [], []
+    lines, found, others, refused = list[str](), [], [], []
     for sample in samples:
         path, trials = sample["path"], sample["trials"]
         if sample["reason"] is not None:
@@ -184,9 +184,9 @@ def check_lines(samples: Sequence[Checked]) -> list[str]:
             step = "no step is known" if row is None else f"{'step' if value['step'] else 'it moves'} in row {row}"
             line += f"; K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trials[0]['rows']} rows, {step}"
         lines += [line] if lines else [line, *map(_full, trials)]
-        told += [(path, text) for trial in trials for text in trial["warnings"]]
+        found += [(path, text) for trial in trials for text in trial["warnings"]]
         others += [(path, trial["other_gains"]) for trial in trials if trial["other_gains"]]
-    warnings = [f"warning: {line}" for line in grouped(told)]
+    warnings = [f"warning: {line}" for line in grouped(found)]
     return [*lines, *warnings, *grouped(refused), *(f"error: {line}" for line in grouped(others))]
 
 

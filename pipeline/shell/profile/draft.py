@@ -47,8 +47,8 @@ def draft_profile(path: Path, *others: Path) -> str:
         except (LogError, ProfileError) as error:
             different.append(f"# {other.name} is not of this form: {error}")
             continue
-        if told := _difference(sample, opened):
-            different.append(told)
+        if difference := _difference(sample, opened):
+            different.append(difference)
         else:
             alike.append(opened)
     found = answers(alike, [path, *others])
@@ -64,8 +64,8 @@ def _difference(sample: Sample, other: Sample) -> str:
         {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [*s.contents.columns]}
         for s in (sample, other)
     )
-    told = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
-    return f"# {other.name} is laid out otherwise: {', '.join(told)}" if told else ""
+    changed = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
+    return f"# {other.name} is laid out otherwise: {', '.join(changed)}" if changed else ""
 
 
 def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
@@ -75,8 +75,8 @@ def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
     yield f"files = [{_toml(file_pattern(sample.name))}] # names of the logs"
     for key, value in sample.layout.keys.items():
-        told = sample.layout.evidence.get(key)
-        yield f"{key} = {_toml(value)}" + (f" # {told}" if told else "")
+        evidence = sample.layout.evidence.get(key)
+        yield f"{key} = {_toml(value)}" + (f" # {evidence}" if evidence else "")
     asked = 0
     for key, words in sample.layout.questions.items():
         asked += 1

@@ -124,8 +124,8 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
         found["kind"] = kind
     elif "constants.step" in walls or any(key.startswith(_WALLS_GIVEN) for key in (*walls, *names)):
         at_once = bool(laws) and all(each.first_row for each in laws)
-        told = "the command is at its step in the first row" if at_once else "the step is where the command jumps"
-        found["step_at"] = Answer("first row" if at_once else "command edge", told)
+        evidence = "the command is at its step in the first row" if at_once else "the step is where the command jumps"
+        found["step_at"] = Answer("first row" if at_once else "command edge", evidence)
     found |= names | columns | _constants(sample, columns, law) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
 
@@ -161,10 +161,10 @@ def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) 
         columns = ("command",) if key == "step" else ("command", "position")
         sure = all(len(first.units[role]) == 1 for role in columns)
         unit = proved_unit(inside[place], obeyed, key, kind) if sure else None
-        told = f"its numbers are what {counted(len(pairs), 'command')} obey"
-        found[f"{place[0]}.{key}"] = Answer(place[1], told + ("" if unit else ", but for a factor"))
+        evidence = f"its numbers are what {counted(len(pairs), 'command')} obey"
+        found[f"{place[0]}.{key}"] = Answer(place[1], evidence + ("" if unit else ", but for a factor"))
         if unit is not None and unit != si_unit(quantity(key, kind)):
-            found[f"units.{key}"] = Answer(unit, told)
+            found[f"units.{key}"] = Answer(unit, evidence)
     return found
 
 
@@ -265,8 +265,8 @@ def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) ->
 def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
     """Return the keys of the columns."""
     if law is not None:
-        told = f"the command of {_logs(laws)} obeys a wall law in these columns"
-        names = {role: Answer(name, told) for role, name in law.columns.items()}
+        evidence = f"the command of {_logs(laws)} obeys a wall law in these columns"
+        names = {role: Answer(name, evidence) for role, name in law.columns.items()}
     else:
         names = named_roles(sample)
     found: Answers = {}
@@ -313,8 +313,8 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
         return Answer(
             (units or ["s"])[0], question=f"the file does not say it. One of {', '.join(units or ['s', 'ms'])}."
         )
-    if role == "position" and (told := _unit_of_file(sample)) is not None:
-        return told
+    if role == "position" and (unit := _unit_of_file(sample)) is not None:
+        return unit
     quantities = {*QUANTITIES[role].values(), *(DRIVES if role == "command" else ())}
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities and symbol != "count"]
     more = " For counts give counts_per_unit, too." * (role == "position")
@@ -383,8 +383,8 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
     pace = float(np.median(np.diff(stamps))) * factor if stamps is not None else 0.0
     if pace <= 0:
         return found | {place: Answer(0.001, question="sampling period T of the controller [s]?")}
-    told = "the time between rows" + (", if the unit of the stamps is right" if unit.question else "")
-    return found | {place: Answer(round_period(pace), told)}
+    evidence = "the time between rows" + (", if the unit of the stamps is right" if unit.question else "")
+    return found | {place: Answer(round_period(pace), evidence)}
 
 
 def _stated_period(sample: Sample) -> Answers:
@@ -429,7 +429,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     kind: Kind = "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
     drive = UNITS[law.units["command"][0]].quantity in DRIVES
     found: Answers = {}
-    told = "by the wall law of the command"
+    evidence = "by the wall law of the command"
     for key in ("stiffness", "damping", "step"):
         mine = [each.obeyed(key) for each in laws]
         same = max(mine) - min(mine) <= SAME * max(map(abs, mine), default=0.0)
@@ -448,9 +448,11 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
                 words = f"in which unit is the {key} in the file names? One of {', '.join(units)}."
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:
-                found[f"units.{key}"] = Answer("N/mm" if unit == "kN/m" else unit, told)
+                found[f"units.{key}"] = Answer("N/mm" if unit == "kN/m" else unit, evidence)
         elif same or len(laws) < 2:
-            found[f"constants.{key}"] = Answer(mine[0], told if len(laws) == 1 else f"{told}, in {_logs(len(laws))}")
+            found[f"constants.{key}"] = Answer(
+                mine[0], evidence if len(laws) == 1 else f"{evidence}, in {_logs(len(laws))}"
+            )
     return found
 
 

@@ -138,16 +138,16 @@ def named_roles(sample: Sample) -> dict[str, Answer]:
     constant = _constant_command(sample, str(time.value), [name for name in numbers if name not in moving])
     others = _without_rates(sample, str(time.value), others, 1 if constant else 2)
     if constant is not None and len(others) == 1:
-        told = f"{others[0]!r} is the only other column that changes, next to its rate"
-        return {"time": time, "command": constant, "position": Answer(others[0], told)}
+        evidence = f"{others[0]!r} is the only other column that changes, next to its rate"
+        return {"time": time, "command": constant, "position": Answer(others[0], evidence)}
     if constant is not None and not _named(sample, "command", [str(constant.value)]):
         constant = None  # a condition, or one of several columns
-    pair, told = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
+    pair, evidence = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
     if pair is None:
-        pair, told = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
+        pair, evidence = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
     if pair is not None:
-        told = told.format(*pair)
-        return {"time": time, "command": Answer(pair[0], told), "position": Answer(pair[1], told)}
+        evidence = evidence.format(*pair)
+        return {"time": time, "command": Answer(pair[0], evidence), "position": Answer(pair[1], evidence)}
     return {"time": time} | _by_names(sample, time, others, constant)
 
 
@@ -170,8 +170,8 @@ def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Ans
         if role in found:
             continue
         if role in sure:
-            told = "unit" if _has_unit_of(sample, role, sure[role]) else "name"
-            found[role] = Answer(sure[role], f"by its {told}, which no other column has")
+            kind = "unit" if _has_unit_of(sample, role, sure[role]) else "name"
+            found[role] = Answer(sure[role], f"by its {kind}, which no other column has")
         elif sure and len(left) == 1:
             found[role] = Answer(left[0], "the only other column that changes")
         else:
