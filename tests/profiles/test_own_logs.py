@@ -12,8 +12,8 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import find_questions
 from pipeline.profiles.profile_model import QUANTITIES
 from pipeline.shell.cli import run
-from pipeline.shell.profile.check import look
 from pipeline.shell.profile.draft import draft_profile
+from pipeline.surface.log_picture import look
 
 PROFILE = """name = "mine"
 format = "delimited"
