@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
+from pipeline.records.results import ComparisonResult
 from pipeline.records.table_files import read_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
@@ -87,20 +88,21 @@ def recomputed(verified) -> str:
 
 
 @pytest.fixture
-def quick(recomputed, monkeypatch):
+def quick(original, recomputed, monkeypatch):
     """Verification that takes the recomputed page from memory: the comparison of the pages is what is tested."""
 
-    monkeypatch.setattr(verify, "compare", page_again(recomputed))
+    monkeypatch.setattr(verify, "_compare_anew", page_again(original, recomputed))
     fresh = SimpleNamespace(problems=(), notes=(), read=1, kept=0)
     monkeypatch.setattr(verify, "read_anew", lambda *_: fresh)
 
 
-def page_again(page: str):
-    """A comparison that writes this page and has no document."""
+def page_again(original: Desk, page: str):
+    """A comparison that writes this page, and has the document of the original one."""
+    document = ComparisonResult.model_validate_json(original.report.with_suffix(".json").read_bytes())
 
-    def compare_again(device, processed, *, report, **_):
-        report.write_text(page, encoding="utf-8")
-        return SimpleNamespace(result=None)
+    def compare_again(report, request, store, target):
+        target.write_text(page, encoding="utf-8")
+        return document
 
     return compare_again
 
@@ -172,7 +174,7 @@ def test_one_digit_changed_in_each_of_twenty_random_cells_is_named(desk, quick):
         assert found.differences[0].found == take_apart(changed).cells[name]
 
 
-def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, recomputed, quick, monkeypatch):
+def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(original, desk, recomputed, quick, monkeypatch):
     """Another processor computes another last digit; so does a hand."""
     page = desk.page()
     cells = take_apart(page).cells
@@ -183,7 +185,7 @@ def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, reco
 
     def elsewhere(text):
         """The page as computed anew has another number in that cell."""
-        monkeypatch.setattr(verify, "compare", page_again(change_text(recomputed, name, text)))
+        monkeypatch.setattr(verify, "_compare_anew", page_again(original, change_text(recomputed, name, text)))
         return verify.verify(desk.report, desk.processed)
 
     assert elsewhere(last).equal
