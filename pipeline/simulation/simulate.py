@@ -9,10 +9,8 @@ streams, and is simulated by `pipeline.loop.closed_loop`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from math import floor, inf
-from typing import Self
 
 import numpy as np
 
@@ -79,7 +77,7 @@ def simulate(
     """
     K, B = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
     _check(setup, K, B, seed, disturbance)
-    shared, trials = _Shared.of(setup), []
+    shared, trials = _shared(setup), []
     for place, wall in enumerate(zip(K.tolist(), B.tolist(), strict=True)):
         draws = draw(setup, RandomStream(seed, stream, *wall, repetition))
         push = np.zeros(setup.rows) if disturbance is None else disturbance[:, place]
@@ -88,32 +86,25 @@ def simulate(
     return Trials.of(trials)
 
 
-@dataclass(frozen=True, eq=False)
-class _Shared:
-    """Common inputs of all trials of a call, as required by `run_trial`."""
+Shared = tuple[Floats, tuple[int, Floats, float], tuple[Floats, int, tuple[Interval, Interval]]]
+"""External force, velocity estimator and motion, as required by `run_trial`."""
 
-    external: Floats
-    estimator: tuple[int, Floats, float]
-    motion: tuple[Floats, int, tuple[Interval, Interval]]
 
-    @classmethod
-    def of(cls, setup: Setup) -> Self:
-        T, motion = setup.true_period_s, FrictionalMotion.of(setup.loop)
-        part = setup.loop.delay_samples % 1
-        spans = (T, T) if setup.loop.jitter_samples or part == 0 else (part * T, (1 - part) * T)
-        early, late = (motion.interval(span) for span in spans)
-        return cls(
-            external_force(setup),
-            estimator_of(setup.loop.velocity, setup.loop.sampling_period_s),
-            (motion.rest(np.ones(1))[:, 0], motion.sensed, (early, late)),
-        )
+def _shared(setup: Setup) -> Shared:
+    """Return the common inputs of all trials of a call."""
+    T, motion = setup.true_period_s, FrictionalMotion.of(setup.loop)
+    part = setup.loop.delay_samples % 1
+    spans = (T, T) if setup.loop.jitter_samples or part == 0 else (part * T, (1 - part) * T)
+    early, late = (motion.interval(span) for span in spans)
+    estimator = estimator_of(setup.loop.velocity, setup.loop.sampling_period_s)
+    return external_force(setup), estimator, (motion.rest(np.ones(1))[:, 0], motion.sensed, (early, late))
 
 
 def _run(
-    setup: Setup, shared: _Shared, wall: tuple[float, float], draws: TrialDraws, push: Floats
+    setup: Setup, shared: Shared, wall: tuple[float, float], draws: TrialDraws, push: Floats
 ) -> tuple[Floats, Floats]:
     """Return command and position of a trial."""
-    (K, _), loop, hidden = wall, setup.loop, setup.hidden
+    (K, _), loop, hidden, (external, estimator, motion) = wall, setup.loop, setup.hidden, shared
     start = setup.centre - (setup.step * (1.0 / K) if K > 0 else 0.0)  # eq. 6.1
     farthest = START_MARGIN * abs(start - setup.centre)
     noise = np.zeros(setup.rows) if draws.noise is None else draws.noise
@@ -122,11 +113,11 @@ def _run(
     limit = inf if loop.force_limit is None else loop.force_limit
     command, position = run_trial(
         (*wall, _rest_depth(setup, K), side),
-        (shared.external, push, noise, held, _slots(setup, draws.delays)),
+        (external, push, noise, held, _slots(setup, draws.delays)),
         (start, setup.centre, max(setup.travel, farthest), max(setup.stop, farthest)),
         (loop.sensor.quantum, limit, setup.true_gain),
-        shared.estimator,
-        shared.motion,
+        estimator,
+        motion,
     )
     return np.clip(command, -limit, limit) if hidden.clipped_command_logged else command, position
 
