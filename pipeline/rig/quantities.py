@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import expm1
 
@@ -18,7 +19,7 @@ class Quantity:
     """One quantity: its name, its name in words, its smallest and largest factor of change, its name in `PARAMETERS`.
 
     A change by x in ln turns p into p + s (e^x - 1), with s = p unless p is zero. ``zero`` is s for p = 0, in m/T; 0 if
-    a zero value cannot be changed.
+    a zero value cannot be changed. ``change`` returns a rig with another value; by default only that parameter changes.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Quantity:
     factors: tuple[float, float] = (1 / 32, 32.0)
     zero: float = 0.0
     parameter: str = ""
+    change: Callable[[Loop, float], Loop] | None = None
 
     def unit(self, loop: Loop) -> str:
         """Return the unit for a rig."""
@@ -37,6 +39,8 @@ class Quantity:
 
     def write(self, loop: Loop, value: float) -> Loop:
         """Return the rig with another value."""
+        if self.change is not None:
+            return self.change(loop, value)
         return loop.replace({self.parameter or self.name: value})
 
     def scale(self, loop: Loop) -> float:
@@ -62,19 +66,12 @@ def with_damping(loop: Loop, value: float) -> Loop:
     return loop.replace(changes)
 
 
-class _Damping(Quantity):
-    """The damping of the device."""
-
-    def write(self, loop: Loop, value: float) -> Loop:
-        return with_damping(loop, value)
-
-
 QUANTITIES = {
     quantity.name: quantity
     for quantity in (
         Quantity("sampling_period_s", "sampling period T"),
         Quantity("delay_samples", "delay d", (1 / 32, 4.0)),
-        _Damping("damping", "damping b of the device", zero=_SMALL),
+        Quantity("damping", "damping b of the device", zero=_SMALL, change=with_damping),
         Quantity("mass", "mass m"),
         Quantity("velocity_cutoff_hz", "cut-off of the velocity filter", parameter="velocity.cutoff_hz"),
         Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),
