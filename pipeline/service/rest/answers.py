@@ -184,19 +184,16 @@ class Accepted(Answer):
 
 
 class Queued(Answer):
-    """The job that makes the requested document."""
+    """The job that makes the requested document, and the future key of a comparison."""
 
     job: str
+    key: str | None = None
 
 
 class Made(Answer):
     """The key of an existing comparison."""
 
     key: str
-
-
-class QueuedComparison(Queued, Made):
-    """The job that makes a comparison, and the future key of its result."""
 
 
 class Comparison(Answer):

@@ -282,7 +282,7 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
 @api.post(
     "/comparisons",
     response_model=answers.Made,
-    responses={202: {"description": "A job makes it.", "model": answers.QueuedComparison}, **answers.NAMED},
+    responses={202: {"description": "A job makes it.", "model": answers.Queued}, **answers.NAMED},
 )
 def compare(service: Shared, who: Who, asked: ComparisonRequest) -> JSONResponse:
     """Request a comparison; an existing one is returned immediately."""

@@ -176,7 +176,8 @@ def _paths_of(service: Service, which: str) -> dict[str, str]:
     return {known[one]: service.database.uploaded_name(known[one]) for one in which.split(",")}
 
 
-@lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, responses=answers.NAMED)
+@lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, response_model_exclude_none=True,
+          responses=answers.NAMED)  # fmt: skip
 def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]:
     """Read refused logs (ids with commas between) again, with another profile if one is given."""
     paths = _paths_of(service, which)
