@@ -50,7 +50,7 @@ def test_each_way_is_shown():
         assert any(word in block for block in BLOCKS)
 
 
-HEADING = "## More than a machine holds"
+HEADING = "## More data than fits on one machine"
 SHORTER = {
     "pipeline simulate lwr ": "pipeline simulate lwr --coarsen 12 --experiment delay-2 --experiment delay-3 ",
     "pipeline compare --device lwr ": "pipeline compare --device lwr --criteria settle_2pct --json ",
@@ -66,6 +66,24 @@ def script(ports):
         assert old in text, old
         text = text.replace(old, new)
     return text
+
+
+@pytest.mark.slow
+def test_the_session_of_the_readme_is_what_the_commands_print(tmp_path):
+    """Lines are compared up to three dots."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    session = re.search(r"^```text\n(\$.*?)^```$", readme, re.MULTILINE | re.DOTALL)
+    assert session
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "COLUMNS": "500"}
+    for part in re.split(r"^\$ ", session[1], flags=re.MULTILINE)[1:]:
+        command, *expected = part.splitlines()
+        assert command.startswith("pipeline ")
+        call = [sys.executable, "-m", *command.split()]
+        done = subprocess.run(call, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        printed = done.stdout.splitlines()
+        for line, there in zip(expected, printed, strict=False):
+            assert line == there or (line.endswith("...") and there.startswith(line.removesuffix("...").rstrip()))
+        assert len(printed) >= len(expected)
 
 
 @pytest.mark.slow
