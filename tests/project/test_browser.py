@@ -19,12 +19,13 @@ from labs import Outcome
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline.rendering.report import report
+from pipeline.comparison.against import against_experiments
+from pipeline.rendering.report import report, report_against
 from pipeline.shell.report_index import write_index
 from pipeline.surface.log_picture import look
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
-WIDTHS = (1440, 390)
+WIDTHS = (1440, 390, 320)
 SCHEMES = ("light", "dark")
 OPEN_ALL = "document.querySelectorAll('details').forEach((part) => { part.open = true; })"
 DRAWN = "document.querySelector('#trial-plot canvas') !== null"
@@ -411,6 +412,17 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
     assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 8
 
 
+def test_one_experiment_prints_on_six_sheets(browser: Any, lwr: Any, falcon_outcome: Outcome, tmp_path: Path) -> None:
+    alone = lwr.compare(experiments=["delay-2"], report=tmp_path / "lwr.html").report
+    for path in (falcon_outcome.report, alone):
+        with Opened(browser, path) as page:
+            pdf = page.pdf(prefer_css_page_size=True)
+            page.emulate_media(media="print")
+            kept = "[...document.querySelectorAll('tbody tr:nth-child(2)')].map((e) => getComputedStyle(e).breakBefore)"
+            assert set(page.evaluate(kept)) == {"avoid"}, "no heading of a table alone at the end of a sheet"
+        assert 3 < len(re.findall(rb"/Type /Page\b", pdf)) <= 6, path
+
+
 def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: Any, measured: Path) -> None:
     with Opened(browser, measured) as page:
         shown = page.locator(".viewer figure:visible")
@@ -442,7 +454,7 @@ def test_table_of_trials_filters_sorts_and_compares_and_its_address_opens_it_aga
     page.locator("#runs-table button.sort").nth(5).click()
     assert page.locator("#runs-table th[aria-sort=ascending]").count() == 1
     costs = page.locator("#runs-table tbody td:nth-child(7)").all_inner_texts()
-    known = [float(text) for text in costs if text != "–"]
+    known = [float(text) for text in costs if re.fullmatch(r"[\d.]+", text)]
     assert len(known) > 10
     assert known == sorted(known)
     boxes = page.locator("#runs-table input[type=checkbox]")
@@ -461,6 +473,18 @@ def test_table_of_trials_filters_sorts_and_compares_and_its_address_opens_it_aga
     assert page.locator("#runs-verdict").input_value() == "stable"
     page.click("#runs-clear")
     assert page.locator("#runs-plot").is_hidden()
+
+
+def test_the_table_of_trials_fills_the_page_and_gives_reasons(page: Any) -> None:
+    rows = [row.split("\t") for row in page.locator("#runs-table tbody tr").all_inner_texts()]
+    places = [(float(row[2].replace("−", "-")), float(row[1])) for row in rows]
+    assert len(places) == 100
+    assert places == sorted(places), "by damping, then by stiffness"
+    assert all("–" not in row[5:] for row in rows)
+    unstable = [row for row in rows if row[3] == "unstable"]
+    assert ["unstable: no cost"] in [row[5:] for row in unstable], "a reason of all costs is given once"
+    assert all(re.search("[a-z]{3}", row[5]) for row in unstable), "a reason in words"
+    assert page.locator(".runs-scroll").bounding_box()["height"] > 600
 
 
 def test_wrong_addresses_of_the_table_do_no_harm(browser: Any, measured: Path) -> None:
@@ -507,7 +531,7 @@ def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, sch
         assert len(found["passes"]) > 20
 
 
-@pytest.mark.parametrize("width", [390, 768])
+@pytest.mark.parametrize("width", [320, 390, 768])
 def test_no_sideways_scrolling_on_narrow_screens(browser: Any, measured: Path, width: int) -> None:
     with Opened(browser, measured, width=width) as page:
         page.evaluate(OPEN_ALL)
@@ -535,6 +559,20 @@ def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
         page.keyboard.press("ArrowRight")
         page.wait_for_timeout(100)
         assert page.evaluate("window.cut") == []
+
+
+def test_the_page_of_two_experiments_has_the_layout_of_a_report(browser: Any, lwr: Any, tmp_path: Path) -> None:
+    page_of_pair = against_experiments(lwr.processed, ("lwr", "delay-2"), ("lwr", "delay-4"), ("overshoot",))
+    report_against.write(page_of_pair, tmp_path / "pair.html")
+    for width in WIDTHS:
+        opened = Opened(browser, tmp_path / "pair.html", width=width, wait=False)
+        with opened as page:
+            assert page.evaluate("document.documentElement.scrollWidth") == width
+            header, section = (page.locator(part).bounding_box() for part in ("h1", "#main section"))
+            contents = page.locator("nav.contents").bounding_box()
+            assert header["x"] >= 20
+            assert section["x"] >= contents["x"] + (contents["width"] if width == WIDTHS[0] else 0)
+            assert opened.complaints == []
 
 
 def test_a_picture_of_a_log_has_one_margin(browser: Any, tmp_path: Path) -> None:

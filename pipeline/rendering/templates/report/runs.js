@@ -1,7 +1,7 @@
 "use strict";
 // All trials of an experiment as a table: search, filter, sort, and up to six responses over each other; all in the address.
 
-const [PAGE_ROWS, MOST_COMPARED] = [100, 6];
+const [PAGE_ROWS, MOST_COMPARED, FIRST_COST] = [100, 6, 4];
 const COMPARED = [["--fig-blue", []], ["--fig-vermillion", [7, 3]], ["--fig-green", [2, 3]], ["--fig-purple", [9, 3, 2, 3]], ["--fig-orange", [4, 2]], ["--fig-sky", [1, 2]]];
 
 class Runs {
@@ -87,6 +87,8 @@ class Runs {
     const rows = this.explorer.shown.k.map((_, row) => row).filter((row) =>
       (!verdict || columns[2][1](row) === verdict) && (!outcome || columns[3][1](row) === outcome)
       && words.every((word) => fits(row, word)));
+    // one damping after the other, as recorded in a lab
+    rows.sort((a, b) => columns[1][1](a) - columns[1][1](b) || columns[0][1](a) - columns[0][1](b));
     const value = columns[this.sort.column]?.[1];
     if (!value) return rows;
     const sign = this.sort.down ? -1 : 1;
@@ -104,15 +106,27 @@ class Runs {
       else head.removeAttribute("aria-sort");
     });
     this.table.tBodies[0].replaceChildren(...rows.slice(0, this.length).map((row) => {
-      const cells = columns.map(([, value]) => {
-        const found = value(row);
-        return make("td", typeof found === "string" ? "words" : "", found === null ? "–" : typeof found === "number" ? plain(found) : found);
+      const cells = [];
+      let before = "";
+      columns.forEach(([, value], column) => {
+        const found = value(row), missing = found === null ? this.missing(row, column - FIRST_COST) : "";
+        if (missing && missing === before) cells.at(-1).colSpan += 1; // a reason that neighbouring costs share is told once
+        else cells.push(make("td", missing || typeof found === "string" ? "words" : "", missing || (typeof found === "number" ? plain(found) : found)));
+        before = missing;
       });
       return make("tr", "", make("td", "words", this.box(row)), ...cells);
     }));
     this.count.textContent = `${rows.length} of ${this.explorer.shown.k.length} trials`;
     this.more.hidden = rows.length <= this.length;
     this.draw();
+  }
+
+  /** Why a trial has no cost. */
+  missing(row, criterion) {
+    const { shown, content } = this.explorer;
+    const told = shown.byRow.get(row)?.costs[criterion].replace(/^none: /, "");
+    const verdict = content.verdicts[shown.v[row]];
+    return told ?? (verdict === "stable" ? "the reason is in a page by compare --full" : `${verdict}: no cost`);
   }
 
   /** The box that puts a response over the others; none where the page does not hold it. */
