@@ -10,7 +10,7 @@ help:
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
 	@echo "make bench     speed and memory of ingest, theory, comparisons and watch, at thesis size; trials that the planner needs"
-	@echo "make docs      regenerate schemas/*.json, the nomenclature, the figure in the README and the gallery"
+	@echo "make docs      regenerate schemas/*.json, the nomenclature and all images but that of falcon.md, which takes hours"
 	@echo "make site      build the documentation as pages with a search that needs no network: build/site"
 	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
 
@@ -55,8 +55,11 @@ docs: .venv/.dev
 	$(BIN)/python docs/make_nomenclature.py
 	$(BIN)/python docs/make_figure.py
 	$(BIN)/python docs/make_scatter.py
+	$(BIN)/python docs/make_identification.py
 	$(BIN)/python docs/make_gallery.py
 	$(BIN)/python docs/make_tutorial.py
+	$(BIN)/python docs/make_screens.py
+	$(BIN)/python docs/made_from.py
 
 site: .venv/.dev
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site

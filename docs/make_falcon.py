@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline.device.parts import LoopParts, Mode
+from pipeline.device.parts import LoopTable, Mode
 from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
@@ -102,7 +102,7 @@ class Candidate:
             "jitter_samples": self.delays,
         }
         experiment = chosen.model_copy(update=update)
-        loop = LoopParts.model_validate(dict(self.loop or {}))
+        loop = LoopTable.model_validate(dict(self.loop or {}))
         if firm and loop.mode is not None:
             loop = loop.model_copy(update={"mode": _held(loop.mode, self.mass)})
         return base.model_copy(update={"experiments": (experiment,), "tables": (), "loop": loop})

@@ -17,7 +17,7 @@ from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.thesis import estimate_delay, first_change
 from pipeline.records.findings import Optimum
-from pipeline.records.results import TheoryParameters
+from pipeline.records.results import SourcedLoop
 from pipeline.rendering.figures.boundaries import by_theory
 from pipeline.rendering.figures.drawing import Series, draw
 from pipeline.rendering.labels import UNITS
@@ -45,24 +45,15 @@ STYLE = (
 def theory_map(course: SimulatedSweep) -> CostMap:
     """Return the theoretical cost map for the published parameters of the experiment."""
     plant = course.experiment
-    theory = Theory(
-        TheoryParameters(
-            mass=plant.mass,
-            damping=plant.damping,
-            stiffness=plant.stiffness,
-            sampling_period_s=course.setup.loop.sampling_period_s,
-            delay_samples=plant.delay_samples,
-            source=course.device.source,
-        )
-    )
+    theory = Theory(SourcedLoop(loop=course.setup.loop, source=course.device.source))
     alpha = np.linspace(0, theory.boundary.alpha_max, GRID)
     beta = np.linspace(0, theory.boundary.beta_max, GRID)
-    best = theory.physical(optimal_point(theory.loop, f"{CRITERION}_discrete"))
+    best = theory.physical(optimal_point(theory.normalised, f"{CRITERION}_discrete"))
     return CostMap(
         f"theory, m = {plant.mass:g} kg, b = {plant.damping:g} Ns/m, d = {plant.delay_samples:g}",
         alpha * theory.units.stiffness,
         beta * theory.units.damping,
-        cost_maps(theory.loop, alpha, beta, [CRITERION])[CRITERION],
+        cost_maps(theory.normalised, alpha, beta, [CRITERION])[CRITERION],
         (replace(by_theory(theory, "_boundary"), kind="edge"),),
         Optimum(stiffness=best.stiffness, damping=best.damping, cost=best.cost),
         np.empty((3, 0)),
