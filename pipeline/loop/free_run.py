@@ -1,4 +1,4 @@
-"""Free run of a device with Coulomb friction under logged commands: one segment, row by row."""
+"""Free run of a device with Coulomb friction on its motor and its load under logged commands, row by row."""
 
 from __future__ import annotations
 
@@ -9,38 +9,41 @@ from pipeline.records.trials import Floats, Integers
 
 
 @compiled(
-    "f8[::1](Tuple((f8[::1],f8[::1],f8)),Tuple((f8[:,:,::1],f8[:,:,::1],i8[:,::1])),f8[:,::1],UniTuple(f8,2),f8[::1],i8)"
+    "f8[::1](Tuple((f8[::1],f8[:,::1],f8[::1])),Tuple((f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1])),f8[:,::1],"
+    "Tuple((f8,f8[::1])),f8[::1],i8)"
 )
 def free_run(
-    device: tuple[Floats, Floats, float],
+    device: tuple[Floats, Floats, Floats],
     pieces: tuple[Floats, Floats, Integers],
     commands: Floats,
-    forces: tuple[float, float],
+    forces: tuple[float, Floats],
     start: Floats,
     sub_steps: int,
 ) -> Floats:
     """Return the sensor positions of a device in a free run, shape (N,).
 
-    In each sub-step of each piece of an interval, in which the command u is constant,
+    Side i (0 the motor, 1 the load of a mode) has position and velocity as states 2 i and 2 i + 1, and the friction c_i
+    against its direction s_i. In each sub-step of each piece of an interval, in which the command u is constant,
 
-        x <- F x + G_1 u + G_2 (f - c s)
+        x <- F x + G_1 u + G_2 (f - c_1 s_1) - G_3 c_2 s_2
 
-    with the direction s of friction: that of the velocity or, at rest, that of the force a = A_2 x + b_2 u + f. A
-    device at rest stays at rest if |a| <= c. If the velocity changes sign, the device stops if |a| <= c at the start of
-    the sub-step, late by at most one sub-step. Without friction the run is linear, and one sub-step is enough.
+    A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side whose velocity
+    changes sign in a sub-step stops there if |a| <= c_i; otherwise its friction is reversed from the crossing on, found
+    by interpolation. Without friction the run is exact, and one sub-step is enough.
 
     Parameters
     ----------
-    device : C, A_2, b_2
-        Output rows of sensor and acceleration, shape (n,), and the acceleration per unit command, for a device of mass
-        1 whose first states are position and velocity (`pipeline.loop.state_space`).
+    device : C, A, b
+        Output row of the sensor (n,), and the forces on the sides by the states (sides, n) and by a unit command
+        (sides,), for a device of mass 1.
     pieces : F, G, place
-        Transitions (m, n, n) over a sub-step, input gains of unit command and force (m, n, 2), and the index (of these
-        m) for each piece of the interval after each row (P, N).
+        Transitions (2^sides, m, n, n) over a sub-step and gains (2^sides, m, n, 1 + sides) of a unit command and of
+        forces on the sides; the bits of the first index are sides at rest. ``place`` (P, N) is the index (of these m)
+        for each piece of the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
     forces : f, c
-        Constant force and Coulomb friction.
+        Constant force on the motor, and friction (sides,) of the sides, per mass of the device.
     start : float64, shape (n,)
         State at the first row.
     sub_steps : int
@@ -50,16 +53,19 @@ def free_run(
     --------
     A mass of 1 slides to rest under a friction of 2: v^2/(2 c) = 1/4, after half a unit of time.
 
-    >>> F, G = np.array([[[1.0, 0.125], [0.0, 1.0]]]), np.array([[[0.0078125, 0.0078125], [0.125, 0.125]]])
-    >>> device, pieces = (np.array([1.0, 0.0]), np.zeros(2), 1.0), (F, G, np.zeros((1, 4), np.int64))
-    >>> free_run(device, pieces, np.zeros((1, 4)), (0.0, 2.0), np.array([0.0, 1.0]), 2).tolist()
+    >>> F, G = np.zeros((2, 1, 2, 2)), np.zeros((2, 1, 2, 2))
+    >>> F[:, 0] = [[[1.0, 0.125], [0.0, 1.0]], np.eye(2)]
+    >>> G[0, 0] = [[0.0078125, 0.0078125], [0.125, 0.125]]
+    >>> device, pieces = (np.array([1.0, 0.0]), np.zeros((1, 2)), np.ones(1)), (F, G, np.zeros((1, 4), np.int64))
+    >>> free_run(device, pieces, np.zeros((1, 4)), (0.0, np.array([2.0])), np.array([0.0, 1.0]), 2).tolist()
     [0.0, 0.1875, 0.25, 0.25]
     """
-    C, acceleration, push = device
+    C, A, b = device
     F, G, place = pieces
     force, coulomb = forces
-    n = len(start)
+    n, sides = len(start), len(A)
     x, moved = start.copy(), np.empty(n)
+    free, way, pushed = np.zeros(sides), np.zeros(sides), np.zeros(sides)
     positions = np.empty(place.shape[1])
     for k in range(len(positions)):
         total = 0.0
@@ -67,22 +73,37 @@ def free_run(
             total += C[i] * x[i]
         positions[k] = total
         for piece in range(len(place)):
-            transition, gain, u = F[place[piece, k]], G[place[piece, k]], commands[piece, k]
+            at, u = place[piece, k], commands[piece, k]
             for _ in range(sub_steps):
-                free = push * u + force
+                rests = 0
+                for side in range(sides):
+                    pushed[side] = force if side == 0 else 0.0
+                    if coulomb[side] > 0:
+                        free[side] = pushed[side] + b[side] * u
+                        for i in range(n):
+                            free[side] += A[side, i] * x[i]
+                        v = x[2 * side + 1]
+                        way[side] = np.sign(free[side] if v == 0 else v)
+                        pushed[side] -= coulomb[side] * way[side]
+                        if v == 0 and abs(free[side]) <= coulomb[side]:
+                            rests |= 1 << side
                 for i in range(n):
-                    free += acceleration[i] * x[i]
-                rests, within = x[1] == 0, abs(free) <= coulomb
-                way = np.sign(free if rests else x[1])
-                for i in range(n):
-                    moved[i] = gain[i, 0] * u + gain[i, 1] * (force - way * coulomb)
+                    moved[i] = G[rests, at, i, 0] * u
+                    for side in range(sides):
+                        moved[i] += G[rests, at, i, 1 + side] * pushed[side]
                     for j in range(n):
-                        moved[i] += transition[i, j] * x[j]
-                if coulomb > 0 and within:
-                    if rests:
-                        moved[0], moved[1] = x[0], x[1]
-                    elif moved[1] * way < 0:
-                        moved[1] = 0.0
+                        moved[i] += F[rests, at, i, j] * x[j]
+                for side in range(sides):
+                    before, behind = x[2 * side + 1], moved[2 * side + 1]
+                    if coulomb[side] <= 0 or before * behind >= 0:
+                        continue
+                    if abs(free[side]) <= coulomb[side]:
+                        moved[2 * side + 1] = 0.0
+                        continue
+                    left = behind / (behind - before)
+                    for i in range(n):
+                        turned = 2 * coulomb[side] * way[side] * G[rests, at, i, 1 + side]
+                        moved[i] += turned * (left if i % 2 else left * left)
                 for i in range(n):
                     x[i] = moved[i]
     return positions

@@ -29,6 +29,7 @@ from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.identified import Identification, identified
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.recordings import Recording
+from pipeline.measured.identification.replay import follows
 from pipeline.measured.stages.measured_trial import MeasuredTrial
 from pipeline.measured.stages.stage_device import usable_recordings
 from pipeline.measured.student import NORMAL_95
@@ -48,9 +49,6 @@ if TYPE_CHECKING:
     from pipeline.surface.logs import PathLike
     from pipeline.surface.physical_loop import Loop
 
-FOLLOWS = 50.0
-"""Smallest fit of free runs [%] for which a model predicts its device: below, half of the motion is unexplained."""
-
 DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
 """Reason why the replay of wall trials is of little value."""
 
@@ -69,8 +67,8 @@ class IdentifiedDevice:
     """A device identified from logs.
 
     ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs alone identify it);
-    ``replay``: ``log``, ``fit_percent``; ``loop``: the linear loop as `Loop`, None where mass or delay cannot be
-    identified; ``document``: what `pipeline identify --json` prints.
+    ``replay``: ``log``, ``fit_percent``, ``naive_percent``; ``loop``: the linear loop as `Loop`, None where mass or
+    delay cannot be identified; ``document``: what `pipeline identify --json` prints.
     """
 
     document: dict[str, Any]
@@ -87,8 +85,8 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit of free runs to the logs left out of the estimation."""
-        return frame_of("log fit_percent", self.document["replay"]["logs"], {})
+        """Fit of the velocity of free runs to the logs left out of the estimation, and of a motion without command."""
+        return frame_of("log fit_percent naive_percent", self.document["replay"]["logs"], {})
 
     @property
     def findings(self) -> pd.DataFrame:
@@ -359,6 +357,7 @@ def _document(
             }
             for each in found.combinations
         ],
+        "drive": _drive_document(found, motion),
         "scatter": {
             ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, motion)}
             for name, value in found.scatter.items()
@@ -373,7 +372,7 @@ def _document(
     }
     drawn = _drawn_delays(loop) if wall_period == own and delay is None else ()
     document["wall"] = {"sampling_period_s": wall_period, "delay_samples": delay, "jitter_samples": list(drawn)}
-    document["boundary"] = _boundary(document)
+    document["boundary"] = _boundary(document) if loop["adequate"] else None
     return document
 
 
@@ -407,8 +406,21 @@ def _numbers(interval: Interval, is_identified: bool) -> dict[str, float | None]
 
 
 def _replay_document(found: Identification) -> dict[str, Any]:
-    logs = [{"log": name, "fit_percent": fit if np.isfinite(fit) else None} for name, fit in found.replay]
-    return {"fit_percent": found.fit_percent, "logs": logs}
+    logs = [
+        {
+            name: None if isinstance(value, float) and np.isnan(value) else value
+            for name, value in each._asdict().items()
+        }
+        for each in found.replay
+    ]
+    fit, naive = found.fit_percent, found.naive_percent
+    return {"fit_percent": fit, "naive_percent": naive, "follows": follows(fit, naive), "logs": logs}
+
+
+def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
+    """Return half the difference of the gains by their mean, and the mass by direction; None for one gain."""
+    units = {"asymmetry": ""} | dict.fromkeys(("positive", "negative"), _unit("mass", motion))
+    return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
 
 
 def _jitters(loop: dict[str, Any]) -> bool:
@@ -438,7 +450,7 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
             return None
         return {"value": known[name].value, "low": known[name].low, "high": known[name].high}
 
-    fit, is_known = found.fit_percent, {"mass", "delay_samples"} <= known.keys()
+    fit, naive, is_known = found.fit_percent, found.naive_percent, {"mass", "delay_samples"} <= known.keys()
     mode = {PARAMETERS[name].key: number(name) for name in ("mode.frequency_hz", "mode.damping_ratio", "mode.mass")}
     at_load = dict.fromkeys(("value", "low", "high"), float("mode at the load" in found.parts))
     of_load = {"load_damping": load} if (load := number("mode.load_damping")) else {}
@@ -447,9 +459,14 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
     low, high = (max(noise.jitter + sign * NORMAL_95 * noise.jitter_error, 0.0) for sign in (-1, 1))
     return {
         "source": "estimated",
-        "adequate": is_known and fit is not None and fit >= FOLLOWS,
-        "reason": ("no log could be replayed" if fit is None else f"free runs fit the logs left out to {fit:.1f} %")
+        "adequate": is_known and follows(fit, naive) and not found.drive,
+        "reason": (
+            "no log could be replayed"
+            if fit is None
+            else f"free runs fit the velocity of the logs left out to {fit:.1f} % (without the command {naive:.1f} %)"
+        )
         + ("" if is_known else "; mass or delay cannot be identified from these logs")
+        + ("; the gain of the drive differs by direction" if found.drive else "")
         + (f"; {drift}" if drift else ""),
         "explained": None,
         **{name: number(name) for name in LINEAR},

@@ -4,73 +4,85 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.integrate import solve_ivp
 
 from pipeline.device.parts import Friction
 from pipeline.loop.free_run import free_run
 from pipeline.loop.motion import FrictionalMotion
-from pipeline.loop.state_space import Plant, state_space
+from pipeline.measured.identification.free_runs import Mechanics
+from pipeline.measured.identification.motion import PlantShape
 from pipeline.records.trials import Floats
 
-MASS, DAMPING, COULOMB, T = 0.5, 2.0, 1.0, 0.001
-PLANTS = {
-    "mass": Plant(MASS, DAMPING, 0.0),
-    "lag": Plant(MASS, DAMPING, 200.0, lag=0.004),
-    "mode": Plant(MASS, DAMPING, 0.0, load_mass=0.1, spring=3000.0, spring_damping=0.8, sensor_at_load=True),
+SHAPES = {
+    "mass": PlantShape(0.004),
+    "lag": PlantShape(0.004, 4e-4, lag=4.0),
+    "mode": PlantShape(0.004, mode_frequency=0.19, mode_damping_ratio=0.06, load_mass_fraction=0.2),
+    "load": PlantShape(0.004, mode_frequency=0.19, mode_damping_ratio=0.06, spring_damping_fraction=0.7),
 }
+COULOMB = 2.0
+COMMAND = np.repeat([0.0, 6.0, -5.0, 0.6, 4.0], 60)
 
 
-def run(plant: Plant, command: Floats, coulomb: float, sub_steps: int, spans: tuple[float, ...] = (T,)) -> Floats:
-    """Run free from rest, each command in force for all pieces of its row; forces are those of a mass of 1."""
-    system = state_space(plant)
-    n = system.states
-    rate = np.zeros((n + 2, n + 2))
-    rate[:n] = np.column_stack((system.matrix, system.command, system.force * MASS))
-    moved = np.array([expm(rate * span / sub_steps) for span in spans])
-    place = np.tile(np.arange(len(spans))[:, None], len(command))
-    pieces = np.ascontiguousarray(moved[:, :n, :n]), np.ascontiguousarray(moved[:, :n, n:]), place
-    device = system.sensor, system.matrix[1], float(system.command[1])
-    return free_run(device, pieces, np.tile(command, (len(spans), 1)), (0.0, coulomb / MASS), np.zeros(n), sub_steps)
+def run(shape: PlantShape, command: Floats, coulomb: tuple[float, float], steps: int, parts: int = 1) -> Floats:
+    """Free run from rest, one command a sample, in parts of each sample."""
+    mechanics = Mechanics.of(shape)
+    F, G = mechanics.transitions(np.array([1 / parts / steps]))
+    place = np.zeros((parts, len(command)), np.int64)
+    device, friction = (mechanics.sensor, *mechanics.forces), np.array(coulomb)[: len(mechanics.masses)]
+    return free_run(device, (F, G, place), np.tile(command, (parts, 1)), (0.0, friction), np.zeros(F.shape[-1]), steps)
 
 
-def exact(plant: Plant, command: Floats, friction: Friction | None) -> Floats:
+def exact(shape: PlantShape, command: Floats, friction: Friction | None) -> Floats:
     """Positions of the exact motion."""
-    motion = FrictionalMotion(plant, friction)
+    motion = FrictionalMotion(shape.plant, friction)
     state, positions = motion.rest(np.zeros(1)), []
     for force in command:
         positions.append(state[motion.sensed, 0])
-        state = motion.advance(state, np.array([force]), 0.0, T)
+        state = motion.advance(state, np.array([force]), 0.0, 1.0)
     return np.array(positions)
 
 
-COMMAND = np.repeat([0.0, 3.0, -2.5, 0.3, 2.0], 60)
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("parts", [1, 4])
+def test_without_friction_it_is_the_exact_motion(name: str, parts: int) -> None:
+    wanted = exact(SHAPES[name], COMMAND, None)
+    assert run(SHAPES[name], COMMAND, (0.0, 0.0), 4, parts) == pytest.approx(wanted, abs=1e-12 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("name", PLANTS)
-@pytest.mark.parametrize("sub_steps", [1, 4])
-def test_without_friction_it_is_the_exact_motion(name: str, sub_steps: int) -> None:
-    wanted = exact(PLANTS[name], COMMAND, None)
-    for spans in ((T,), (0.25 * T, 0.75 * T)):
-        found = run(PLANTS[name], COMMAND, 0.0, sub_steps, spans)
-        assert found == pytest.approx(wanted, abs=1e-12 * np.abs(wanted).max())
+@pytest.mark.parametrize("name", ["mass", "mode", "load"])
+@pytest.mark.parametrize("steps", [4, 16])
+def test_with_friction_on_the_motor_it_is_near_the_exact_motion(name: str, steps: int) -> None:
+    wanted = exact(SHAPES[name], COMMAND, Friction(coulomb=COULOMB))
+    error = np.abs(run(SHAPES[name], COMMAND, (COULOMB, 0.0), steps) - wanted).max() / np.abs(wanted).max()
+    assert 0 < error < 2e-4 / steps
 
 
-@pytest.mark.parametrize("sub_steps", [1, 4, 16])
-def test_with_friction_each_turn_is_late_by_a_sub_step_at_most(sub_steps: int) -> None:
-    wanted = exact(PLANTS["mass"], COMMAND, Friction(coulomb=COULOMB))
-    found = run(PLANTS["mass"], COMMAND, COULOMB, sub_steps)
-    # friction that acts in the wrong direction changes the speed by 2 c/m h, for the 60 rows until the next change
-    error = 2 * (2 * COULOMB / MASS * T / sub_steps) * 60 * T
-    assert 0 < np.abs(found - wanted).max() < error < 0.1 * np.abs(wanted).max()
+def test_friction_on_the_load_is_that_of_an_integration() -> None:
+    shape, friction = SHAPES["mode"], (1.0, 0.6)
+    plant = shape.plant
+    motor, load = 1 - plant.load_mass, plant.load_mass
+
+    def rates(time: float, state: Floats) -> list[float]:
+        x1, v1, x2, v2 = state
+        pull = plant.spring * (x1 - x2) + plant.spring_damping * (v1 - v2)
+        force = COMMAND[min(int(time), len(COMMAND) - 1)]
+        rub = [c * np.tanh(v / 2e-3) for c, v in zip(friction, (v1, v2), strict=True)]
+        return [v1, (force - pull - plant.damping * v1 - rub[0]) / motor, v2, (pull - rub[1]) / load]
+
+    rows = np.arange(len(COMMAND), dtype=float)
+    wanted = solve_ivp(rates, (0, rows[-1]), np.zeros(4), "LSODA", rows, rtol=1e-7, atol=1e-7, max_step=0.2).y[0]
+    found = run(shape, COMMAND, friction, 4)
+    assert np.abs(found - wanted).max() < 2e-3 * np.abs(wanted).max()
+    assert np.abs(run(shape, COMMAND, (1.6, 0.0), 4) - wanted).max() > 1e-2 * np.abs(wanted).max()
 
 
 def test_a_device_at_rest_stays_until_the_force_exceeds_friction() -> None:
-    found = run(PLANTS["mass"], np.array([0.0, 0.99, -0.99, 1.01, 0.0, 0.0]), COULOMB, 4)
+    found = run(SHAPES["mass"], np.array([0.0, 1.98, -1.98, 2.02, 0.0, 0.0]), (COULOMB, 0.0), 4)
     assert (found[:4] == 0).all()
     assert found[4] > 0
 
 
 def test_plain_python_makes_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = run(PLANTS["mode"], COMMAND, COULOMB, 4, (0.25 * T, 0.75 * T))
+    found = run(SHAPES["mode"], COMMAND, (COULOMB, 0.4), 4)
     monkeypatch.setitem(run.__globals__, "free_run", free_run.__wrapped__)
-    assert run(PLANTS["mode"], COMMAND, COULOMB, 4, (0.25 * T, 0.75 * T)) == pytest.approx(found, rel=1e-10)
+    assert run(SHAPES["mode"], COMMAND, (COULOMB, 0.4), 4) == pytest.approx(found, rel=1e-10)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -48,7 +49,7 @@ MOST_SEGMENTS = 60
 """Largest number of segments used for the force balance, spread evenly over all segments."""
 
 
-def first_guesses(segments: Segments, names: tuple[str, ...], most_delay: float) -> list[Device]:
+def first_guesses(segments: Segments, names: Sequence[str], most_delay: float) -> list[Device]:
     """Return initial devices of a search, with the best integer delay of the twice integrated force balance.
 
     With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
@@ -118,18 +119,18 @@ def _balances(segments: Segments, names: list[str], delay: float, once: Floats) 
     forces = [name for name in names if name != "delta"]
     transitions = Transitions.of(segments, PlantShape(delay=delay))
     columns, _, _ = kernels.whitened(
-        (segments.time, segments.command, segments.position, segments.between),
+        (segments.time, segments.command[None], segments.position, segments.between),
         (
             *(segments.first, segments.behind, segments.begin, segments.edge, segments.direction),
             *(np.zeros((len(segments), 3)), np.zeros((len(segments), len(forces)))),
         ),
         transitions.motion,
         transitions.pieces,
-        gains_of(segments, transitions, WHITE),
+        gains_of(segments, transitions, WHITE, segments.command),
         (
             np.array([CODES["spring" if name == "gamma" else name] for name in forces], np.int64),
             np.full(3, -1),
-            np.array([np.inf, 0.0, 0.0, delay, 1.0, 0.0]),
+            np.array([0.0, 0.0, delay, 1.0, 0.0]),
             np.empty(0),
         ),
     )

@@ -174,11 +174,12 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
 
 
 def reasons(
-    names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool
+    names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool, misfit: str
 ) -> dict[str, str]:
     """Return why each of some parameters is not identifiable, and what to record, as one sentence each.
 
-    ``slow_rows``: whether the command explains the motion without an inertia.
+    ``slow_rows``: whether the command explains the motion without an inertia; ``misfit``: why no device explains it,
+    empty if one does.
     """
     resolution = sensor_resolution(recordings)
     travel = max(float(np.ptp(each.position)) for each in recordings)
@@ -191,6 +192,8 @@ def reasons(
             f"Rows are farther apart ({period:.3g} s) than the time constant of the device, so that no inertia is "
             "visible. Record at a higher sampling rate."
         )
+    elif misfit:
+        return dict.fromkeys(sorted(names), misfit)
     result = dict.fromkeys(sorted(names), forces)
     wide = {
         "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, or "

@@ -9,9 +9,11 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
+from pipeline.measured.identification.departures import departure
 from pipeline.measured.identification.estimated import ESTIMATED, Quantity, estimated_names
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
+    PER_MASS,
     IdentifiableCombination,
     Recorded,
     combinations,
@@ -22,11 +24,11 @@ from pipeline.measured.identification.identifiability import (
     unidentifiable,
 )
 from pipeline.measured.identification.intervals import Errors, Interval
-from pipeline.measured.identification.likelihood import Device, Fit
+from pipeline.measured.identification.likelihood import Device, portions_of
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
-from pipeline.measured.identification.replay import replay_fit
+from pipeline.measured.identification.replay import Replay, follows, medians, replays
 from pipeline.measured.identification.scatter import FEWEST, FOLDS, inverse
 from pipeline.measured.identification.search import refined
 from pipeline.measured.identification.segments import segments_of
@@ -46,8 +48,14 @@ SMALLEST_UNIT = 1e-60
 overflow."""
 
 LAST = 0.4
-"""Share of a single log that is replayed by the device fitted to the part before."""
+"""Share of the changes of velocity of a single log that are replayed by the device fitted to the part before."""
 
+
+REMEDY = (
+    "Another force acts, a part is missing, or the command is not that which moves the device. "
+    "Record smaller and slower steps."
+)
+"""Remedy for logs without a device, whose errors have no place."""
 
 NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
 """Reason if the equations of a fit have no solution."""
@@ -76,11 +84,14 @@ class Identification:
         Standard deviation of a reading [m, rad].
     disturbance : float
         Standard deviation of the random force, constant over a sample [N, Nm].
-    replay : list of (str, float)
-        Names of logs, and fit of free runs of the device identified without them [%]; NaN for a log without motion.
+    replay : list of Replay
+        Fit of free runs of the device identified without each log.
     units : LogUnits
     names : list of str
         Names of all recordings.
+    drive : dict of str to Interval
+        Mass per unit of a positive and of a negative command, by "positive" and "negative", and "asymmetry", half the
+        difference of both gains relative to their mean; empty if the gain does not differ by direction.
     covariance : float64, shape (P, P)
         Covariance of the parameters, in their order.
     folds : list of dict of str to float
@@ -98,9 +109,10 @@ class Identification:
     scatter: dict[str, float]
     noise: float
     disturbance: float
-    replay: list[tuple[str, float]]
+    replay: list[Replay]
     units: LogUnits
     names: list[str]
+    drive: dict[str, Interval]
     covariance: Floats
     folds: list[dict[str, float]]
     choice: Choice
@@ -114,8 +126,12 @@ class Identification:
     @property
     def fit_percent(self) -> float | None:
         """Median fit of the free runs; None if no log could be replayed."""
-        fits = [fit for _, fit in self.replay if np.isfinite(fit)]
-        return float(np.median(fits)) if fits else None
+        return medians(self.replay)[0]
+
+    @property
+    def naive_percent(self) -> float | None:
+        """Median fit of a motion at constant speed or acceleration; None if no log could be replayed."""
+        return medians(self.replay)[1]
 
 
 def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -> Identification:
@@ -162,25 +178,59 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         parameters["damping"] = alone
         unknown.discard("damping")
     recorded = Recorded.of(recordings)
+    replay = _replay(recordings, choice)
+    misfit = "" if any(any(each.wall) for each in recordings) else _misfit(replay, choice, known="mass" not in unknown)
+    if misfit and alone is None:
+        # a model that does not predict the motion has intervals of no meaning
+        unknown = set(parameters)
+    why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
     noise = float(np.sqrt(fit.solved.noise))
-    folds = [] if len(recordings) < FEWEST else _without_folds(fit)
+    folds = [] if len(recordings) < FEWEST else _without_folds(choice)
     return Identification(
         parameters,
         unknown,
-        reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None),
-        choice.parts,
+        why,
+        dict.fromkeys(choice.parts, 0.0) if misfit else choice.parts,
         choice.assumed,
-        combinations(choice, errors, recorded, unknown),
+        [] if misfit else combinations(choice, errors, recorded, unknown),
         {} if len(recordings) < FEWEST else _scatter(choice),
         noise * units.position,
         float(np.sqrt(fit.device.noise.force)) * noise / abs(fit.device.numbers["gain"] or 1.0) * units.command,
-        _replay(recordings, choice),
+        replay,
         units,
         [each.name for each in recordings],
+        _drive(errors, units),
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         choice,
     )
+
+
+def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
+    """Return the mass per unit of command of each direction, and the asymmetry; empty without one."""
+    if "asymmetry" not in errors.numbers:
+        return {}
+    mass = ESTIMATED["mass"].quantity(units)
+    return {
+        "asymmetry": errors.interval(lambda n: n["asymmetry"]),
+        "positive": errors.interval(lambda n: mass(n) / (1 + n["asymmetry"])),
+        "negative": errors.interval(lambda n: mass(n) / (1 - n["asymmetry"])),
+    }
+
+
+def _misfit(replay: list[Replay], choice: Choice, *, known: bool) -> str:
+    """Return why a device that does not predict its logs is not identified; empty if it does, or without a replay.
+
+    If it is not ``known`` anyway, only a place of the errors is a better reason than the intervals.
+    """
+    fit, naive = medians(replay)
+    if fit is None or naive is None or follows(fit, naive):
+        return ""
+    place = departure(choice)
+    words = (
+        f"No device with these parts predicts the motion: free runs fit {fit:.0f} % of the velocity of logs left out"
+    )
+    return f"{words}, a motion without the command {naive:.0f} %. {place or REMEDY}" if known or place else ""
 
 
 def _scatter(choice: Choice) -> dict[str, float]:
@@ -204,6 +254,13 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
+    if asymmetry := abs(choice.fit.device.numbers.get("asymmetry", 0.0)):
+        for name in ({"mass"} | PER_MASS) & result.keys():
+            # from the value per unit of command of the stronger direction to that of the weaker one
+            ends = result[name].low / (1 + asymmetry), result[name].high / (1 - asymmetry)
+            result[name] = replace(
+                result[name], low=min(ends[0], result[name].low), high=max(ends[1], result[name].high)
+            )
     return result
 
 
@@ -279,30 +336,30 @@ def _check_periods(recordings: list[Recording]) -> None:
     )
 
 
-def _replay(recordings: list[Recording], choice: Choice) -> list[tuple[str, float]]:
-    """Return the fit [%] of free runs by the device without the log's fold (few logs: fitted to their first part)."""
-    lead = choice.segments.lead
+def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
+    """Return the fit of free runs by the device without the log's fold (few logs: fitted to their first part)."""
+    lead, free = choice.segments.lead, choice.segments.free
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
-    fits: list[tuple[str, float]] = []
-
-    def replay(logs: list[Recording], device: Device) -> None:
-        segments = segments_of(logs, choice.units, lead, False)
-        fits.extend(zip((logs[i].name for i in segments.trial), replay_fit(segments, device).tolist(), strict=True))
-
-    if len(recordings) < FEWEST:
-        cuts = [int((1 - LAST) * len(each.time)) for each in recordings]
+    if len(recordings) == 1:
+        cuts = [_first_part(each) for each in recordings]
         before = [_cut(each, 0, cut) for each, cut in zip(recordings, cuts, strict=True)]
-        segments = segments_of(before, choice.units, lead, choice.moving)
+        segments = segments_of(before, choice.units, lead, choice.moving and not free, free)
         device = replace(choice.fit.device, effects=None)
         if len(segments):
             device = refined(segments, device, steps=8, far=False, noisy=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
-        replay(last, replace(device, effects=None))
-        return fits
-    for fold, device in enumerate(_without_folds(choice.fit)):
+        return replays(last, choice.units, lead, replace(device, effects=None))
+    fits: list[Replay] = []
+    for fold, device in enumerate(_without_folds(choice)):
         if logs := [recordings[i] for i in places if i % FOLDS == fold]:
-            replay(logs, device)
+            fits += replays(logs, choice.units, lead, device)
     return fits
+
+
+def _first_part(each: Recording) -> int:
+    """Return the row up to which a single log has `1 - LAST` of its changes of velocity."""
+    changes = np.cumsum(np.abs(np.diff(each.motion.velocity)))
+    return int(np.searchsorted(changes, (1 - LAST) * changes[-1]))
 
 
 def _cut(each: Recording, first: int, behind: int) -> Recording:
@@ -310,9 +367,11 @@ def _cut(each: Recording, first: int, behind: int) -> Recording:
     return replace(each, time=each.time[inside], command=each.command[inside], position=each.position[inside])
 
 
-def _without_folds(fit: Fit) -> list[Device]:
-    """Return the device without each fold of units, by one Newton step from the whole fit."""
-    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds]
+def _without_folds(choice: Choice) -> list[Device]:
+    """Return the device without each fold of trials, by one Newton step from the whole fit."""
+    fit, portions = choice.fit, portions_of(choice.segments)
+    trials = np.repeat(choice.segments.trial, portions) if portions else None
+    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds(trials)]
 
 
 OWN = ("mass", "damping", "delay_samples")

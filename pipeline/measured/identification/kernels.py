@@ -342,14 +342,13 @@ def filter_gains(
     return gains, spread
 
 
-GAIN, COULOMB, FORCE, LIMIT, SPRING, SHAPE = 0, 1, 2, 3, 4, 5
-"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, by the
-part of a command beyond the limit, by a separate spring; from SHAPE on the parameters of a motion's shape, in their
-order."""
+GAIN, COULOMB, FORCE, SPRING, SHAPE = 0, 1, 2, 3, 4
+"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, by a
+separate spring; from SHAPE on the parameters of a motion's shape, and -1, -2 ... those of the drive, in their order."""
 
 
 @compiled(
-    "Tuple((f8[:,::1],f8[::1],f8))(Tuple((f8[::1],f8[::1],f8[::1],f8[::1])),"
+    "Tuple((f8[:,::1],f8[::1],f8))(Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),"
     "Tuple((i8[::1],i8[::1],i8[::1],i8[::1],f8[::1],f8[:,::1],f8[:,::1])),"
     "Tuple((i8[::1],f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1],f8[::1],f8[:,::1])),"
     "Tuple((i8[::1],i8[::1],i8[::1],f8[::1],f8[:,:,::1],f8[:,:,:,::1])),"
@@ -376,7 +375,8 @@ def whitened(
 
     Parameters
     ----------
-    rows : time, command, position, spring
+    rows : time, commands, position, spring
+        ``commands`` (1 + D, R) contains the command that acts, and its derivatives along D parameters of the drive;
         ``spring`` is the position between two rows, for a column of that code.
     segments : first, behind, begin, edge, direction, numbers, shifts
         ``direction`` of motion, -1, 0 or 1; ``numbers`` (S, 3) acceleration per command, by friction and by a constant
@@ -390,8 +390,8 @@ def whitened(
         standard deviation of the force of a unit command.
     asked : codes, places, constants, sizes
         Codes (p,) of the columns; places of stiffness, lag and delay among the parameters of the shape, -1 for none;
-        largest command, stiffness, lag, delay, variance of a reading, and rows of commands before a
-        segment that a lag reaches back to; sizes (q,) of the unknown starts.
+        stiffness, lag, delay, variance of a reading, and rows of commands before a segment that a lag reaches back
+        to; sizes (q,) of the unknown starts.
 
     Returns
     -------
@@ -403,15 +403,15 @@ def whitened(
         Reduction of the log-likelihood by the standard deviations of the errors and by the information on the initial
         states.
     """
-    time, command, position, spring = rows
+    time, commands, position, spring = rows
     first, behind, begin, edge, direction, numbers, shifts = segments
     kind, F, dF, W, dW, H, dH = motion
     offset, back, age, width, G, dG = pieces
     K, spread, M, late = gains
     codes, places, constants, sizes = asked
     n, A, P, p, q, S = len(H), M.shape[1], dF.shape[1], len(codes), len(sizes), len(first)
-    limit, gamma, lag, delay, variance = constants[0], constants[1], constants[2], constants[3], constants[4]
-    reach = int(constants[5])
+    gamma, lag, delay, variance, reach = constants[0], constants[1], constants[2], constants[3], int(constants[4])
+    command, drive = commands[0], len(commands) - 1
     longest, total = 0, 0
     for s in range(S):
         longest = max(longest, behind[s] - first[s])
@@ -428,8 +428,8 @@ def whitened(
     E, D = np.empty((longest + q, T)), np.empty((longest, P))
     x, moved, a, aged = np.zeros((n, T)), np.zeros((n, T)), np.zeros((A, T)), np.zeros((A, T))
     t, t_moved, ta, ta_aged = np.zeros((n, P)), np.zeros((n, P)), np.zeros((A, P)), np.zeros((A, P))
-    e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(4)
-    driven, acting, resting, beyond = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(3 + drive)
+    driven, acting, resting, changed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((drive, n))
     triangle, along, fitted, start = np.zeros((q, q)), np.zeros((q, p + 1)), np.zeros(q), np.zeros(n)
     filtered, steady = np.any(K != 0), len(spread) == 1
     row_place, out = 0, 0
@@ -438,8 +438,8 @@ def whitened(
         own_gain, own_coulomb, own_force = numbers[s, 0], numbers[s, 1], numbers[s, 2]
         way, rests = direction[s], edge[s] > ALWAYS
         direct = own_force - own_coulomb * way
-        # lagged force at the first row due to previous commands: value, and along limit, lag,
-        # delay; and due to the force before all of them
+        # lagged force at the first row due to previous commands: value, and along lag, delay and drive; and due to the
+        # force before all of them
         oldest = 1.0
         lag_start[:] = 0.0
         if lag > 0:
@@ -453,17 +453,12 @@ def whitened(
                     left = math.exp(-since / lag)
                     left_lag, left_delay = left * since / lag**2, left / lag
                 if j > 0 and r >= edge[s]:
-                    value = min(max(command[inside], -limit), limit)
-                    sign = math.copysign(1.0, command[inside]) if abs(command[inside]) > limit else 0.0
-                    lag_start[0] += value * (newer - left)
-                    lag_start[1] += sign * (newer - left)
-                    lag_start[2] += value * (newer_lag - left_lag)
-                    lag_start[3] += value * (newer_delay - left_delay)
-                    if j == reach:
-                        lag_start[0] += value * left
-                        lag_start[1] += sign * left
-                        lag_start[2] += value * left_lag
-                        lag_start[3] += value * left_delay
+                    last = 1.0 if j == reach else 0.0
+                    lag_start[0] += command[inside] * (newer - left + last * left)
+                    lag_start[1] += command[inside] * (newer_lag - left_lag + last * left_lag)
+                    lag_start[2] += command[inside] * (newer_delay - left_delay + last * left_delay)
+                    for d in range(drive):
+                        lag_start[3 + d] += commands[1 + d, inside] * (newer - left + last * left)
                 newer, newer_lag, newer_delay = left, left_lag, left_delay
             oldest = newer
         for col in range(T):
@@ -476,8 +471,8 @@ def whitened(
             for j in range(p):
                 if codes[j] == GAIN:
                     x[n - 1, linear[j]] = lag_start[0]
-                elif codes[j] == LIMIT:
-                    x[n - 1, linear[j]] = own_gain * lag_start[1]
+                elif codes[j] < 0:
+                    x[n - 1, linear[j]] = own_gain * lag_start[2 - codes[j]]
         for j in range(q):
             if j == 0 or not rests:
                 x[j, L + j] = oldest if lag > 0 and j == n - 1 else 1.0
@@ -511,18 +506,20 @@ def whitened(
                     for col in range(T):
                         moved[i, col] += f[i, h] * x[h, col]
             for i in range(n):
-                driven[i], acting[i], resting[i], beyond[i] = 0.0, 0.0, 0.0, 0.0
+                driven[i], acting[i], resting[i] = 0.0, 0.0, 0.0
+                for d in range(drive):
+                    changed[d, i] = 0.0
             for i in range(A):
                 c[i] = 0.0
             for piece in range(offset[at], offset[at + 1]):
                 row = r - back[piece]
                 acts = 1.0 if row >= edge[s] else 0.0
-                raw = command[min(max(row, begin[s]), behind[s] - 1)] * acts
-                value = min(max(raw, -limit), limit)
-                sign = math.copysign(1.0, raw) if value != raw else 0.0
+                inside = min(max(row, begin[s]), behind[s] - 1)
+                value = command[inside] * acts
                 for i in range(n):
                     driven[i] += G[piece, i, 0] * value
-                    beyond[i] += G[piece, i, 0] * sign
+                    for d in range(drive):
+                        changed[d, i] += G[piece, i, 0] * commands[1 + d, inside] * acts
                     acting[i] += G[piece, i, 1] * acts
                     resting[i] += G[piece, i, 1] * (1.0 - acts)
                 if A > 0:
@@ -539,8 +536,8 @@ def whitened(
                         moved[i, linear[j]] -= acting[i] * way
                     elif codes[j] == FORCE:
                         moved[i, linear[j]] += acting[i]
-                    elif codes[j] == LIMIT:
-                        moved[i, linear[j]] += beyond[i] * own_gain
+                    elif codes[j] < 0:
+                        moved[i, linear[j]] += changed[-1 - codes[j], i] * own_gain
                     elif codes[j] == SPRING:
                         moved[i, linear[j]] += acting[i] * spring[r]
             if A:
@@ -608,9 +605,9 @@ def whitened(
             if lag > 0:
                 x[n - 1, 0] += own_gain * lag_start[0]
                 if places[1] >= 0:
-                    t[n - 1, places[1]] = own_gain * lag_start[2]
+                    t[n - 1, places[1]] = own_gain * lag_start[1]
                 if places[2] >= 0:
-                    t[n - 1, places[2]] = own_gain * lag_start[3]
+                    t[n - 1, places[2]] = own_gain * lag_start[2]
             for k in range(N):
                 r = first[s] + k
                 at = r if len(kind) > 1 else 0
@@ -651,7 +648,7 @@ def whitened(
                 for piece in range(offset[at], offset[at + 1]):
                     row = r - back[piece]
                     acts = 1.0 if row >= edge[s] else 0.0
-                    value = min(max(command[min(max(row, begin[s]), behind[s] - 1)] * acts, -limit), limit)
+                    value = command[min(max(row, begin[s]), behind[s] - 1)] * acts
                     driven_by, pushed_by = value * own_gain, direct * acts + gamma * (1.0 - acts) * start[0]
                     for i in range(n):
                         moved[i, 0] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.measured.identification import kernels
+from pipeline.measured.identification.drive import DRIVE, applied_command
+from pipeline.measured.identification.free_runs import free_runs
 from pipeline.measured.identification.motion import LARGEST_LOAD, SHORTEST_LAG, PlantShape, Transitions
 from pipeline.measured.identification.noise import WHITE, Noise, gains_of
 from pipeline.measured.identification.scatter import FEWEST, Moments, Solved, inverse, solve
@@ -18,20 +20,28 @@ LINEAR = ("gain", "coulomb", "force")
 """Numbers in which the motion is linear: acceleration per command, by friction and by a constant force; `LogUnits`,
 time in samples."""
 
+FREE_STARTS = 3
+"""Number of Newton steps for the initial states of free runs, in which everything except friction is linear."""
+
+NUDGE = 1e-4
+"""Perturbation for numerical derivatives of free runs, relative to the size of a number."""
+
 SCATTERED = ("delay", "coulomb", "force")
 """Numbers that may differ from trial to trial."""
 
 LIMITS = {
     "limit": (1e-3, 1.0),
+    "asymmetry": (-0.95, 0.95),
     "gain": (1e-12, np.inf),
     "delta": (-0.01, 2.0),
     "gamma": (-1e-4, 2.0),
     "delay": (0.0, 300.0),
     "lag": (SHORTEST_LAG, 300.0),
-    "mode_frequency": (0.002, 3.0),
+    "mode_frequency": (2e-4, 3.0),
     "mode_damping_ratio": (1e-4, 0.5),
     "load_mass_fraction": (1e-4, LARGEST_LOAD),
     "load_damping": (-0.01, 2.0),
+    "load_coulomb": (0.0, np.inf),
     "spring_damping_fraction": (1e-4, 0.999),
 }
 BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
@@ -39,6 +49,7 @@ BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
 
 LARGEST_STEP = {
     "limit": 0.05,
+    "asymmetry": 0.2,
     "delta": 0.2,
     "gamma": 0.2,
     "delay": 1.5,
@@ -50,7 +61,7 @@ LARGEST_STEP = {
 }
 """Largest change of a number in one step for which the response is approximately linear."""
 
-BY_HALF = ("gain", "mode_damping_ratio")
+BY_HALF = ("gain", "mode_damping_ratio", "mode_frequency")
 """Numbers whose largest relative step is one half: an undamped mode is so sharply determined that a full step would
 lose it."""
 
@@ -103,7 +114,7 @@ class Device:
         """Return the device after a step, with each number within its limits."""
         moved = dict(self.numbers)
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
-            most = LARGEST_STEP.get(name, 0.5 * abs(value) if name in BY_HALF else np.inf)
+            most = min(LARGEST_STEP.get(name, np.inf), 0.5 * abs(value) if name in BY_HALF else np.inf)
             low, high = LIMITS.get(name, (-np.inf, np.inf))
             moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
         return replace(self, numbers=moved)
@@ -147,10 +158,10 @@ CODES = {
     "gain": kernels.GAIN,
     "coulomb": kernels.COULOMB,
     "force": kernels.FORCE,
-    "limit": kernels.LIMIT,
     "spring": kernels.SPRING,
+    **{name: -1 - place for place, name in enumerate(DRIVE)},
 }
-"""Columns of `kernels.whitened` in which the motion is linear."""
+"""Columns of `kernels.whitened` in which the motion is linear, and those of the drive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +207,8 @@ def columns_of(
     subset: the prior of the initial state is common to all.
     """
     whole, shape, noise = whole or segments, device.shape, device.noise
+    if segments.free:
+        return _free_columns(segments, device, names, whole)
     along = [each.name for each in fields(PlantShape) if each.name in names]
     if transitions is None:
         transitions = Transitions.of(segments, shape, noise.jitter, along)
@@ -210,10 +223,11 @@ def columns_of(
     sizes = np.array([1.0 + whole.largest, 1.0, *mode, *([gain] if shape.lag else [])])
     if segments.rests.all():
         sizes = sizes[:1]
-    constants = [device.numbers.get("limit", np.inf), shape.gamma, shape.lag, shape.delay, variance, segments.lead]
-    gains = gains_of(segments, transitions, noise, constants[0])
+    constants = [shape.gamma, shape.lag, shape.delay, variance, segments.lead]
+    commands = applied_command(segments.command, device.numbers)
+    gains = gains_of(segments, transitions, noise, commands[0])
     values, known, lost = kernels.whitened(
-        (segments.time, segments.command, segments.position, segments.position),
+        (segments.time, commands, segments.position, segments.position),
         (segments.first, segments.behind, segments.begin, segments.edge, segments.direction, own, shifts),
         transitions.motion,
         transitions.pieces,
@@ -227,6 +241,98 @@ def columns_of(
     )
     ends = np.cumsum(segments.rows + len(sizes))
     return Columns(values, ends - len(sizes) - segments.rows, ends - len(sizes), len(sizes), known, lost, gains[1])
+
+
+def _unknown_starts(segments: Segments, device: Device, largest: float) -> tuple[Floats, Floats]:
+    """Return sizes of the unknown initial states of a device, and the states of its sides per unit of each, (n, q)."""
+    shape, gain = device.shape, abs(device.numbers["gain"])
+    mode = [gain / shape.mode_frequency**2, gain / shape.mode_frequency] if shape.load_mass else []
+    sizes = np.array([1.0 + largest, 1.0, *mode, *([gain] if shape.lag else [])])
+    states = np.eye(len(sizes))
+    if mode:
+        # the load is where the motor is, except for its distance
+        states[2, 0], states[3, 1] = 1.0, 1.0
+    return sizes, states
+
+
+def free_motion(segments: Segments, device: Device, variance: float, largest: float) -> tuple[Floats, Floats, Floats]:
+    """Return free runs from their likeliest initial states, derivatives along the unknowns of these, and the unknowns.
+
+    Shapes (rows,), (rows, q) and (S, q) for q unknowns.
+    """
+    sizes, states = _unknown_starts(segments, device, largest)
+    q, ends = len(sizes), np.cumsum(segments.rows)[:-1]
+    readings = np.split(segments.position[segments.places], ends)
+    prior = np.diag(np.sqrt(variance) / sizes)
+    nudges = np.diag(NUDGE * np.minimum(sizes, 1.0))
+    tried = np.zeros((len(segments), q))
+    for s, (y, rests) in enumerate(zip(readings, segments.rests, strict=True)):
+        few = min(len(y) - 1, 5)
+        tried[s, :2] = y[0], 0.0 if rests else (y[few] - y[0]) / max(few, 1)
+    starts, least = tried.copy(), np.full(len(tried), np.inf)
+    motion, along = [y * 0.0 for y in readings], [np.zeros((len(y), q)) for y in readings]
+    for _ in range(FREE_STARTS + 1):
+        versions = np.concatenate([tried[:, None], tried[:, None] + nudges], axis=1)
+        runs = np.split(_runs(segments, device, versions @ states.T), ends)
+        for s, (y, run) in enumerate(zip(readings, runs, strict=True)):
+            error = np.concatenate([y - run[:, 0], -prior @ tried[s]])
+            columns = np.vstack([(run[:, 1:] - run[:, :1]) / np.diagonal(nudges), prior])
+            if (cost := float(error @ error)) < least[s]:
+                least[s], starts[s], motion[s], along[s] = cost, tried[s], run[:, 0], columns[: len(y)]
+                tried[s] = tried[s] + np.linalg.lstsq(columns, error, rcond=None)[0]
+            else:
+                tried[s] = 0.5 * (starts[s] + tried[s])
+    return np.concatenate(motion), np.concatenate(along), starts
+
+
+def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
+    """Return free runs of a device from initial states (S, V, n), shape (rows, V)."""
+    gain, coulomb, force = (device.own(name, segments.trial) for name in LINEAR)
+    load = np.full(len(segments), device.numbers.get("load_coulomb", 0.0))
+    forces = [(float(g), each) for g, each in zip(gain, np.stack([force, coulomb, load], axis=1), strict=True)]
+    return free_runs(segments, device.numbers, forces, starts)
+
+
+def whitened_errors(columns: Floats, coefficients: tuple[float, ...], first: int) -> tuple[Floats, Floats]:
+    """Return columns of one segment through the filter that whitens its errors, divided in front of one of them."""
+    whole = columns.copy()
+    for back, coefficient in enumerate(coefficients[1:], start=1):
+        whole[back:] += coefficient * columns[:-back]
+    return whole[:, :first], whole[:, first:]
+
+
+@np.errstate(all="ignore")  # as in `moments_of`
+def _free_columns(segments: Segments, device: Device, names: tuple[str, ...], whole: Segments) -> Columns:
+    """Return the errors of free runs with derivatives along some numbers of a device, by differences."""
+    variance = min(whole.white, device.reading)
+    motion, along, unknown = free_motion(segments, device, variance, whole.largest)
+    sizes, states = _unknown_starts(segments, device, whole.largest)
+    starts, q, p = (unknown @ states.T)[:, None], len(sizes), len(names)
+    columns = np.empty((len(motion), p + 1))
+    columns[:, p] = segments.position[segments.places] - motion
+    for place, name in enumerate(names):
+        value = device.numbers[name]
+        _, high = LIMITS.get(name, (-np.inf, np.inf))
+        size = device.numbers["gain"] if name in (*LINEAR, "load_coulomb") else 1.0 if name == "delay" else 0.01
+        step = NUDGE * max(abs(value), 0.1 * size)
+        step = -step if value + step > high else step
+        nudged = replace(device, numbers=device.numbers | {name: value + step})
+        columns[:, place] = (_runs(segments, nudged, starts)[:, 0] - motion) / step
+    ends, blocks_, known, lost = np.cumsum(segments.rows), [], np.zeros(len(segments)), 0.0
+    prior = np.diag(np.sqrt(variance) / sizes)
+    for s, behind in enumerate(ends.tolist()):
+        inside = slice(behind - int(segments.rows[s]), behind)
+        errors, free = whitened_errors(np.hstack([columns[inside], along[inside]]), segments.free, p + 1)
+        free = np.vstack([free, prior])
+        block = np.vstack([errors, np.column_stack([np.zeros((q, p)), -prior @ unknown[s]])])
+        Q, R = np.linalg.qr(free)
+        blocks_.append(block - Q @ (Q.T @ block))
+        information = (np.diagonal(R) * sizes) ** 2
+        share = np.maximum(1 - variance / information, 0.0)
+        known[s] = share.sum()
+        lost += 0.5 * float((np.log(information) - (1 - share) * np.log(variance)).sum())
+    behind = np.cumsum(segments.rows + q) - q
+    return Columns(np.concatenate(blocks_), behind - segments.rows, behind, q, known, lost, np.ones(1))
 
 
 def blocks(segments: Segments, columns: int) -> list[Segments]:

@@ -46,10 +46,10 @@ WHITE = Noise()
 """Noise of the readings alone."""
 
 
-def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: float = np.inf) -> Gains:
+def gains_of(segments: Segments, transitions: Transitions, noise: Noise, command: Floats) -> Gains:
     """Return the filter for some noise: a steady one for even rows without jitter, else one with gains row by row.
 
-    ``limit`` is the command at which the drive saturates.
+    ``command`` (R,) is the one that acts.
     """
     n, none = transitions.states, np.zeros((3, 0))
     if noise == WHITE:
@@ -61,7 +61,7 @@ def gains_of(segments: Segments, transitions: Transitions, noise: Noise, limit: 
     ageing, covariance = (ages.ageing, ages.covariance) if noise.late else (none, np.zeros((0, 0)))
     gains, spread = filter_gains(
         (segments.first, segments.behind, segments.begin, segments.edge),
-        np.clip(segments.command, -limit, limit),
+        command,
         (kind, F, W, H),
         transitions.pieces[:4],
         (ageing, covariance),

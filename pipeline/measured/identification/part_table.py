@@ -50,13 +50,18 @@ class Part:
         return WORTH + CLOSER * (len(self.numbers) - 1)
 
 
-FREQUENCIES = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
+FREQUENCIES = (0.013, 0.018, 0.027, 0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0, 1.5, 2.2)
 """Initial frequencies [rad a sample] of the search for a mode, a factor of 1.5 apart."""
 
 
 def _largest_forces(_: dict[str, float]) -> list[dict[str, float]]:
     """Return candidates of the largest force, relative to the largest command."""
     return [{"limit": limit} for limit in (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)]
+
+
+def _asymmetries(_: dict[str, float]) -> list[dict[str, float]]:
+    """Return differences of the gains of both directions, relative to their mean."""
+    return [{"asymmetry": share} for share in (-0.5, -0.2, 0.2, 0.5)]
 
 
 def _lags(numbers: dict[str, float]) -> list[dict[str, float]]:
@@ -92,6 +97,7 @@ def _load_dampings(numbers: dict[str, float]) -> list[dict[str, float]]:
 
 PARTS: dict[str, Part] = {
     "saturation": Part(("limit",), _largest_forces, near="limit"),
+    "gain by direction": Part(("asymmetry",), _asymmetries),
     "lag": Part(("lag",), _lags, size="lag"),
     "mode": Part(
         ("mode_frequency", "mode_damping_ratio", "load_mass_fraction"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.measured.identification.first_guess import first_guesses
+from pipeline.measured.identification.first_guess import BALANCED, first_guesses
+from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, WHITE_ERRORS, free_fit, with_mode
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     DONE,
@@ -45,6 +47,16 @@ MOST_TRIALS = 100
 LONGEST_DELAY = 48
 """Longest delay [samples] that is searched for."""
 
+LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
+"""Longest delay [samples] with which a largest force is searched for, and rows to each side for the speed."""
+
+LIMITS_SOUGHT = 0.05, 0.99, 150
+"""Smallest and largest command of the search for a largest force, 2 % apart, and their number."""
+
+LIMIT_SPREADS = (0.015, 0.005, 0.0015)
+"""Relative distances at which a largest force is searched for near the best one so far: the force balances of a ramp
+far beyond it are right only within a percent."""
+
 DELAYS, FRICTIONS = 4, (0.3, 2.0)
 """Number of delays over their range, and friction relative to the optimum, from which other optima are searched for."""
 
@@ -76,6 +88,9 @@ HEAVY = 0.5
 
 SLOW = 4 * np.pi
 """Largest phase [rad] of a mode over a log for which its load hardly moves: two periods."""
+
+FEW_PERIODS = 20 * np.pi
+"""Phase [rad] of a mode over a segment below which the unknown initial states hide it: ten periods."""
 
 APART = 10.0
 """Largest range of the first positions of logs, in noise standard deviations of a reading, for which they begin in one
@@ -135,6 +150,8 @@ class ChosenParts:
         Names of parameters assumed to be zero.
     bounds : dict of str to float
         Upper ends of friction and spring [SI] with both in the fit.
+    free : bool
+        Whether free runs determine the device.
     """
 
     numbers: dict[str, float]
@@ -145,6 +162,7 @@ class ChosenParts:
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float]
+    free: bool = False
 
     @property
     def device(self) -> Device:
@@ -161,7 +179,7 @@ def held_out(fit: Fit) -> float:
     if fit.few:
         return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, inverse(solved.total), solved.score))
     # above 0 only by rounding, if a direction is hardly known
-    losses = (float(score @ step - 0.5 * step @ information @ step) for information, score, step in solved.folds)
+    losses = (float(score @ step - 0.5 * step @ information @ step) for information, score, step in solved.folds())
     return fit.likelihood + sum(min(loss, 0.0) for loss in losses)
 
 
@@ -230,9 +248,33 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
         fit, parts = _further(segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
+    segments, fit, parts = _swinging((some, units, lead), segments, fit, parts)
     device = fit.device
-    chosen = ChosenParts(device.numbers, device.noise, device.reading, units, lead, parts, assumed, bounds)
+    free = bool(segments.free)
+    chosen = ChosenParts(device.numbers, device.noise, device.reading, units, lead, parts, assumed, bounds, free)
     return chosen, fit, float(np.median(segments.rows))
+
+
+def _swinging(
+    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
+) -> tuple[Segments, Fit, dict[str, float]]:
+    """Return segments, fit and parts after free runs of few logs decided on a mode, with friction or a slow one."""
+    numbers = fit.device.numbers
+    phase = numbers.get("mode_frequency", np.inf) * float(np.median(segments.rows))
+    rubs = parts.get("friction", 0.0) > 0 and numbers["coulomb"] > 0
+    swings = rubs or ("coulomb" not in numbers and phase < FEW_PERIODS)
+    if not fit.few or not swings or "delay" not in numbers or fit.device.noise.jitter:
+        return segments, fit, parts
+    recordings, units, lead = logs
+    found = with_mode(segments_of(recordings, units, lead, False, WHITE_ERRORS), fit, parts)
+    if found is not None:
+        return found
+    if "mode_frequency" not in numbers:
+        return segments, fit, parts
+    left = {name: value for name, value in numbers.items() if name not in (*MODE, "load_damping")}
+    fit = refined(segments, replace(fit.device, numbers=left, effects=None))
+    rest = {name: gain for name, gain in parts.items() if name not in (*SENSED.values(), *LOAD_PARTS)}
+    return segments, fit, rest
 
 
 def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
@@ -244,9 +286,13 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
         If no device fits.
     """
     units, lead = chosen.units, chosen.lead
-    segments = segments_of(recordings, units, lead, "friction" in chosen.parts)
-    fit = ended(segments, chosen.device)
-    if fit.few and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
+    if chosen.free:
+        segments, fit = free_fit(segments_of(recordings, units, lead, False, WHITE_ERRORS), chosen.device)
+        fit = ended(segments, fit.device)
+    else:
+        segments = segments_of(recordings, units, lead, "friction" in chosen.parts)
+        fit = ended(segments, chosen.device)
+    if fit.few and not segments.free and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
         fit = _spanned(segments, fit, lead)
     numbers = fit.device.numbers
     absent = (name for name in chosen.bounds if ESTIMATED[name].number not in numbers)
@@ -283,9 +329,9 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
     # the last search may end beyond all others
-    near = [best, *(each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats)]
+    near = [each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
-    return replace(best, optima=np.stack(steps))
+    return replace(best, optima=np.stack([*best.optima, *steps]))
 
 
 def _unseen_lag(segments: Segments, fit: Fit) -> float:
@@ -575,11 +621,56 @@ def _having(segments: Segments, device: Device, part: Part) -> Device:
     dominate.
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
-    found = _best(segments, device, part, part.starts(device.numbers))
+    starts = part.starts(device.numbers)
+    found = _best(segments, device, part, starts)
     if part.near:
         near = [found.numbers[part.near] * factor for factor in NEARBY]
         found = _best(segments, found, part, [{part.near: value} for value in near if value < LIMITS[part.near][1]])
-    return replace(found, noise=WHITE)
+    found = replace(found, noise=WHITE)
+    if "limit" in part.numbers:
+        climbs = (climbed(segments, each, FIRST_STEPS) for each in (found, _saturated(segments, device)))
+        found = max(climbs, key=lambda each: each.likelihood).device
+    return found
+
+
+def _saturated(segments: Segments, device: Device) -> Device:
+    """Return the likeliest device with a largest force by force balances with a clipped command.
+
+    If most of the command is beyond the limit, the other numbers of a device without limit are far from the true ones.
+    The search starts at the limit above which the velocity no longer follows the command.
+    """
+    known = [name for name in (*BALANCED, "delay") if name in device.names]
+
+    def guessed(limit: float) -> tuple[float, Device]:
+        clipped = replace(segments, command=np.clip(segments.command, -limit, limit))
+        devices = [replace(device, noise=WHITE, effects=None, numbers=device.numbers | {"limit": limit})]
+        with suppress(ParameterError):
+            for guess in first_guesses(clipped, known, LIMIT_DELAY):
+                numbers = devices[0].numbers | {name: guess.numbers[name] for name in known}
+                devices.append(replace(devices[0], numbers=numbers))
+        return max(((_likelihood(segments, each), each) for each in devices), key=lambda pair: pair[0])
+
+    best = guessed(_static_limit(segments))
+    for reach in LIMIT_SPREADS:
+        near = (best[1].numbers["limit"] * (1 + reach * way) for way in (-2, -1, 1, 2))
+        best = max([best, *(guessed(limit) for limit in near if limit < 1)], key=lambda pair: pair[0])
+    return best[1]
+
+
+def _static_limit(segments: Segments) -> float:
+    """Return the largest command with which the speed is closest to a straight line over the clipped command."""
+    ahead = segments.places[LIMIT_ROWS:-LIMIT_ROWS]
+    inside = segments.segment[: -2 * LIMIT_ROWS] == segments.segment[2 * LIMIT_ROWS :]
+    row = ahead[inside]
+    speed = segments.position[row + LIMIT_ROWS] - segments.position[row - LIMIT_ROWS]
+    command, limits = segments.command[row], np.geomspace(*LIMITS_SOUGHT)
+
+    def left(limit: float) -> float:
+        clipped = np.clip(command, -limit, limit)
+        columns = np.stack([clipped, np.sign(speed), np.ones(len(clipped))], axis=1)
+        return float(((speed - columns @ np.linalg.lstsq(columns, speed, rcond=None)[0]) ** 2).sum())
+
+    return min(limits.tolist(), key=left) if len(row) else 1.0
 
 
 def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:

@@ -1,107 +1,122 @@
-"""Free runs of the identified device from the start of logs that were not used for its fit: fit in percent."""
+"""Free runs of the identified device over windows of logs that were not used for its fit, judged in velocity."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.loop.free_run import free_run
-from pipeline.measured.identification.kernels import exponentials
-from pipeline.measured.identification.likelihood import LINEAR, Device, columns_of
-from pipeline.measured.identification.motion import Pieces, matrices_of
+from pipeline.measured.identification.likelihood import Device, columns_of, free_motion
+from pipeline.measured.identification.motion import matrices_of
 from pipeline.measured.identification.noise import WHITE
-from pipeline.measured.identification.segments import Segments
+from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Floats
 
-PARTS = 4
-"""Number of parts of an interval's piece between which friction may change direction: a reversal is accurate to an
-eighth of a row."""
-
 STILL = 3.0
-"""Largest standard deviation of a position, relative to the noise of its readings, of a log without motion."""
+"""Largest standard deviation of a velocity, relative to its error, of a log without motion."""
 
-STARTS = 3
-"""Number of Newton steps for the initial state of a log, in which everything except friction is linear."""
+TIME_CONSTANTS = 6.0
+"""Length of a window in the device's longest time constant: about one period of a spring, and long enough for a motor
+to reach its speed. Over a longer one a small constant force drifts away; over a shorter one any device fits."""
 
-NUDGE = 1e-4
-"""Perturbation of an initial state for numerical derivatives, relative to the range of the position."""
+INTEGRATOR = 1e-6
+"""Largest rate [1/sample] of an eigenvalue that counts as an integrator."""
 
+SMOOTHED = 4
+"""Smallest number of rows of a window, in rows over which the velocity is smoothed to each side."""
 
-def replay_fit(segments: Segments, device: Device) -> Floats:
-    """Return the fit of free runs of a device to each segment, from the best initial state, shape (S,) [%].
+NOISES = 2.0
+"""Mean square of an error of the velocity, in squares of that of the readings, that is attributed to the readings."""
 
-    The fit is 100 (1 - |y - x| / |y - mean y|), as usual in system identification; NaN for a log without motion.
-    """
-    if not len(segments):
-        return np.empty(0)
-    left = _left_with_friction(segments, device) if device.numbers.get("coulomb") else _left_linear(segments, device)
-    ends = np.cumsum(segments.rows)[:-1]
-    readings = np.split(segments.position[segments.places], ends)
-    error = np.array([np.linalg.norm(each) for each in np.split(left, ends)])
-    size = np.array([np.linalg.norm(each - each.mean()) for each in readings])
-    # a position that changes only by noise and sensor steps is predicted by any device
-    moves = size > np.maximum(STILL * np.sqrt(segments.rows * segments.white), 1e-3)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(moves, 100 * (1 - error / size), np.nan)
+HALVED = 0.5
+"""Largest error of a device that follows, relative to that of a motion that knows nothing of the command."""
 
 
-def _left_linear(segments: Segments, device: Device) -> Floats:
-    """Return the residual of the free run of a device without friction, which is linear in its initial state."""
-    columns = columns_of(segments, replace(device, noise=WHITE), ())
-    places = np.arange(len(segments.places)) + columns.starts * segments.segment
-    return np.asarray(columns.values[places, -1])
+class Replay(NamedTuple):
+    """Fit of free runs to a log, and that of a motion at constant speed or acceleration in each window [%]."""
+
+    log: str
+    fit_percent: float
+    naive_percent: float
 
 
-def _left_with_friction(segments: Segments, device: Device) -> Floats:
-    """Return the residual of the free run of a device with friction, from the best initial state by Newton steps."""
-    ends = np.cumsum(segments.rows)
-    readings = np.split(segments.position[segments.places], ends[:-1])
-    states = matrices_of(device.shape, ())[1].shape[1]
-    start = np.zeros((len(segments), states))
-    for s, (y, rests) in enumerate(zip(readings, segments.rests, strict=True)):
-        few = min(len(y) - 1, 5)
-        start[s, 0] = y[0]
-        start[s, 1] = 0.0 if rests else (y[few] - y[0]) / max(few, 1)
-    tried, least, left = start, np.full(len(start), np.inf), [y * 0.0 for y in readings]
-    for _ in range(STARTS + 1):
-        # the nominal run, and one with a perturbation of each state
-        versions = np.concatenate([tried[:, None], tried[:, None] + NUDGE * np.eye(states)], axis=1)
-        runs = np.split(_runs(segments, device, versions), ends[:-1])
-        tried = start.copy()
-        for s, (y, run) in enumerate(zip(readings, runs, strict=True)):
-            error = y - run[:, 0]
-            if float(error @ error) < least[s]:
-                least[s], left[s], start[s] = float(error @ error), error, versions[s, 0]
-                columns = (run[:, 1:] - run[:, :1]) / NUDGE
-                tried[s] = start[s] + np.linalg.pinv(columns, rcond=1e-6) @ error
-    return np.concatenate(left)
+def follows(fit_percent: float | None, naive_percent: float | None) -> bool:
+    """Return whether free runs have at most `HALVED` of the error of a motion that knows nothing of the command."""
+    if fit_percent is None or naive_percent is None:
+        return False
+    return 100 - fit_percent <= HALVED * (100 - naive_percent)
 
 
-def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
-    """Return free runs from several initial states (S, V, n) of each segment, (rows of all segments, V)."""
+def medians(replay: Sequence[Replay]) -> tuple[float | None, float | None]:
+    """Return the median fits of the device and without the command; None if no log moves."""
+    fits = np.array([each[1:] for each in replay if np.isfinite(each.fit_percent)])
+    return (float(np.median(fits[:, 0])), float(np.median(fits[:, 1]))) if len(fits) else (None, None)
+
+
+def window_rows(device: Device) -> float:
+    """Return the length of a window [samples]: infinite for a device without damping and spring."""
     matrices, sensors = matrices_of(device.shape, ())
-    pieces, n, limit = Pieces.of(segments, [device.shape.delay]), sensors.shape[1], device.numbers.get("limit", np.inf)
-    spans, kind = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
-    # after the last piece of an interval with fewer pieces than others, nothing moves
-    over = exponentials(matrices, np.append(spans, 0.0) / PARTS)[:, 0]
-    F, G = (np.ascontiguousarray(each) for each in (over[:, :n, :n], over[:, :n, n:]))
-    system = (sensors[0], np.ascontiguousarray(matrices[0, 1, :n]), float(matrices[0, 1, n]))
-    command = np.clip(segments.command, -limit, limit)
-    gain, coulomb, force = (device.own(name, segments.trial).tolist() for name in LINEAR)
-    runs = []
-    for s, (first, behind, begin) in enumerate(zip(segments.first, segments.behind, segments.begin, strict=True)):
-        row = np.arange(first, behind)
-        at = np.minimum(row, len(pieces.offset) - 2)
-        count = pieces.offset[at + 1] - pieces.offset[at]
-        number = np.arange(max(int(count.max()), 1))[:, None]
-        piece = np.minimum(pieces.offset[at] + number, len(pieces.back) - 1)
-        place = np.where(number < count, kind[piece], len(spans)).astype(np.int64)
-        driven = gain[s] * command[np.clip(row - pieces.back[piece], begin, behind - 1)]
-        forces = (force[s], coulomb[s])
-        runs.append(
-            np.stack(
-                [free_run(system, (F, G, place), driven, forces, start.copy(), PARTS) for start in starts[s]], axis=1
-            )
+    rates = np.abs(np.linalg.eigvals(matrices[0, : sensors.shape[1], : sensors.shape[1]]))
+    rates = rates[rates > INTEGRATOR]
+    return TIME_CONSTANTS / float(rates.min()) if len(rates) else np.inf
+
+
+def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device: Device) -> list[Replay]:
+    """Return the fit of free runs of a device to each log, over windows from their best initial states.
+
+    With the error e of the velocity and the velocity v, both smoothed as in `Recording.motion`, the fit is
+    100 (1 - |e|/|v - mean v|); NaN for a log without motion, or with one at constant acceleration.
+    """
+    whole = segments_of(list(recordings), units, lead, False)
+    halves = np.array([each.motion.half for each in recordings])
+    rows = max(window_rows(device), SMOOTHED * float(halves.max(initial=1)), 2 * SHORTEST)
+    windows = whole.split(int(min(rows, whole.rows.max(initial=1))))
+    if not len(windows):
+        return []
+    ends = np.cumsum(windows.rows)[:-1]
+    readings = np.split(windows.position[windows.places], ends)
+    times = np.split(windows.time[windows.places], ends)
+    errors = np.split(_errors(windows, device), ends)
+    result = []
+    for trial in np.unique(windows.trial).tolist():
+        inside, half = np.flatnonzero(windows.trial == trial), int(halves[trial])
+        naive = [[_polynomial_error(times[s], readings[s], order) for s in inside] for order in (1, 2)]
+        of_device, *of_naive, velocity = (
+            _velocity(each, half) for each in ([errors[s] for s in inside], *naive, [readings[s] for s in inside])
         )
-    return np.concatenate(runs)
+        size = float(np.linalg.norm(velocity - velocity.mean())) if len(velocity) else 0.0
+        noise = recordings[trial].motion.error / units.position * np.sqrt(max(len(velocity), 1))
+        # the error of the smoothed readings themselves, and that of an initial state from them, is no error of a device
+        lefts = [max(float(each @ each) - NOISES * noise**2, 0.0) ** 0.5 for each in (of_device, *of_naive)]
+        # nor does a log judge a device if its readings hide how the motion changes
+        moves = size > max(STILL * noise, 1e-9) and min(lefts[1:]) > 0
+        fits = [100 * (1 - left / size) if moves else np.nan for left in (lefts[0], min(lefts[1:]))]
+        result.append(Replay(recordings[trial].name, *fits))
+    return result
+
+
+def _errors(windows: Segments, device: Device) -> Floats:
+    """Return the error of the position in free runs of a device from their best initial states."""
+    if device.numbers.get("coulomb") or device.numbers.get("load_coulomb"):
+        motion, _, _ = free_motion(windows, device, windows.white, windows.largest)
+        return np.asarray(windows.position[windows.places] - motion)
+    columns = columns_of(windows, replace(device, noise=WHITE), ())
+    return np.asarray(columns.values[np.arange(len(windows.places)) + columns.starts * windows.segment, -1])
+
+
+def _polynomial_error(time: Floats, position: Floats, order: int) -> Floats:
+    """Return the error of the best motion at constant speed (order 1) or acceleration (order 2)."""
+    since = (time - time.mean()) / max(float(np.ptp(time)), 1e-300)
+    return np.asarray(position - np.polynomial.Polynomial.fit(since, position, order)(since))
+
+
+def _velocity(windows: list[Floats], half: int) -> Floats:
+    """Return the smoothed velocity [per row] of all windows, by a parabola over ``half`` rows to each side."""
+    about = np.arange(half, -half - 1, -1.0)
+    return np.concatenate(
+        [np.convolve(each, about / (about @ about), mode="valid") for each in windows if len(each) > 2 * half]
+        or [np.empty(0)]
+    )

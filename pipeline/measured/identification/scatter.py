@@ -78,11 +78,14 @@ class Solved:
     here: float
     total: Floats
 
-    @property
-    def folds(self) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """Information and score of each fold of units, and the Newton step to the numbers from the other folds."""
+    def folds(self, trials: Integers | None = None) -> Iterator[tuple[Floats, Floats, Floats]]:
+        """Yield information and score of each fold of units, and the Newton step to the numbers from the other folds.
+
+        ``trials`` are those of the units, if these are not trials.
+        """
+        trials = np.arange(len(self.score)) if trials is None else trials
         for fold in range(FOLDS):
-            inside = np.arange(len(self.score)) % FOLDS == fold
+            inside = trials % FOLDS == fold
             information, score = self.information[inside].sum(axis=0), self.score[inside].sum(axis=0)
             yield information, score, -inverse(self.total - information) @ score
 

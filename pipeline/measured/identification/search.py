@@ -105,7 +105,10 @@ def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
 def ended(segments: Segments, device: Device) -> Fit:
     """Return the maximum-likelihood fit, starting from a nearby device, with the uncertainty due to its jitter."""
     fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
-    fit = replace(fit, phases=phases_of(segments, fit))
+    # a number at its limit, such as a delay of 0, shifts the others: the search without limits ends elsewhere
+    beyond = [fit.solved.step] if (_inner_step(fit) != fit.solved.step).any() else []
+    optima = np.stack([np.zeros(len(fit.device.names)), *beyond])
+    fit = replace(fit, phases=phases_of(segments, fit), optima=optima)
     if not fit.device.noise.jitter:
         return fit
     noise = with_jitter_error(segments, fit.device)

@@ -65,6 +65,9 @@ class Segments:
         Number of rows of commands before a segment on which its motion depends.
     even : bool
         Whether all rows of segments, and those before them, are one sample apart.
+    free : tuple of float
+        Coefficients 1, a_1, a_2 ... of the filter that whitens the errors of free runs, in which friction acts against
+        the direction of the run; empty if it acts against that of the readings.
     """
 
     offsets: Integers
@@ -80,6 +83,7 @@ class Segments:
     least: Floats
     lead: int
     even: bool
+    free: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.first)
@@ -166,7 +170,9 @@ class Segments:
         return cut.select(cut.rows >= SHORTEST)
 
 
-def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving: bool) -> Segments:
+def segments_of(
+    recordings: list[Recording], units: LogUnits, lead: int, moving: bool, free: tuple[float, ...] = ()
+) -> Segments:
     """Return the segments of recordings.
 
     Parameters
@@ -178,6 +184,8 @@ def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving:
     moving : bool
         Whether only rows with a known direction of motion are used, as required for friction, with one direction per
         segment; a reversal is only known to a fraction of a row. Otherwise all rows are used.
+    free : tuple of float
+        As in `Segments`; logs are then not cut, as the run goes through reversals.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / units.period) for each in recordings]
@@ -190,8 +198,9 @@ def segments_of(recordings: list[Recording], units: LogUnits, lead: int, moving:
         for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
-                cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind)
-    return _joined(recordings, even, cuts, units, lead)
+                most = behind if free else LONGEST
+                cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind, most)
+    return replace(_joined(recordings, even, cuts, units, lead), free=free)
 
 
 def _even(time: Floats) -> Floats:
@@ -217,8 +226,8 @@ def _starts_at_rest(recording: Recording) -> bool:
     )
 
 
-def _all(trial: int, first: int, behind: int) -> list[_Cut]:
-    count = max(1, round((behind - first) / LONGEST))
+def _all(trial: int, first: int, behind: int, most: int) -> list[_Cut]:
+    count = max(1, round((behind - first) / most))
     bounds = np.linspace(first, behind, count + 1).astype(int).tolist()
     return [_Cut(trial, a, b, 0.0) for a, b in pairwise(bounds)]
 

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 _SHOWN = 6
 """Number of printed names of logs; the document has all."""
 
+UNEXPLAINED = "The command alone does not explain the motion: another force acts, or a part is missing."
+
 COMBINATIONS = {
     "acceleration": "acceleration by the largest command, friction and constant force included",
     "damping_per_mass": "damping over mass",
@@ -146,7 +148,7 @@ def identify(
 def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     """Yield the result of an identification: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
-    from pipeline.surface.identify import DRIFT, FOLLOWS
+    from pipeline.surface.identify import DRIFT
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
     yield f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s"
@@ -158,6 +160,14 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
         yield f"not excluded by these logs: {parts[False]}"
+    if (drive := document["drive"]) is not None:
+        ways = (
+            f"{each['value']:.5g} ({each['low']:.5g} to {each['high']:.5g}) {each['unit']} for {way} commands"
+            for way, each in drive.items()
+            if way != "asymmetry"
+        )
+        yield f"The gain of the drive differs by direction. Mass per unit of command: {', '.join(ways)}."
+        yield "  Intervals above span both. Record the force, or calibrate the drive in each direction."
     if document["assumed_none"]:
         yield f"assumed zero, since the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:
@@ -167,11 +177,12 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     if not document["scatter_in_interval"]:
         yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
     if fit is not None:
-        yield f"replay of logs left out of the fit: {fit:.1f} % (median)"
-        if fit < FOLLOWS and document["replay"]["behind_walls"]:
-            yield f"  ({DRIFT})"
-        elif fit < FOLLOWS:
-            yield "The command alone does not explain the motion: another force acts, or a part is missing."
+        naive = document["replay"]["naive_percent"]
+        without = f"without the command {naive:.1f} %"
+        yield f"replay of logs left out of the fit: {fit:.1f} % of the velocity (median; {without})"
+        if not document["replay"]["follows"]:
+            behind_walls = document["replay"]["behind_walls"]
+            yield f"  ({DRIFT})" if behind_walls else f"{UNEXPLAINED} No limit of walls is reported."
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
         yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"

@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 
 from pipeline.loop.state_space import state_space
 from pipeline.measured.identification import kernels
+from pipeline.measured.identification.drive import applied_command
 from pipeline.measured.identification.likelihood import Device, columns_of
 from pipeline.measured.identification.motion import Ages, PlantShape, Transitions
 from pipeline.measured.identification.noise import Noise, gains_of
@@ -173,19 +174,23 @@ def dense_ageing(ages):
     return result.T
 
 
-def loop_arguments(each, shape, along, gains=None, noise=None):
+DRIVE = {"limit": 1.5, "asymmetry": 0.2}
+
+
+def loop_arguments(each, shape, along, gains=None, noise=None, drive=DRIVE):
     """What `kernels.whitened` takes for a shape, without unknown starts."""
+    commands = applied_command(each.command, drive)
     transitions = Transitions.of(each, shape, noise.jitter, along)
     own = np.tile([GAIN, COULOMB, FORCE], (len(each), 1))
     places = [along.index(name) if name in along else -1 for name in ("gamma", "lag", "delay")]
-    codes = [kernels.GAIN, kernels.COULOMB, kernels.FORCE, kernels.LIMIT, *(kernels.SHAPE + np.arange(len(along)))]
-    constants = [1.5, shape.gamma, shape.lag, shape.delay, 1.0, each.lead]
+    codes = [kernels.GAIN, kernels.COULOMB, kernels.FORCE, -1, -2, *(kernels.SHAPE + np.arange(len(along)))]
+    constants = [shape.gamma, shape.lag, shape.delay, 1.0, each.lead]
     return (
-        (each.time, each.command, each.position, each.position),
+        (each.time, commands, each.position, each.position),
         (each.first, each.behind, each.begin, each.edge, each.direction, own, np.zeros((len(each), len(codes)))),
         transitions.motion,
         transitions.pieces,
-        gains_of(each, transitions, noise, 1.5) if gains is None else gains,
+        gains_of(each, transitions, noise, commands[0]) if gains is None else gains,
         (np.array(codes), np.array(places), np.array(constants), np.empty(0)),
     )
 
@@ -201,20 +206,23 @@ def test_tangents_are_those_of_differences(kind, noise, even):
     for place, name in enumerate(along):
         ends = (replace(shape, **{name: getattr(shape, name) + by}) for by in (1e-5, -1e-5))
         high, low = (kernels.whitened(*loop_arguments(each, end, along, arguments[4], noise))[0][:, -1] for end in ends)
-        slope = columns[:, 4 + place]
+        slope = columns[:, 5 + place]
         np.testing.assert_allclose(slope, (low - high) / 2e-5, atol=3e-6 * np.abs(slope).max(), err_msg=name)
-    # the forces by which a filter follows a jitter stay as they are, too: those of a largest command
-    numbers = (((1, 5), 0), ((1, 5), 1), ((1, 5), 2), ((5, 2), 0))
-    for place, (part, at) in enumerate(numbers[: 3 if noise.late else 4]):
+    for place in range(3):
         errors = []
         for by in (1e-5, -1e-5):
             changed = [list(group) for group in arguments]
-            values = changed[part[0]][part[1]].copy()
-            values[..., at] += by
-            changed[part[0]][part[1]] = values
+            changed[1][5] = arguments[1][5] + by * (np.arange(3) == place)
             errors.append(kernels.whitened(*map(tuple, changed))[0][:, -1])
         slope = columns[:, place]
         np.testing.assert_allclose(slope, (errors[1] - errors[0]) / 2e-5, atol=1e-6 * max(np.abs(slope).max(), 1e-3))
+    # the forces by which a filter follows a jitter are those of the command that acts, and not part of the tangent
+    for place, name in enumerate(() if noise.late else DRIVE, start=3):
+        ends = (DRIVE | {name: DRIVE[name] + by} for by in (1e-5, -1e-5))
+        high, low = (
+            kernels.whitened(*loop_arguments(each, shape, along, arguments[4], noise, end))[0][:, -1] for end in ends
+        )
+        np.testing.assert_allclose(columns[:, place], (low - high) / 2e-5, atol=1e-6, err_msg=name)
 
 
 def test_squares_without_the_start_fall_along_the_columns():

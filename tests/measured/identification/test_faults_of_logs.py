@@ -177,7 +177,7 @@ def test_a_filter_forgets_its_start_or_is_none(seed):
             load_mass_fraction=rng.uniform(0.01, 0.9),
         )
         transitions = Transitions.of(held, shape)
-        gain = gains_of(held, transitions, Noise(10 ** rng.uniform(-12, 6)))[0][0]
+        gain = gains_of(held, transitions, Noise(10 ** rng.uniform(-12, 6)), held.command)[0][0]
         if np.isfinite(gain).all():
             computed += 1
             errors = transitions.motion[1][0] @ (np.eye(4) - np.outer(gain, transitions.motion[5]))

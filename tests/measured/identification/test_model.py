@@ -80,17 +80,17 @@ def responses(segments, shape):
     """Positions of a shape from rest at 0 under the commands of one segment."""
     transitions, nothing = Transitions.of(segments, shape), np.zeros(len(segments.time))
     columns, _, _ = kernels.whitened(
-        (segments.time, segments.command, nothing, nothing),
+        (segments.time, segments.command[None], nothing, nothing),
         (
             *(segments.first, segments.behind, segments.begin, segments.edge, segments.direction),
             *(np.zeros((1, 3)), np.zeros((1, 1))),
         ),
         transitions.motion,
         transitions.pieces,
-        gains_of(segments, transitions, Noise()),
+        gains_of(segments, transitions, Noise(), segments.command),
         (
             *(np.array([kernels.GAIN]), np.full(3, -1)),
-            *(np.array([np.inf, shape.gamma, shape.lag, shape.delay, 1.0, segments.lead]), np.empty(0)),
+            *(np.array([shape.gamma, shape.lag, shape.delay, 1.0, segments.lead]), np.empty(0)),
         ),
     )
     return columns[:, 0]

@@ -1,0 +1,100 @@
+"""Kinds of real drives, simulated with steps of the sensor and friction: the truth in the interval, or silence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from real_drives import KINDS, Rig, levels
+
+from pipeline.measured.identification.drive import DRIVE, applied_command
+from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.likelihood import Device
+from pipeline.measured.identification.recordings import LogUnits
+from pipeline.measured.identification.replay import follows, medians, replays
+
+INTEGRATED = 1e-3
+"""Relative error of the small steps of a rig."""
+
+FAST = ("plateau", "ground spring", "gain by direction", "two carts")
+
+
+def checked(kind: str, seed: int) -> tuple[int, int]:
+    """Number of reported parameters of a rig, and of all; each misses its interval by half of it at most."""
+    rig, logs = KINDS[kind](seed)
+    found = identified(logs)
+    reported = 0
+    for name, value in rig.truth.items():
+        if name in ("positive", "negative"):
+            interval = found.drive.get(name)
+        else:
+            interval = None if name in found.unidentifiable else found.parameters.get(name)
+        if interval is None:
+            continue
+        reported += 1
+        reach = 0.5 * (interval.high - interval.low) + INTEGRATED * abs(value)
+        assert interval.low - reach <= value <= interval.high + reach, (kind, seed, name, value, interval)
+    assert "mode.frequency_hz" in rig.truth or "mode.frequency_hz" in found.unidentifiable | (
+        {"mode.frequency_hz"} - found.parameters.keys()
+    ), (kind, seed, "false mode")
+    assert set(found.reasons) == found.unidentifiable
+    return reported, len(rig.truth)
+
+
+@pytest.mark.parametrize("kind", FAST)
+def test_a_real_drive_is_identified_or_silent(kind):
+    reported, known = checked(kind, 1)
+    assert reported == known
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("kind", KINDS)
+def test_more_real_drives_are_identified_or_silent(kind, seed):
+    reported, known = checked(kind, seed)
+    assert reported >= 0.6 * known
+
+
+def test_a_drive_with_two_gains_gives_two_masses_and_an_interval_over_both():
+    rng = np.random.default_rng(9)
+    rig = Rig(1e-3, 2e-4, 1e-3, friction=2e-3, gains=(1.3, 0.8), quantum=1e-3)
+    logs = [rig.log(str(i), levels(rng, 900, 60, 0.05), i) for i in range(2)]
+    found = identified(logs)
+    assert found.drive["positive"].value == pytest.approx(2e-4 / 1.3, rel=0.01)
+    assert found.drive["negative"].value == pytest.approx(2e-4 / 0.8, rel=0.01)
+    mass = found.parameters["mass"]
+    assert mass.low <= 2e-4 / 1.3 < 2e-4 / 0.8 <= mass.high
+    even = [replace(rig, gains=(1.0, 1.0)).log(str(i), each.command, i) for i, each in enumerate(logs)]
+    assert identified(even).drive == {}
+
+
+def test_derivatives_of_the_applied_command_are_those_of_differences():
+    command, numbers = np.linspace(-2, 2, 41), {"limit": 1.03, "asymmetry": -0.3}
+    _, *slopes = applied_command(command, numbers)
+    for name, slope in zip(DRIVE, slopes, strict=True):
+        ends = (applied_command(command, numbers | {name: numbers[name] + by})[0] for by in (1e-6, -1e-6))
+        high, low = ends
+        np.testing.assert_allclose((high - low) / 2e-6, slope, atol=1e-6)
+
+
+@pytest.mark.parametrize(("wrong", "does"), [(1.0, True), (8.0, False)])
+def test_a_device_of_the_right_speed_and_the_wrong_inertia_does_not_follow(wrong, does):
+    """In position both fit to 99 %: the mean speed is right."""
+    rng = np.random.default_rng(3)
+    rig = Rig(0.002, 0.003, 0.1, quantum=1e-3)
+    logs = [rig.log(str(i), 3 + levels(rng, 1200, 50, 3.0), i) for i in range(2)]
+    units = LogUnits.of(logs)
+    gain = units.command * units.period**2 / units.position / 0.003
+    delta = 0.1 / 0.003 * units.period
+    device = Device({"gain": gain / wrong, "delta": delta / wrong, "delay": 0.0})
+    assert follows(*medians(replays(logs, units, 3, device))) is does
+
+
+def test_friction_along_the_way_is_named_by_its_place():
+    rng = np.random.default_rng(5)
+    rig = Rig(0.009, 0.4, 0.9, friction=0.18, spring=160.0, cogging=(10.0, 300.0), quantum=5e-6)
+    found = identified([rig.log(str(i), levels(rng, 1200, 60, 2.0), i) for i in range(2)])
+    assert not any(found.parts.values())
+    assert found.unidentifiable == set(found.parameters)
+    assert "place" in found.reasons["mass"]
