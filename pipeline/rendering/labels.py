@@ -251,8 +251,8 @@ def interval_texts(value: float | None, low: float | None, high: float | None) -
     half = 0.0 if low is None or high is None else 0.5 * (high - low)
     digits = DIGITS
     if 0 < half < largest:
-        told = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
-        digits = min(max(told, DIGITS), MOST_DIGITS)
+        needed = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
+        digits = min(max(needed, DIGITS), MOST_DIGITS)
     texts = ["" if x is None else significant(x, digits) for x in given]
     if low is None and high is not None:
         texts[2] = significant(_towards(high, digits, math.ceil), digits)

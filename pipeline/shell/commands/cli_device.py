@@ -145,6 +145,14 @@ def identify(
         raise SystemExit(EXIT_QUARANTINED)
 
 
+def _with_interval(number: dict[str, Any]) -> str:
+    """Return a number with its interval, in digits that tell both ends apart, and its unit."""
+    from pipeline.rendering.labels import interval_texts
+
+    value, low, high = interval_texts(number["value"], number["low"], number["high"])
+    return f"{value} ({low} to {high}) {number['unit']}"
+
+
 def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     """Yield the result of an identification: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
@@ -161,18 +169,15 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     if parts[False]:
         yield f"not excluded by these logs: {parts[False]}"
     if (drive := document["drive"]) is not None:
-        ways = (
-            f"{each['value']:.5g} ({each['low']:.5g} to {each['high']:.5g}) {each['unit']} for {way} commands"
-            for way, each in drive.items()
-            if way != "asymmetry"
-        )
-        yield f"The gain of the drive differs by direction. Mass per unit of command: {', '.join(ways)}."
+        ways = (f"{_with_interval(each)} for {way} commands" for way, each in drive.items() if way != "asymmetry")
+        inertia = "Mass" if document["motion"] == "translation" else "Inertia"
+        yield f"The gain of the drive differs by direction. {inertia} per unit of command: {', '.join(ways)}."
         yield "  Intervals above span both. Record the force, or calibrate the drive in each direction."
     if document["assumed_none"]:
         yield f"assumed zero, since the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:
-        known = f"{each['value']:.5g} ({each['low']:.5g} to {each['high']:.5g}) {each['unit']}"
-        yield f"cannot be separated: {_words(each['members'])}. Known is {COMBINATIONS[each['combination']]}: {known}."
+        known = f"{COMBINATIONS[each['combination']]}: {_with_interval(each)}"
+        yield f"cannot be separated: {_words(each['members'])}. Known is {known}."
         yield f"  To separate them, record {each['record']}."
     if not document["scatter_in_interval"]:
         yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
