@@ -45,3 +45,39 @@ def test_a_log_that_once_failed_is_shown_or_refused(call, log: Path) -> None:
     assert status in (0, 1)
     assert (out or err).strip()
     assert status == 0 or err.startswith("Error: ")
+
+
+CARTS = {"mass": 0.87, "mode_mass": 0.29, "mode_frequency": 3.028}
+"""Two carts on a spring: 0.58 and 0.29 V s^2/m; the frequency is sqrt(70 (1/0.58 + 1/0.29))/(2 pi)."""
+
+REAL: dict[str, tuple[dict[str, float], str]] = {
+    "real_fast_motor": ({}, "Rows are farther apart"),
+    "real_gain_direction": ({"positive": 1.2e-4 / 0.7, "negative": 1.2e-4 / 0.4}, ""),
+    "real_load_damping": (CARTS, ""),
+    "real_plateau": ({"damping": 0.257, "mass": 0.00327}, ""),
+    "real_ramp_saturated": ({"force_limit": 65.5, "mass": 0.0033}, ""),
+    "real_slow_mode": (CARTS, ""),
+    "real_slow_mode_no_friction": (CARTS, ""),
+    "real_cogging": ({}, "The errors differ by place"),
+}
+"""True numbers of the drives behind the folders, and the reason where nothing is identified."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("folder", REAL)
+def test_a_drive_is_identified_or_the_true_reason_is_given(folder: str) -> None:
+    from pipeline.surface.identify import identify
+
+    truth, reason = REAL[folder]
+    document = identify([FAULTS / folder]).document
+    rows = {row["name"].replace("inertia", "mass"): row for row in document["parameters"]}
+    known = rows | (document["drive"] or {})
+    for name, value in truth.items():
+        found, low, high = (known[name][key] for key in ("value", "low", "high"))
+        # folders state two or three digits
+        assert low - 0.005 * value <= value <= high + 0.005 * value, (name, found, low, high)
+        assert abs(found / value - 1) < 0.02
+    reasons = " ".join(row["reason"] or "" for row in rows.values())
+    assert reason in reasons
+    if folder in ("real_cogging", "real_ramp_saturated", "real_gain_direction", "real_fast_motor"):
+        assert document["boundary"] is None, "no limit of walls without an adequate device"
