@@ -133,8 +133,7 @@ export function explore(root, entries) {
   const keep = "#explore=";
   let entry = entries[0], loop = flattened(entry.loop), ghost = /** @type {any} */ (null), result = /** @type {any} */ (null);
   let wall = /** @type {Wall | null} */ (null), criterion = "", best = /** @type {Wall | null} */ (null), swept = "delay_samples";
-  /** @type {Wall[]} */ let pins = [];
-  /** @type {{x: number[], y: number[]} | null} */ let view = null;
+  /** @type {Wall[]} */ let pins = []; /** @type {{x: number[], y: number[]} | null} */ let view = null;
   let asked = false, touched = false, later = /** @type {any} */ (0), said = /** @type {any} */ (0);
   const small = root.clientWidth < 560, width = small ? 390 : 620, height = small ? 340 : 430, left = 62, bottom = 42, clip = `explorer-clip-${explore.panels++}`;
   const unit = (row) => loop.motion === "rotation" ? row[3] : row[2];
@@ -346,9 +345,8 @@ export function explore(root, entries) {
     if (!wall) wall = entry.wall ?? { stiffness: Number((0.3 * result.border.stiffness_max).toPrecision(2)),
       damping: Number((0.6 * result.border.damping_at_stiffness_max).toPrecision(2)) };
     rows.forEach((row) => row.show()), choices.forEach((choice) => choice.show());
-    draw(), showWalls(), showSummary();
+    draw(), showWalls(), showSummary(), store();
     clearTimeout(later), later = setTimeout(slow, 60);
-    store();
   }
   const renew = () => { if (!asked) asked = true, requestAnimationFrame(compute); };
   const set = (name, value) => {
@@ -359,8 +357,7 @@ export function explore(root, entries) {
   };
 
   function showSummary() {
-    const { border, calm } = result;
-    const against = (now, then) => ghost.same || !then ? ""
+    const { border, calm } = result, against = (now, then) => ghost.same || !then ? ""
       : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
     const out = leftOut(loop).map((name) => name === "jitter" ? `the jitter of the delay (taken as its mean, ${text(loop.delay_samples)} samples)`
       : name === "velocity" ? "the adaptive velocity filter (taken as none)" : name);
@@ -460,18 +457,14 @@ export function explore(root, entries) {
     const most = Math.max(...found.map(([, a, b]) => Math.max(Math.abs(a), Math.abs(b))), 1e-9);
     const best = found.map(([name, less, more]) => ({ name, way: less > more ? "less" : "more", gain: Math.max(less, more), loss: Math.min(less, more) }))
       .sort((a, b) => b.gain - b.loss - a.gain + a.loss);
+    const limits = (entry.friction ?? []).filter((p) => p[2]), share = Math.max(...limits.map((p) => p[2])) / Math.max(...limits.map((p) => p[1])) - 1;
+    /** @param {string} label @param {number} width @param {string} text @param {string | null} [kind] */
+    const bar = (label, width, text, kind = null) => make("div", { class: "bar" }, make("span", {}, label),
+      make("span", { class: "track" }, make("span", { class: kind, style: `width:${width}%` })), make("span", {}, text));
     bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"),
-      ...best.map(({ name, way, gain, loss }) => make("div", { class: "bar" },
-      make("span", {}, `10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`),
-        make("span", { class: "track" }, make("span", { style: `width:${Math.max(0, 100 * gain / most)}%` })), make("span", {}, `${signed(gain)} (${signed(loss)})`))),
-      ...rubbed(most).map(([share, width]) => make("div", { class: "bar" }, make("span", {}, "as measured, without its friction"),
-        make("span", { class: "track" }, make("span", { class: "loss", style: `width:${width}%` })), make("span", {}, signed(share)))));
-  }
-  /** @param {number} most @returns {[number, number][]} the change of the largest stiffness by all friction, and its width */
-  function rubbed(most) {
-    const limits = (entry.friction ?? []).filter((p) => p[2]);
-    const share = Math.max(...limits.map((p) => p[2])) / Math.max(...limits.map((p) => p[1])) - 1;
-    return limits.length ? [[share, Math.min(100, 100 * Math.abs(share) / most)]] : [];
+      ...best.map(({ name, way, gain, loss }) =>
+        bar(`10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`, Math.max(0, 100 * gain / most), `${signed(gain)} (${signed(loss)})`)),
+      ...(limits.length ? [bar("as measured, without its friction", Math.min(100, 100 * Math.abs(share) / most), signed(share), "loss")] : []));
   }
   /** @returns {(() => void)[]} slices of a search for the best wall by the chosen criterion, closer and closer */
   function optimum() {

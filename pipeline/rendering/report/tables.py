@@ -673,6 +673,7 @@ def _shapes(result: ComparisonResult) -> Table | None:
         rows.append(row)
     stiffest = "limits from the stiffest wall on"
     few = f"fewer than four {stiffest}"
+    curved = f"fewer than five {stiffest}, or theory has none at one of their dampings"
     columns = [Column("experiment")]
     for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
         columns.append(interval_column(name, label, "samples", group="delay d"))
@@ -680,7 +681,7 @@ def _shapes(result: ComparisonResult) -> Table | None:
         Column("line", "line", group=stiffest, why=few),
         interval_column("slope", "slope", f"{units.stiffness} per {units.damping}", group=stiffest, why=few),
         Column("dampings", "dampings", units.damping, stiffest, why=few),
-        Column("curvature", "curved as theory", group=stiffest, why=few),
+        Column("curvature", "curved as theory", group=stiffest, why=curved),
     ]
     table = table_of("shapes", "What the measured boundary stands for, with 95 % intervals", columns, rows, _name)
     if table is not None:

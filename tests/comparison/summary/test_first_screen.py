@@ -118,7 +118,7 @@ def test_words_say_what_the_tested_walls_leave_open(result):
     known = result.answer.model_copy(update={"estimates": (*others, largest, replay)})
     line = lines_of(result.model_copy(update={"answer": known}))[1]
     assert ", the largest tested, perhaps more beyond" in line
-    assert "limits as measured, ±12 % (median)" in line
+    assert "limits agree within their uncertainty of ±12 % (median)" in line
     assert "limits off by" not in line
 
 
