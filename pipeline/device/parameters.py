@@ -178,8 +178,10 @@ class Parameter:
 def _rows() -> tuple[Parameter, ...]:
     velocity = "of the velocity filter"
     return (
-        Parameter("mass", "m", "mass", "mass", "moving mass of the device, load of a mode included", positive=True),
-        Parameter("damping", "b", "damping", "damping", "viscous damping of the device, load of a mode included"),
+        Parameter("mass", "m", "mass", "mass", "moving mass of the device, including a mode's load", positive=True),
+        Parameter(
+            "damping", "b", "damping", "damping", "viscous damping of the device, including that of a mode's load"
+        ),
         Parameter("stiffness", "k", "stiffness", "stiffness", "spring to ground", may_seem_negative=True),
         Parameter("sampling_period_s", "T", "time", "sampling period", "time between two samples", positive=True),
         Parameter("delay_samples", "d", "ratio", "delay", "delay from command to force", unit_name="samples"),

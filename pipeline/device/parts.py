@@ -16,7 +16,7 @@ SMALLEST, LARGEST = 1e-30, 1e30
 
 def _of_a_size(value: float) -> float:
     if value and not SMALLEST <= abs(value) <= LARGEST:
-        raise ValueError(f"must be 0 or of a size from {SMALLEST:g} to {LARGEST:g}")
+        raise ValueError(f"must be 0, or between {SMALLEST:g} and {LARGEST:g} in magnitude")
     return value
 
 

@@ -46,8 +46,7 @@ def known_devices() -> dict[str, Device]:
         if not folder.is_dir():
             raise DeviceError(
                 f"{folder}: {USER_FOLDER_VARIABLE} must name a folder with device files (*.toml), "
-                "found none there. "
-                "Create the folder or unset the variable."
+                "but this is not a folder. Create the folder or unset the variable."
             )
         devices |= _read_folder(folder)
     return dict(sorted(devices.items()))

@@ -14,8 +14,8 @@ from pipeline.explorer.entries import Entry
 FOLDER = Path(__file__).parent
 
 _LEAD = (
-    "Move a slider, or drag the wall in the plane: theory is exact for the linear loop of device, delay, filter and "
-    "wall, and computed here. The address keeps what you set."
+    "Move a slider, or drag the wall in the plane. The theory is exact for the linear loop of device, delay, filter "
+    "and wall, and is computed in this page. The address of the page contains your settings."
 )
 
 

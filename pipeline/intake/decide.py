@@ -204,7 +204,7 @@ def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: 
     before = f"device {', '.join(map(repr, sorted(set(rival.devices))))} by profile {rival.profile!r}"
     if not replace:
         raise LogError(
-            f"is stored as a log of {before}; profile {profile!r} claims it now for device "
+            f"is stored as a log of {before}, but profile {profile!r} now claims it for device "
             f"{', '.join(map(repr, devices))}. Its trials stay as they are. To read it as that now, delete them or "
             "give --replace; or name the right profile.",
             code="profile-wrong",

@@ -504,9 +504,12 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     device = known.get(header.device)
     if device and header.motion and device != header.motion:
         found = f"motion is {header.motion}, but the device {header.device!r} has {device}"
-        cure = "Correct the log, or give its device another name."
+        cure = "Correct the log, or give the device of this log another name."
         if drive_of(header.motion) != drive_of(device):
-            cure = f"Give the force of its drive, --gain '2.3 N/{drive_of(header.motion)}', or its device another name."
+            cure = (
+                f"State the force per unit of command with --gain '2.3 N/{drive_of(header.motion)}', or give the "
+                "device of this log another name."
+            )
         raise refusal("condition-wrong", "", found, cure=cure)
     return header.motion or device or "translation"
 

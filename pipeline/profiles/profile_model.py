@@ -229,7 +229,7 @@ def pattern_problem(pattern: str | None) -> str | None:
         found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
         return (
             f"no regular expression: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
-            "backreference. Write out what stands there, or give the condition by [[file]]"
+            "backreference. Write out the text at that place, or state the condition in [[file]]"
         )
     return None
 
@@ -851,7 +851,7 @@ class Profile(TextLayout, StepTime):
         if problem is None and self.name_pattern is not None and not self.name_groups():
             problem = "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
         if unknown := sorted(self.name_groups() - set(CONDITIONS)):
-            problem = f"unknown groups {unknown}; known are {list(CONDITIONS)}"
+            problem = f"unknown groups {unknown}; expected names from {list(CONDITIONS)}"
         if problem:
             yield ("name_pattern",), problem
         given = self.conditions()
@@ -860,7 +860,7 @@ class Profile(TextLayout, StepTime):
             # a log of motion without wall and step needs none of their conditions
             if key not in given and not (key in FREE and given.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
-                others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
+                others = "or state it in name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
                 yield ("constants", key), f"missing. Add {line} to [constants], {others}"
 
     @property

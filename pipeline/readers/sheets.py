@@ -357,9 +357,11 @@ def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, st
             continue
         key, _, unit = rest.partition(":")
         if key not in CONDITIONS:
-            raise ProfileError(f"{file}: {text!r}: {key!r} is no condition; expected one of {', '.join(CONDITIONS)}.")
+            raise ProfileError(
+                f"{file}: {text!r}: {key!r} is not a condition; expected one of {', '.join(CONDITIONS)}."
+            )
         if unit and (find_unit(unit) is None or key not in NUMBERS_IN_NAMES):
-            raise ProfileError(f"{file}: {text!r}: {unit!r} is no unit of the {key}.")
+            raise ProfileError(f"{file}: {text!r}: {unit!r} is not a unit of the {key}.")
         return name, key, unit
     raise ProfileError(f"{file}: {text!r} names no column of the sheet. It has: {', '.join(filter(None, names))}.")
 

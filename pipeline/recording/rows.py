@@ -85,11 +85,12 @@ def repeated_rows(samples: Samples) -> Finding | None:
     if len(rows) < FEWEST:
         return None
     both = int(np.sum(samples.jumps[rows - 1] == 0))
-    what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position repeat the one before"
+    what = "rows" if both > len(rows) / 2 else "readings of the position"
     return samples.finding(
         "repeated_rows",
         "note",
-        f"{len(rows)} of {len(samples)} {what} while the device moves, first row {rows[0]}.",
+        f"{len(rows)} of {len(samples)} {what} repeat the previous one while the device moves; the first is row "
+        f"{rows[0]}.",
         "Read the sensor in every sample, or log at the rate at which it is read.",
         first_row=int(rows[0]),
         rows=len(rows),

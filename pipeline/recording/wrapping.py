@@ -84,7 +84,7 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
         code="wrapped_angle",
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
-        evidence=f"The position starts again after {name} in {counted(len(jumps), 'row')}, first in row "
+        evidence=f"The position wraps around at {name} in {counted(len(jumps), 'row')}, first in row "
         f"{jumps[0] + 1}; it was unwrapped.",
         remedy=REMEDY,
         severity="repaired",

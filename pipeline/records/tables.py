@@ -166,7 +166,9 @@ COLUMNS: dict[str, Column] = {
     "unit_position": Column(_F, "m", "rad", "unit of position of these numbers", True),
     "unit_command": Column(_F, "N", "Nm", "unit of the command of these numbers", True),
     "origin": Column(_F, "m", "rad", "where a spring is relaxed; none where that is the begin of each log", True),
-    "lead_rows": _same(_I, "", "rows before a segment whose commands a delay may need", True),
+    "lead_rows": _same(
+        _I, "", "number of rows before a segment whose commands may still act in it because of the delay", True
+    ),
     "part_names": _same(_LS, "", "parts that some of the trials show or do not exclude", True),
     "part_gains": _same(_L, "1", "gain of cross-validated log-likelihood by each; 0 where undecided", True),
     "assumed": _same(_LS, "", "parameters that are taken as none", True),

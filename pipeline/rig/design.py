@@ -332,7 +332,9 @@ def _changes(
         else:
             ends = ((quantity.read(loop) or 0.0) + quantity.scale(loop) * (f - 1) for f in quantity.factors)
             low, high = (f"{end:.3g}" for end in ends)
-            out_of_reach[quantity.name] = f"not reached from {low} to {high} {quantity.unit(loop)}".rstrip()
+            out_of_reach[quantity.name] = (
+                f"not reached anywhere between {low} and {high} {quantity.unit(loop)}".rstrip()
+            )
     most = sorted(helps, key=lambda quantity: -abs(helps[quantity]))[:_PAIRED]
     for pair in combinations(most, 2):
         way = np.array([helps[quantity] for quantity in pair])

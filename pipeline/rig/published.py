@@ -94,7 +94,7 @@ CONDITIONS = (
         "Minsky et al. 1990",
         "Minsky, Ouh-young, Steele, Brooks, Behensky: Feeling and seeing, Computer Graphics 24 (2)",
         "stability",
-        "sampling as a delay, slow motion; a hand's stiffness counts as that of the wall",
+        "sampling as a delay, slow motion; a hand's stiffness is counted as part of the wall's",
         _minsky,
     ),
     Condition(

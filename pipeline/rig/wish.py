@@ -78,7 +78,7 @@ class DesignTarget:
 
     def __post_init__(self) -> None:
         if self.stiffness is None and self.settling_s is None:
-            raise ParameterError("nothing is wished for: give a stiffness, a settling time, or both.")
+            raise ParameterError("no requirement given: state a stiffness, a settling time, or both.")
         for name, low in (("stiffness", 0.0), ("settling_s", 0.0)):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > low):

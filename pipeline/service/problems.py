@@ -34,7 +34,9 @@ TITLES = {
 }
 
 
-_FULL = "The server has no room left; nothing of this request was stored. Free some and send it again."
+_FULL = (
+    "The server is out of disk space; nothing from this request was stored. Free some space and send the request again."
+)
 
 
 class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)

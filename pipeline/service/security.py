@@ -148,7 +148,8 @@ class Guard:
         if origin is not None and urlsplit(origin).netloc != host:
             raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
         if any(name.lower() in ("token", "access_token", "api_key") for name in request.query_params):
-            raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
+            detail = "A token in a URL ends up in server logs. Send it as `Authorization: Bearer`."
+            raise Problem(400, detail, where="query")
         role, who, secret = self._known(headers.get("authorization"), request.cookies.get(SESSION, ""))
         # an unknown sender is identified by address only: its token may be different each time
         self._limit(hashed(secret) if secret else (request.scope.get("client") or ("",))[0])

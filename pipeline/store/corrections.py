@@ -82,7 +82,7 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
     """
     place = _place_of(to)
     if len(place) > 2 or not all(place):
-        raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
+        raise UsageError(f"{to}: is not a place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
     with writing(processed, wait_s, say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
@@ -196,10 +196,10 @@ def _meant(
                 for row in found[:SHOWN]
             )
             more = ", ..." * (len(found) > SHOWN)
-            raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {', '.join(shown)}{more}. Give one id.")
+            raise UsageError(f"{wanted}: matches {len(found)} {state} trials: {', '.join(shown)}{more}. Give one id.")
         if found:
             return found
     raise UsageError(
-        f"{wanted}: is no {state} trial of {processed}, by id, beginning of an id, or path of its log, nor a device or "
-        f"DEVICE/EXPERIMENT. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
+        f"{wanted}: not found. Among the {state} trials of {processed}, no id (or its beginning), log path, device or "
+        f"DEVICE/EXPERIMENT matches it. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
     )

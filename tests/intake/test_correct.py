@@ -116,19 +116,19 @@ def test_a_log_with_other_content_is_another_trial(store):
 def test_unknown_and_ambiguous_words(store):
     trial = ids(store)["2.csv"]
     wrong = trial[:-1] + ("0" if trial[-1] != "0" else "1")
-    with pytest.raises(UsageError, match=r"no stored trial.*4 trials are stored"):
+    with pytest.raises(UsageError, match=r"not found\. Among the stored trials.*4 trials are stored"):
         exclude(store, wrong, WHY)
-    with pytest.raises(UsageError, match=r"22\.csv: is no stored trial"):
+    with pytest.raises(UsageError, match=r"22\.csv: not found\. Among the stored trials"):
         exclude(store, str(store.parent / "logs" / "22.csv"), WHY)
-    with pytest.raises(UsageError, match="is no excluded trial"):
+    with pytest.raises(UsageError, match=r"not found\. Among the excluded trials"):
         use_again(store, trial)
-    with pytest.raises(UsageError, match="no stored trial"):
+    with pytest.raises(UsageError, match=r"not found\. Among the stored trials"):
         exclude(store, "", WHY)
     with pytest.raises(UsageError, match="--reason"):
         exclude(store, trial, " \n ")
     several = next(one for one in "0123456789abcdef" if sum(t.startswith(one) for t in ids(store).values()) != 1)
     if any(t.startswith(several) for t in ids(store).values()):
-        with pytest.raises(UsageError, match=r"fits \d stored trials.*Give one id"):
+        with pytest.raises(UsageError, match=r"matches \d stored trials.*Give one id"):
             exclude(store, several, WHY)
     assert read_exclusions(store) == {}
 
@@ -139,7 +139,7 @@ def test_a_log_of_several_trials_is_no_name_of_one(tmp_path):
     rows = [f"{name},{k * 0.001},{float(k > 3)},{k * k * 1e-6}" for name in ("a", "b") for k in range(30)]
     (tmp_path / "both.csv").write_text("\n".join(["trial,t,u,x", *rows]) + "\n")
     assert ingest([tmp_path / "both.csv"], tmp_path / "processed", profile=profile).ingested == 1
-    with pytest.raises(UsageError, match=r"fits 2 stored trials: .*\(both.csv, a\).*\(both.csv, b\)"):
+    with pytest.raises(UsageError, match=r"matches 2 stored trials: .*\(both.csv, a\).*\(both.csv, b\)"):
         exclude(tmp_path / "processed", str(tmp_path / "both.csv"), WHY)
     trials = read_trials(tmp_path / "processed")
     labels = dict(zip(*(trials.column(name).to_pylist() for name in ("label", "trial_id")), strict=True))

@@ -79,7 +79,7 @@ def test_trials_of_a_rival_are_replaced_only_on_request(other: dict[str, object]
             SEEN, "a", BENCH, None, Twin("/logs/K2.csv", stored(SEEN, profile_sha256="other")._replace(**other), True)
         ),
     ):
-        with pytest.raises(LogError, match="claims it now for device 'bench'") as error:
+        with pytest.raises(LogError, match="now claims it for device 'bench'") as error:
             decide(evidence, replace=False)
         assert words in error.value.reason
         assert error.value.code == "profile-wrong"

@@ -106,8 +106,8 @@ def test_a_mapping_names_column_condition_and_unit(lab):
         ("note", "Datei", "", "names 'Datei' twice"),
         ("", "", 'name = "File"', "no column 'File'. It has: Nr, Datei"),
         ("", "", 'columns = ["K:stiffness:N/mm"]', "names no column of the sheet"),
-        ("", "", 'columns = ["Nr:weight"]', "'weight' is no condition; expected one of device"),
-        ("", "", 'columns = ["Nr:stiffness:kg"]', "'kg' is no unit of the stiffness"),
+        ("", "", 'columns = ["Nr:weight"]', "'weight' is not a condition; expected one of device"),
+        ("", "", 'columns = ["Nr:stiffness:kg"]', "'kg' is not a unit of the stiffness"),
         ("K [N/mm]", "K [kg]", "", "units.stiffness.*'kg' is not known|has no unit"),
     ],
 )

@@ -175,7 +175,7 @@ def test_sensitivities_are_those_of_limits_further_apart() -> None:
 @pytest.mark.parametrize(
     ("numbers", "said"),
     [
-        ({}, "nothing is wished for"),
+        ({}, "no requirement given"),
         ({"stiffness": -1.0}, "stiffness = -1.0"),
         ({"stiffness": 1.0, "overshoot": math.nan}, "overshoot"),
         ({"stiffness": 1.0, "margin": 0.5}, "margin"),

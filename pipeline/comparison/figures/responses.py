@@ -352,9 +352,9 @@ def _beside(
         shown = np.where(np.logical_or.accumulate(beyond), np.nan, position)
         error = (measured - shown)[edge:]
         known = error[np.isfinite(error)]
-        much = size_text(100 * float(np.sqrt(np.mean(known**2))) / size) if len(known) else "any amount"
+        much = size_text(100 * float(np.sqrt(np.mean(known**2))) / size) if len(known) else "beyond all limits"
         drawn.append((label, kind, shown))
-        off.append(f"{label} ({source}) by {much}")
+        off.append(f"{label} ({source}): {much}")
 
     for label, kind, theory in loops:
         try:
@@ -366,8 +366,8 @@ def _beside(
     if fitted is None:
         why = result.loop.reason if result.loop is not None else "no model was fitted to the logs"
         missing.append(f"No loop is fitted to all logs: {why}")
-    told = [f"Off the log, root mean square over its largest displacement: {'; '.join(off)}"] if off else []
-    return drawn, [*told, *missing]
+    summary = "Difference from the log (root mean square, as a share of the log's largest displacement): "
+    return drawn, [*([summary + "; ".join(off)] if off else []), *missing]
 
 
 def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:

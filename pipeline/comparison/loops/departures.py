@@ -60,17 +60,17 @@ SENTENCES = {
 
 UNTIMED = {
     "decimated_rows": (
-        "the controller runs faster than rows are logged, and what it commands between them is not seen: mass, damping "
-        "and delay depend on it; what would help: each sample of the control loop logged"
+        "the controller runs faster than rows are logged, and its commands between them are unknown: mass, damping "
+        "and delay depend on them; to resolve this, log each sample of the control loop"
     ),
     "command_shifted": (
-        "the command is logged in another row than its position, and the delay is off by as many samples; what would "
-        "help: command and position of the same sample in a row"
+        "the command is logged in another row than its position, and the delay is off by as many samples; to resolve "
+        "this, log command and position of the same sample in one row"
     ),
     "sampling_period": (
-        "time stamps and header state different sampling periods, and the logs do not show which one is right: mass, "
-        "damping and delay depend on it; what would help: the header's sampling_period_s or the unit of the stamps, "
-        "corrected in the profile"
+        "the time stamps and the header state different sampling periods, and the logs do not show which is right: "
+        "mass, damping and delay depend on it; to resolve this, correct sampling_period_s in the header, or the unit "
+        "of the time stamps in the profile"
     ),
 }
 """Departures that, if most logs show them, leave the time from command to motion unknown, each with the consequence."""

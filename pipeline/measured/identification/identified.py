@@ -331,8 +331,8 @@ def _check_periods(recordings: list[Recording]) -> None:
         if (some := [each.name for each in recordings if abs(each.period - period) <= 1e-9 * period + 1e-12])
     ]
     raise ParameterError(
-        f"the logs have {len(names)} sampling periods: {listed(names[:4])}. A delay counts in samples, so that logs of "
-        "one period are identified together. Give those of one."
+        f"the logs have {len(names)} sampling periods: {listed(names[:4])}. Delays are identified in samples, so "
+        "only logs with the same sampling period can be identified together. Pass the logs of one period only."
     )
 
 

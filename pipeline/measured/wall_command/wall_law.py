@@ -213,6 +213,6 @@ def _repeated(log: LogRows, rows: Integers) -> tuple[Departure, ...]:
     if not len(rows):
         return ()
     whole = int((log.command[rows] == log.command[rows - 1]).sum()) > len(rows) / 2
-    what = "rows repeat the one before" if whole else "readings of the position are repeated"
+    what = "rows repeat the previous one" if whole else "readings of the position are repeated"
     text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
     return (Departure("repeated_rows", text, len(rows)),)

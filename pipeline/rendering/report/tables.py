@@ -44,9 +44,9 @@ UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
 RANGE_ENDED = "The tested range ended before an unstable trial."
 MISSED = "Outside the interval."
 PARTS = (
-    "Parts; their factors (1 + x/100) multiply to the whole. Range: theory's optimum lies outside the tested range. "
-    "Grid: it lies between the tested walls. Model (95 %): measured against theory on the tested walls, without the "
-    "scatter of single trials. Selection: the best of many trials is lucky."
+    "Parts of the deviation: the product of their factors (1 + x/100) gives the whole. Range: theory's optimum lies "
+    "outside the tested range. Grid: it lies between the tested walls. Model (95 %): measured against theory on the "
+    "tested walls, without the scatter of single trials. Selection: the best of many trials is lucky."
 )
 PRINTED = "a row of theory, or no printed measurement"
 DRIFT = "Drifts with the wall: one model does not explain all trials."
@@ -565,7 +565,8 @@ def _boundary(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | Non
     caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by "
     caption += "the growth rates of the trials around it"
     if any(row["stiffness_large_motion"] is not None for row in rows):
-        caption += "; with friction both are for this step, and a harder push is unstable from the linear limit on"
+        caption += "; with friction, both are valid only for this step: under a harder push, walls become unstable at "
+        caption += "the linear limit"
     columns = (
         Column("damping", "damping", units.damping, show=_damping),
         Column("stable", show=_stiffness, why="no stable trial", notes=below, link=lambda row: place(row, "stable")),

@@ -180,7 +180,7 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
         yield f"cannot be separated: {_words(each['members'])}. Known is {known}."
         yield f"  To separate them, record {each['record']}."
     if not document["scatter_in_interval"]:
-        yield "intervals are from within the logs; scatter from run to run needs 8 logs or more"
+        yield "the intervals do not include the scatter between runs, which takes at least 8 logs to estimate"
     if fit is not None:
         naive = document["replay"]["naive_percent"]
         without = f"without the command {naive:.1f} %"
@@ -363,7 +363,7 @@ def plan(
     for word in limit or ():
         key, _, value = word.partition("=")
         if key not in LIMIT_QUANTITIES:
-            raise UsageError(f"--limit {word}: expected one of {', '.join(LIMIT_QUANTITIES)}, = and a number.")
+            raise UsageError(f"--limit {word}: expected NAME=NUMBER, with NAME one of {', '.join(LIMIT_QUANTITIES)}.")
         bounds[key] = _above("--limit", value, LIMIT_QUANTITIES[key], 1e-300)
     wish = plan_options(goal, count, walls, gentle, bounds)
     if not watch:
