@@ -1,8 +1,8 @@
-"""Virtual walls under delay: step-response logs in, stability, costs and their comparison with theory out.
+"""Virtual walls under delay: from step-response logs to their stability, their costs and a comparison with theory.
 
-What `__all__` names is the public Python surface (``docs/python.md``): functions and records of SI data frames. Each is
-imported when it is first asked for, so that ``import pipeline`` costs nothing. Everything else is private; the modules
-are listed in ``docs/architecture.md``.
+The names in `__all__` are the public Python interface (``docs/python.md``): functions, and record classes whose tables
+are data frames in SI units. Each is imported at its first use, so that ``import pipeline`` takes no time. Everything
+else is private; the modules are listed in ``docs/architecture.md``.
 """
 
 from importlib import import_module
@@ -54,7 +54,7 @@ _PUBLIC = {
 """Public names by the module that defines them."""
 
 _CLASSES = {"Identified": "IdentifiedDevice"}
-"""Names of public classes in their modules, where these differ."""
+"""Name of a public class in its module, if it differs from the public name."""
 
 __all__ = [
     "Comparison",
@@ -88,7 +88,7 @@ def __getattr__(name: str) -> Any:
     for module, names in _PUBLIC.items():
         if name in names:
             value = getattr(import_module(f"{__name__}.{module}"), _CLASSES.get(name, name))
-            globals()[name] = value  # the next one does not come here
+            globals()[name] = value  # later accesses find the name in the module and skip this function
             return value
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

@@ -1,8 +1,8 @@
 """Atomic files, named by the hash of their content: they appear whole or not at all, even after a power failure.
 
-A new file is written under a temporary name, synced, renamed, and its folder synced. It is invisible before the rename
-and durable after it. A file with the hash of its content in its name needs no other checksum, and two writers of the
-same content write the same file.
+A new file is written under a temporary name, synced and renamed; then its folder is synced. The file is invisible
+before the rename and durable after it. A file with the hash of its content in its name needs no other checksum, and two
+writers of the same content write the same file.
 
 One command at a time writes in `processed/`. It locks the file ``processed/.lock``; the kernel releases the lock when
 the process ends, however it ends. The file itself remains. Readers need no lock, because stored files are always

@@ -35,7 +35,7 @@ class Number:
 
     @property
     def types(self) -> list[Any]:
-        """Types of C by which it is passed."""
+        """C types by which it is passed."""
         return [self.passed]
 
     def append(self, value: Any, values: list[Any]) -> None:
@@ -52,7 +52,7 @@ class Array:
 
     @property
     def types(self) -> list[Any]:
-        """Types of C: two objects of numba that own it, size, bytes of a number, address, shape, strides."""
+        """C types: two objects of numba that own it, size, bytes of a number, address, shape, strides."""
         return [ctypes.c_int64] * (5 + 2 * self.axes)
 
     def append(self, value: np.ndarray, values: list[Any]) -> None:
@@ -81,7 +81,7 @@ class Several:
 
     @property
     def types(self) -> list[Any]:
-        """Types of C of all parts."""
+        """C types of all parts."""
         return [each for part in self.parts for each in part.types]
 
     def append(self, value: tuple[Any, ...], values: list[Any]) -> None:

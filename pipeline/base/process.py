@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
-"""Termination signals that the system supports: Ctrl-C, a service manager, a closed terminal."""
+"""Termination signals that the system supports; they come from Ctrl-C, a service manager or a closed terminal."""
 
 _alone = False
 """Whether this process runs only this package."""

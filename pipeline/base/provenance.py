@@ -61,7 +61,7 @@ CODE = {
 
 @cache
 def code_digest(result: str) -> str:
-    """Return a hash of all files in the folders that produce a kind of result, a key of `CODE`.
+    """Return a hash of all files in the folders whose code produces ``result``, a key of `CODE`.
 
     A stored result is reused only while its code, including imports, is unchanged.
     """

@@ -102,7 +102,7 @@ def first_clause(text: str) -> str:
 
 
 def percent(share: float, places: int = 0) -> str:
-    """Return a share as percent: ``5.6 %``, with a true minus sign."""
+    """Return a share as a percentage: ``5.6 %``, with a true minus sign."""
     return true_minus(f"{100 * share:.{places}f} %")
 
 

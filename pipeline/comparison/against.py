@@ -117,7 +117,7 @@ def compare_pair(
 def _area_difference(
     sides: tuple[Sequence[BoundaryPoint], Sequence[BoundaryPoint]], scales: tuple[Scale, Scale], unit: str | None
 ) -> Callable[[ValueDifference], ValueDifference]:
-    """Return a function that replaces a difference of areas by that over the dampings that both boundaries cover."""
+    """Return a function that recomputes a difference of areas over only the dampings that both boundaries cover."""
     scaled = [[_scaled(point, scale) for point in points] for points, scale in zip(sides, scales, strict=True)]
     first, last = ([end(point.damping for point in points) for points in scaled if points] for end in (min, max))
     low, high = (max(first), min(last)) if len(first) == 2 else (0.0, 0.0)

@@ -85,7 +85,7 @@ def unit_of(dimension: Dimension, motion: Motion) -> str:
 
 
 def unit_in(unit: str, motion: Motion) -> str:
-    """Return the unit of a number whose SI unit for a translation is given, for a kind of motion.
+    """Return the unit that replaces ``unit``, the SI unit for translation, for a kind of motion.
 
     >>> unit_in("N/m", "rotation"), unit_in("N/m", "translation in V"), unit_in("s", "rotation in V")
     ('Nm/rad', 'V/m', 's')

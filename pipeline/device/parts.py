@@ -243,7 +243,7 @@ class SimulationParts(Part):
     later_steps: tuple[LaterStep, ...] = ()
 
     def over(self, lower: SimulationParts) -> SimulationParts:
-        """Return these parts, completed by those of another."""
+        """Return these parts, with missing ones taken from ``lower``."""
         return SimulationParts(**{**named(lower), **named(self)})
 
     def mistakes(self, duration_s: float, force_limit: float | None) -> list[str]:

@@ -75,8 +75,8 @@ def device_file(name: str) -> Path | None:
 def declared_spring(device: Device | None, experiment: str) -> float:
     """Return the device's spring stiffness k [N/m, Nm/rad] at the wall, per unit of command, from its file; 0 if none.
 
-    It shifts the final position to x_0 + F_0/(K + k), and includes that of an operator. A device or an experiment
-    without a file has none.
+    The spring shifts the final position to x_0 + F_0/(K + k); it includes the operator's stiffness. A device or an
+    experiment without a file has none.
     """
     entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
     return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
@@ -130,13 +130,14 @@ def read_device(path: Path) -> Device:
     ----------
     path : Path
         TOML file with the fields of `pipeline.records.models.Device`; experiments as ``[[experiment]]``, published
-        tables as ``[[table]]``. Numbers are not read from strings or booleans. ``sampling_period_s`` and, of each
-        experiment, ``mass`` and ``delay_samples`` are needed; a device of one experiment may state them at the top.
+        tables as ``[[table]]``. Numbers are not read from strings or booleans. ``sampling_period_s`` is
+        required, and ``mass`` and ``delay_samples`` for each experiment; a device with only one experiment may state
+        them at the top level.
 
     Raises
     ------
     DeviceError
-        If the file cannot be read, is no TOML, or any field is missing, unknown or out of range: all wrong
+        If the file cannot be read, is not TOML, or any field is missing, unknown or out of range: all wrong
         fields are named, with what was found and why it is refused.
     """
     try:

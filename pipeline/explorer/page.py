@@ -20,7 +20,7 @@ _LEAD = (
 
 
 def module() -> str:
-    """Return the module with the computation, which has no access to a page: JavaScript with ``export``."""
+    """Return the JavaScript module (with ``export``) that does the computation; it does not access the page."""
     return (FOLDER / "loop.mjs").read_text(encoding="utf-8")
 
 

@@ -249,7 +249,8 @@ class _Run:
         self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
-        """Number of sources skipped because of their size and time, without reading them."""
+        """Number of sources skipped without being read, because their size, modification time and profile are
+        unchanged."""
         self.missing = set[str]()
         """Paths of stored sources that were not found, or not searched for."""
         self.places = dict[str, str]()
@@ -393,7 +394,10 @@ class _Run:
         return self.places.get(trial_id(sha256, None, source.named_conditions))
 
     def _settle(self, read: Read) -> Refused | None:
-        """Decide on a source that was read; return the refusal to quarantine, if any."""
+        """Decide what to do with a source that was read.
+
+        If it is refused, return the record to be quarantined; None if quarantine already has this record.
+        """
         source = read.source
         try:
             if isinstance(read.result, LogError):

@@ -85,7 +85,7 @@ class StoredSources:
         missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
         self.paths, self.partly = trials.keys(), missing.keys()
         self.doubled = min(missing.values(), default=0) < 0
-        """Whether a log is stored with two contents."""
+        """Whether any log is stored twice, with different content."""
         states = zip(path, size, mtime_ns, by, strict=True)
         self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
         """Size [byte] and time [ns] of each source that is one completely stored file of an unambiguous profile."""
@@ -192,7 +192,9 @@ class Accepted:
 def accepted_logs(
     source: Source, sha256: str, logs: Sequence[Log], known: Mapping[str, Motion], claims: str
 ) -> list[Accepted]:
-    """Return the trials of a source; a trial whose command follows other gains is marked and has a warning.
+    """Return the trials of a source.
+
+    A trial whose command follows gains other than the stated ones is marked and gets a warning.
 
     Parameters
     ----------

@@ -219,7 +219,8 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """Delay of a slow command by the actuator [T]: the time constant of a first-order lag."""
+        """Delay that the actuator adds to a slow command, in sampling periods; for a first-order lag, its time
+        constant."""
         return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:

@@ -436,9 +436,10 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
     Parameters
     ----------
     trials : Trials
-        Trials with K > 0, otherwise without a wall: all, or `TRIALS` spread over the walls.
+        Trials with K > 0 or, if there are none, trials without a wall; all of them, or `TRIALS` of them spread over
+        the walls.
     count : int
-        Number of all.
+        Number of such trials that are stored.
     known : LearntDevice or None
     look : callable
         Called if the parts of the device are unknown, or were selected from at most a third of the logs.

@@ -1,7 +1,7 @@
 """Goal `optimum`: walls to try until the best cost by a criterion is found.
 
-The device of all logs predicts the cost of each wall; the deviation of measured costs is modelled as a random function
-of (K, B). Only a measured cost makes a wall the best.
+The device identified from all logs predicts the cost of each wall; the deviation of measured costs is modelled as a
+random function of (K, B). Only a measured cost makes a wall the best.
 """
 
 from __future__ import annotations
@@ -254,7 +254,7 @@ def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
 
 
 def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target: CostTarget) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of the logarithm of costs at places, given the observations."""
+    """Return the mean and standard deviation of the logarithm of the cost at given walls, given the observations."""
     if not len(value):
         return ahead, np.full(len(place), target.least_size)
     # a small common offset is plausible; a larger deviation means a wrong device, not a wrong scale

@@ -160,7 +160,7 @@ def plan(
     processed : Path
         Folder of the stored tables; may not exist yet.
     experiment : str, optional
-        By default the only stored one, otherwise the first of the device file.
+        By default the stored experiment if there is exactly one, or the first of the device file if none is stored.
     options : PlanOptions, optional
     remembered : bool
         Whether to store the walls, so that the next plan can compare them with those that the rig set.

@@ -194,7 +194,8 @@ def number_in_name(text: str, decimal: str = ".") -> float:
     ----------
     text : str
     decimal : {".", ","}
-        Decimal sign of the profile, which decides if three digits follow.
+        Decimal sign of the profile. A number in which three digits follow the other sign is refused: that sign may
+        separate thousands.
 
     Raises
     ------
@@ -972,7 +973,7 @@ class Profile(TextLayout, StepTime):
         return factor_to_si(unit, (allowed,))
 
     def condition_factor(self, key: str) -> float:
-        """Return the factor to SI of a condition, or to the unit of the drive."""
+        """Return the factor that converts a condition to SI, or to the unit of the drive."""
         unit = getattr(self.units, key, None)
         return 1.0 if unit is None else self.unit_factor(key, unit)
 

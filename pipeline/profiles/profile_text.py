@@ -58,7 +58,7 @@ def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
 
 
 def _is_table(value: object, above: tuple[str, ...]) -> bool:
-    """Return whether a value is written as a table: columns are, their entries are inline tables."""
+    """Return whether a value is written as a table. ``columns`` is; its entries are written as inline tables."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) and len(above) < 1 + (above[:1] == ("columns",))

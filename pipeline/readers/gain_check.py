@@ -37,7 +37,8 @@ UNIT_TOLERANCE = 0.2
 """Relative tolerance of the factor between two units in a log whose velocity is filtered."""
 
 SURE = 6.0
-"""Smallest deviation of a gain in standard errors: sensor noise is not white."""
+"""Smallest deviation of a gain, in standard errors, that counts as a deviation. It is large because sensor noise is not
+white."""
 
 TOLERANCE = 0.1
 """Smallest relative deviation of a gain that is reported, and largest one between two factors that count as equal."""

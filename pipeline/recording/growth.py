@@ -150,7 +150,7 @@ def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterat
 
 
 def _compared(windows: list[_Window], growth: float, decays: Sequence[float], turning: bool) -> Growth | None:
-    """Compare growth with a given time constant with the best of several decays, for all windows."""
+    """Compare growth with a given time constant and the best of several decays, over all windows."""
     curves_of_each = 2 if turning else 1
     total, freedom = 0.0, 0
     product = np.zeros((1 + len(decays), curves_of_each))

@@ -25,7 +25,8 @@ OWN_STEPS = 1.25
 """Residual of an interpolated command relative to that with a zero-order hold, above which it was sent as steps."""
 
 SAME_DELAY = 2.5
-"""The same for ramps between steps on the grid, which share one delay just as ramps do."""
+"""The same ratio for a command with ramps that are one grid interval long. It is larger because interpolated steps on
+the grid share one delay, just as real ramps do."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
@@ -44,7 +45,8 @@ LIKELIER = (-15.0, 20.0)
 second value on it was steps."""
 
 BETTER = 2.0
-"""Residual sum of squares of ramps with one delay, relative to that of steps, above which the command was steps."""
+"""Ratio of the residual sum of squares of ramps with one delay to that of steps, above which the command counts as sent
+in steps."""
 
 OTHER_DELAYS = 8.0
 """The same ratio above which ramps are in doubt although their shapes fit better: their delays are those of grid

@@ -16,7 +16,7 @@ NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
 
 THIRD_GAIN = 20.0
-"""The same of the third difference: 1 + 9 + 9 + 1."""
+"""The same for the third difference: 1 + 9 + 9 + 1."""
 
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
@@ -32,8 +32,8 @@ SMALLEST_STEP = 1e-9
 errors."""
 
 LAW_RESIDUAL = 0.02
-"""Largest residual of the stated wall law, relative to the changes of the command; it includes rounding and the
-sensor."""
+"""Largest residual, relative to the changes of the command, at which the command still counts as obeying the stated
+wall law; it allows for rounding and sensor errors."""
 
 MOST_DECIMALS = 12
 """Largest number of decimals for which the last printed digit of a position can be detected."""

@@ -252,7 +252,7 @@ class WallReplay(Record):
     measured limit lies in its interval, with a median half-width of ``limits_known_percent``; 95 % of the predicted
     ones are at most ``limits_error_percent`` outside of these. A value is None if there is nothing to compare.
     ``trials`` is the number of compared verdicts; for a device with jitter, only those on which several runs agree.
-    ``residuals`` are those of the single walls.
+    ``residuals`` are those of the individual walls.
     """
 
     fit_percent: float | None
@@ -500,7 +500,8 @@ class Prediction(Record):
     ``percent`` is the median distance of ``limits`` limits, null if it is not a headline (`scores.agreement`);
     ``percent_with_friction`` that from the device with its friction, null if they lie on both sides of it. Of
     ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than that. ``safe`` is true
-    if all walls that are stable in theory are stable. ``reason`` states why it is unknown.
+    if all walls that are stable in theory are stable. ``reason`` states why the agreement is unknown, if ``code`` is
+    "unknown".
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted if at most one limit in
     twenty lies outside, and partly if the regions overlap well nevertheless; costs if their median deviation is at most

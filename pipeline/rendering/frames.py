@@ -46,7 +46,7 @@ _WALL = ("stiffness", "damping", "stable", "unstable", "low", "high")
 
 
 def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
-    """Return the tables of a comparison by name, including empty ones, in the order of files."""
+    """Return the tables of a comparison by name, including empty ones, in the order in which files are written."""
     e, motion = result.experiments, result.motion
     periods = {one.experiment: one.sampling_period_s for one in e}
     stiffness = units_of(_WALL, {motion})
@@ -237,7 +237,7 @@ def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row
 
 
 def differing_lines(results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
-    """Return the header lines of at least two experiments whose values differ; dates first."""
+    """Return the keys of header lines with different values in at least two experiments; dates come first."""
     values: dict[str, list[str]] = {}
     for e in results:
         for line in e.header:

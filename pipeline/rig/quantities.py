@@ -18,8 +18,9 @@ _SMALL = 1e-2
 class Quantity:
     """One quantity: its name, its name in words, its smallest and largest factor of change, its name in `PARAMETERS`.
 
-    A change by x in ln turns p into p + s (e^x - 1), with s = p unless p is zero. ``zero`` is s for p = 0, in m/T; 0 if
-    a zero value cannot be changed. ``change`` returns a rig with another value; by default only that parameter changes.
+    A logarithmic change of x turns p into p + s (e^x - 1), with s = p unless p is zero. ``zero`` is s for p = 0, in
+    m/T; 0 if a zero value cannot be changed. ``change`` returns a rig with another value; by default only that
+    parameter changes.
     """
 
     name: str

@@ -101,7 +101,7 @@ class RigWall:
 
 
 def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWall:
-    """Return the wall with the largest margin to a wish; with ``enough``, any wall that fulfils it.
+    """Return the wall that meets the requirements with the largest margin; with ``enough``, any that meets them.
 
     The margin of a wall is the smallest of three numbers: -ln of the spectral radius (at ``margin`` times the
     stiffness), ln of the allowed over the actual settling time, and allowed minus actual overshoot. A wall counts as

@@ -15,7 +15,7 @@ RATE = 3000
 
 
 MOST_CONNECTIONS = 512
-"""Largest number of connections of one address, which may be a proxy for all users."""
+"""Largest number of connections from one address, which may be a proxy for all users."""
 
 
 def half_of_files() -> int:
@@ -95,7 +95,10 @@ class Settings:
 
     @property
     def data(self) -> Path:
-        """Folder next to `processed` with uploaded logs and the database: an ingest leaves `processed` itself out."""
+        """Folder with uploaded logs and the database.
+
+        It is next to `processed`, not inside it, because an ingest does not search `processed`.
+        """
         whole = self.processed.absolute()
         return whole.with_name(f"{whole.name}-service")
 

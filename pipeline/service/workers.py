@@ -41,7 +41,7 @@ class Workers:
         self._ended = threading.Event()
 
     def start(self, renew: Callable[[], None]) -> None:
-        """Start all workers; ``renew`` requests renewed reports."""
+        """Start all workers; ``renew`` requests that reports be renewed."""
         for kinds in WORKS:
             threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
         threading.Thread(target=self._renew, args=(renew,), daemon=True).start()

@@ -34,7 +34,7 @@ COMMANDS = {
     )
     for name in names
 }
-"""Module of each command, in the order of the help; its function has the last word of the command as name."""
+"""Module of each command, in the order of the help; its function is named after the last word of the command."""
 
 PLAIN = ("demo", "serve")
 """Commands without a result, and so without --json."""

@@ -57,7 +57,7 @@ class Watched:
     scenes : tuple of Path
         Scene files, one report each; by default one report per device.
     settle_s : float
-        A log is read after it was unchanged for this time [s].
+        A log is read once it has been unchanged for this time [s].
 
     Raises
     ------

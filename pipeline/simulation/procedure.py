@@ -52,7 +52,7 @@ class _Ladder:
 
 @dataclass
 class Climb:
-    """Runner of parallel ladders up to the first unstable trial of each, which keeps those trials.
+    """Run of parallel ladders, each up to its first unstable trial; the trials up to and including it are kept.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """Common settings of the trials of one experiment: loop, step, length, travel limits, and undocumented faults.
 
-And the random quantities of each trial: noise, delays, repeated sensor samples, missing rows.
+In addition, the random quantities of each trial: noise, delays, repeated sensor samples, missing rows.
 """
 
 from __future__ import annotations

@@ -110,7 +110,10 @@ def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None
 
 
 def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Take trials out of the bin and return their number; removed ones reappear when their logs are ingested."""
+    """Take trials out of the bin and return their number.
+
+    Trials that `empty_bin` has removed reappear when their logs are ingested again.
+    """
     with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
 
@@ -143,7 +146,10 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
 
 
 def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
-    """Change the corrections of trials, given by rows with their present place; return their number."""
+    """Change the corrections of trials, and return the number of trials.
+
+    Each trial is given as a row with its current device and experiment.
+    """
     known = read_corrections(processed)
     ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
     write_corrections(processed, [one.model_copy(update=change) for one in ones])
@@ -151,7 +157,7 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
-    """Add corrections to those of other trials, in one step. Call with the lock of the store."""
+    """Add corrections to those of other trials, in one step. The caller must have the store's lock."""
     known, former = read_corrections(processed), corrections_files(processed)
     now = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())])
     known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}

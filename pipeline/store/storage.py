@@ -49,7 +49,7 @@ ATTEMPTS = 50
 files, so one nearly always suffices."""
 
 _PAUSE_S = 0.02
-"""Wait before a new attempt [s], for a writer that removes many files."""
+"""Pause before another attempt [s], to let a writer finish removing many files."""
 
 
 def trials_folder(processed: Path, *names: str) -> Path:

@@ -204,7 +204,7 @@ def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] 
     Raises
     ------
     LogError
-        If all are rejected: error of the first one that a profile reads, else of the first.
+        If all sources are rejected: the error of the first source that a profile claims, or else of the first source.
     """
     read: list[tuple[str, Log]] = []
     copies: list[tuple[str, Log]] = []
@@ -418,7 +418,10 @@ def _replay_document(found: Identification) -> dict[str, Any]:
 
 
 def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
-    """Return half the difference of the gains by their mean, and the mass by direction; None for one gain."""
+    """Return half the difference of the two gains divided by their mean, and the mass for each direction.
+
+    None if both directions have the same gain.
+    """
     units = {"asymmetry": ""} | dict.fromkeys(("positive", "negative"), _unit("mass", motion))
     return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
 

@@ -146,7 +146,7 @@ class Loop(device_loop.Loop):
 
     @cached_property
     def normalised_loop(self) -> NormalisedLoop:
-        """The loop of theory, in normalised parameters."""
+        """The loop in the normalised parameters used by theory."""
         return NormalisedLoop.of(self)
 
     def plot_boundary(self, ax: Axes) -> Axes:
@@ -404,7 +404,8 @@ class Loop(device_loop.Loop):
     def robust(self) -> pd.DataFrame:
         """Return the boundary of the walls that are stable with every spring in parallel to the device.
 
-        The stiffness of the device is one of these springs. Passive walls are also robust.
+        The device's own stiffness counts as one of these springs, so the result does not depend on it. Passive walls
+        are also robust.
 
         Returns
         -------

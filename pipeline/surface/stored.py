@@ -196,8 +196,8 @@ def boundary(processed: PathLike, device: str, experiment: str | None = None) ->
         stiffness below the smallest unstable one, and the smallest unstable one (NaN if missing), ``censored``,
         ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
         ``undecided`` (number of those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: if
-        friction was found, the other limits are valid for the applied step, and a harder push is unstable from this
-        stiffness. One row per damping.
+        friction was found, the other limits are valid only for the applied step; under a harder push, walls are
+        unstable from this stiffness on. One row per damping.
 
     Raises
     ------

@@ -188,7 +188,10 @@ def _nodes(loop: NormalisedLoop) -> Floats:
 
 
 def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
-    """Return both sides of each damping, between sorted levels, at which the bounding branches change."""
+    """Return one damping just below and one just above each damping at which the bounding branches change.
+
+    Changes are located between adjacent ``levels``, which are sorted.
+    """
     known = _bounds(loop, levels)
     low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
     corners = [np.zeros(0)]

@@ -39,7 +39,8 @@ from pipeline.theory.search import (
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
-"""Distance of a damping ratio from 1 that counts as rounding: a triple pole is split by 1e-5, which costs 2e-10."""
+"""Largest distance of a damping ratio from 1 that counts as rounding: splitting a triple pole by 1e-5 lowers the ratio
+by 2e-10."""
 
 _CLEAR = 1e-8
 """Distance from the edge of the stable set, as a share of alpha + gamma, below which an optimum counts as lying on it;

@@ -107,8 +107,8 @@ _TIME_CONSTANTS = 4.0
 """Number of time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
 
 REAL = 1e-7
-"""Largest angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8; ratios are not
-affected."""
+"""Largest angle at which a pole counts as real: rounding splits a double pole by sqrt(1e-16) = 1e-8. Damping ratios do
+not depend on it."""
 
 _STEPS = 80
 """Largest number of Newton steps; at a double pole each step only halves the distance, to 1e-20 in the end."""

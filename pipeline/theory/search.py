@@ -33,9 +33,21 @@ class OptimalPoint:
 
 @dataclass(frozen=True)
 class Grids:
-    """Number of lines of the first scan and of points on each, refinements of the best two minima along each line,
-    refinements of the lines around the best, points per axis of each following grid, and number of best points that are
-    refined."""
+    """Sizes of the grids of a search.
+
+    Parameters
+    ----------
+    coarse : int
+        Number of lines of the first scan, and of points on each.
+    looks : int
+        Number of refinements of the best two minima on each line.
+    closer : int
+        Number of refinements of the lines around the best point.
+    fine : int
+        Number of points per axis of each later grid.
+    starts : int
+        Number of best points that are refined.
+    """
 
     coarse: int
     looks: int

@@ -1,4 +1,6 @@
-"""The trials of a comparison for the interactive part of its report: all as points, the most relevant with response.
+"""The trials of a comparison for the interactive part of its report.
+
+Every trial is a point, and the most relevant ones have their response.
 
 A page with every response of 11,000 trials would have 8 MB. Therefore every trial has stiffness, damping, verdict,
 outcome and costs, but responses are limited to a total number of samples: first the optima, then in turn the trials at

@@ -49,7 +49,7 @@ class StoredData:
     experiments: tuple[ExperimentStages, ...]
     simulated: bool
     overlay: bool
-    """Whether theory by the estimates is drawn, too; it needs delay, mass and damping."""
+    """Whether theory computed from the estimates is drawn, too; it needs delay, mass and damping."""
     truth: Mapping[str, Truth] = field(default_factory=dict)
     """Ground truth of simulated experiments, if known."""
     excluded: tuple[Exclusion, ...] = ()
@@ -134,7 +134,7 @@ def open_scene(
         shown=asked,
     )
     needed = required(_wanted(chosen))
-    # an unknown device has only the theory by the estimates
+    # for an unknown device, theory can only be computed from the estimates
     estimates = asked.has_overlay("estimates") or (known is None and asked.has_overlay("theory"))
     return StoredData(
         scene=scene,
@@ -162,7 +162,7 @@ def needed_stages(data: StoredData) -> set[str]:
     return needed
 
 
-_LEFT_OUT = {  # except results that a report shows only on request
+_LEFT_OUT = {  # stages whose results a report shows only on request are missing: their omission is not reported
     "outcome": "neither the table of outcomes nor the trials are shown",
     "parts": "neither the measured boundary nor a cost that is asked for needs a device",
     "device": "neither the measured boundary nor a cost that is asked for needs delay or mass",

@@ -59,7 +59,7 @@ def recommended(result: MeasuredExperiment) -> tuple[str, Optimum] | None:
 def region_to_use(
     result: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float] | None = None
 ) -> tuple[UseRegion | None, str]:
-    """Return the walls to use, and why there are none or why no cost selected them.
+    """Return the walls to use (None if there are none), and why there are none or why they were not chosen by a cost.
 
     Parameters
     ----------

@@ -85,7 +85,8 @@ class Errors:
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
         reach = float(student_95(self.freedom)) * error
         if ends_at_zero and value - reach < 0:
-            # the likelihood falls from the likeliest admissible value by as much as from an interior optimum
+            # the likelihood falls from the likeliest admissible value to the end of the interval by as much as it
+            # falls from an interior optimum to the end of its interval
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
             return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
         return Interval(value, value - reach, value + reach, error)

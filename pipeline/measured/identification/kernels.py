@@ -699,7 +699,7 @@ def whitened(
 
 
 BLOCK = 32
-"""Number of rows that are added to a triangular factor together."""
+"""Number of rows added to a triangular factor at a time."""
 
 
 @compiled("void(f8[:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1])")

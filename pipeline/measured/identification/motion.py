@@ -261,7 +261,10 @@ class Transitions:
 
     @classmethod
     def of(cls, segments: Segments, shape: PlantShape, jitter: float = 0.0, along: Sequence[str] = ()) -> Transitions:
-        """Return the transitions of a shape in the rows of segments, with derivatives along some of its parameters."""
+        """Return the state transitions of a plant shape over the rows of the segments.
+
+        They have derivatives with respect to some of its parameters.
+        """
         matrices, sensors = matrices_of(shape, tuple(along))
         ages = Ages.of(shape.delay, jitter)
         pieces = Pieces.of(segments, ages.age)

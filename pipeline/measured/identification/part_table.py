@@ -1,4 +1,4 @@
-"""Parts of a device in addition to mass, damper and delay: their numbers, and starting values of their search."""
+"""Parts of a device in addition to mass, damper and delay: parameters, and starting values for the search."""
 
 from __future__ import annotations
 

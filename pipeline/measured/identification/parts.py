@@ -143,7 +143,7 @@ class ChosenParts:
         Variance of a reading, in ``units``.
     units : LogUnits
     lead : int
-        Number of rows before a segment whose commands a delay may need.
+        Number of rows before a segment whose commands may still act in it because of the delay.
     parts : dict of str to float
         Gain of cross-validated log-likelihood by part; 0 where undecided.
     assumed : tuple of str

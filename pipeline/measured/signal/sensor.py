@@ -39,8 +39,8 @@ FEWEST_ON_GRID = 12
 continuous signal all do is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
-"""Changes of fewer digits than the first value are due to printing; the second is the error of a second difference in
-digits: each of its four readings is off by up to half a digit."""
+"""First value: changes smaller than this many printed digits are due to printing. Second value: error, in digits, of
+the difference of two changes, which has four readings, each off by up to half a digit."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
 """Negative logarithm of the probability that changes lie on a grid by accident, as for `FEWEST_ON_GRID`; and the

@@ -178,7 +178,10 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
 
 
 def _top(layout: Profile, contents: FileColumns, lines: list[str]) -> int:
-    """Return the index of the line of names, or of the first row without one; skip lines above or read labels."""
+    """Return the index of the header line, or of the first data row if there is no header.
+
+    Lines above it are skipped, or read as labels.
+    """
     at = layout.header_at
     for number, line in enumerate(lines):
         skipped = number < layout.skip_rows

@@ -265,7 +265,7 @@ def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Write a figure of one panel as SVG, PDF or PNG, by the file extension.
+    """Write a figure of one panel as SVG, PDF or PNG, depending on the file extension.
 
     Raises
     ------
@@ -488,7 +488,10 @@ def _tenths(number: re.Match[str]) -> str:
 
 
 def _without_plain_groups(body: str) -> str:
-    """Return elements without groups that lack attributes or content."""
+    """Return SVG text without empty groups, and without the tags of groups that have no attributes.
+
+    The content of these groups is kept.
+    """
     open_groups: list[bool] = []
 
     def kept(tag: re.Match[str]) -> str:

@@ -146,7 +146,7 @@ def identify(
 
 
 def _with_interval(number: dict[str, Any]) -> str:
-    """Return a number with its interval, in digits that tell both ends apart, and its unit."""
+    """Return a number with its interval, in digits that distinguish both ends, and its unit."""
     from pipeline.rendering.labels import interval_texts
 
     value, low, high = interval_texts(number["value"], number["low"], number["high"])

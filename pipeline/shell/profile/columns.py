@@ -282,7 +282,10 @@ class _Maker:
         return rising[0]
 
     def _unit(self, name: str, column: str) -> str:
-        """Return the unit of a column if the option states none: that in the file, or the one that its steps prove."""
+        """Return the unit of a column for which the option states none.
+
+        It is the unit in the file, or the one that follows from the steps of the column.
+        """
         stated = self.sample.unit(column, name)[1]
         if stated and find_unit(stated) is not None:
             self.evidence.append(f"{name} is in {stated}, as {self.sample.name} states")

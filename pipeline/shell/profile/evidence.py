@@ -416,7 +416,7 @@ _PERIODS = (
     "sampling_time",
     "wf_increment",
 )
-"""Names of the sampling period among values outside a table."""
+"""Names under which files store the sampling period outside the table."""
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:

@@ -46,7 +46,10 @@ def median(error: Floats) -> tuple[float | None, float]:
 
 
 def mean(error: Floats) -> tuple[float | None, float]:
-    """Return the mean instead, as `median` does: for integers, the median error is 0 if more than half are exact."""
+    """Return the mean of absolute errors and the share of missing values, in the form of `median`.
+
+    For integers, whose median error is 0 as soon as more than half of them are exact.
+    """
     known = np.abs(error[np.isfinite(error)])
     return (float(known.mean()) if len(known) else None), 1 - len(known) / max(len(error), 1)
 

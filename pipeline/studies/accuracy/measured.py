@@ -1,8 +1,8 @@
 """Estimates and costs from logs: each method as a row of a table, compared with the simulated truth.
 
 The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors are medians over
-trials for estimates and means for costs. They are relative, except for delays [samples] and overshoot (relative to the
-final displacement).
+trials for estimates and means for costs. They are relative to the true value, except those of delays, in samples, and
+those of overshoot, as a fraction of the final displacement.
 """
 
 from __future__ import annotations

@@ -23,7 +23,8 @@ from pipeline.studies.accuracy.measured import RECOMMENDED, measured_tables
 from pipeline.studies.accuracy.theory import theory_tables
 
 BUDGETS = {"theory": (0.12, 0.03), "measured": (0.02, 0.02)}
-"""Time [s] for which a run is repeated, and that of a quick run: calls with thousands of trials need no warm-up."""
+"""Time [s] for which each method is repeated, in a full and in a quick study. The measured branch gets less, because
+calls with thousands of trials need no warm-up."""
 
 Say = Callable[[str], None]
 

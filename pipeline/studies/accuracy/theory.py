@@ -68,12 +68,12 @@ def reference() -> dict[str, Any]:
 
 
 def case_of(entry: dict[str, Any]) -> Case:
-    """Return the loop of reference values in the format of the common methods."""
+    """Return the loop of a reference entry in the form that the common methods take."""
     return Case(entry["gamma"], entry["delta"], entry["delay"])
 
 
 def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
-    """Return the loop of reference values in the format of this package."""
+    """Return the loop of a reference entry as this package represents it."""
     numbers = {"lag": entry.get("lag", 0.0), "load_mass": entry.get("far_mass", 0.0)}
     if numbers["load_mass"]:
         numbers |= {"spring": entry["spring"], "spring_damping": entry["damper"]}
