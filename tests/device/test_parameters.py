@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import re
@@ -10,7 +9,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import pytest
-from places import ROOT
+from places import ROOT, docs_script
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.loop import PARTS, Loop
@@ -291,11 +290,6 @@ def test_a_delay_that_is_not_the_mean_of_its_jitter_is_refused() -> None:
 
 
 def test_the_page_of_symbols_is_made_from_the_table() -> None:
-    spec = importlib.util.spec_from_file_location("make_nomenclature", ROOT / "docs" / "make_nomenclature.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     page = (ROOT / "docs" / "nomenclature.md").read_text(encoding="utf-8")
-    assert page == module.page(), "docs/nomenclature.md is out of date: run `make docs`"
+    assert page == docs_script("make_nomenclature").page(), "docs/nomenclature.md is out of date: run `make docs`"
     assert all(f"| `{name}` |" in page for name in PARAMETERS)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 
 import pytest
-from places import ROOT
+from places import ROOT, docs_script
 
 
 @pytest.fixture(scope="module")
 def docs():
     """docs/made_from.py, which knows the sources of each image."""
-    spec = importlib.util.spec_from_file_location("made_from", ROOT / "docs" / "made_from.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_script("made_from")
 
 
 def test_every_image_has_sources_that_exist(docs) -> None:
@@ -29,15 +22,10 @@ def test_every_image_has_sources_that_exist(docs) -> None:
 
 
 @pytest.mark.parametrize("script", sorted((ROOT / "docs").glob("make_*.py")), ids=lambda script: script.stem)
-def test_every_maker_finds_what_it_imports(script, monkeypatch) -> None:
-    monkeypatch.syspath_prepend(str(script.parent))
+def test_every_maker_finds_what_it_imports(script) -> None:
     if script.stem == "make_screens":
         pytest.importorskip("playwright.sync_api")
-    spec = importlib.util.spec_from_file_location(script.stem, script)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, script.stem, module)  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    assert callable(module.main)
+    assert callable(docs_script(script.stem).main)
 
 
 def test_no_image_is_stale(docs) -> None:

@@ -1,6 +1,5 @@
 """The JSON Schemas in `schemas/` are those of the records; what we ship and write obeys them."""
 
-import importlib.util
 import json
 import tomllib
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
-from places import ROOT
+from places import ROOT, docs_script
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Record
 from pipeline.records.models import SCHEMA_MODELS, ComparisonRow, Device, Experiment, Scene, SceneFile
@@ -35,12 +34,7 @@ EXAMPLES: dict[str, Record] = {
 
 
 def made() -> dict[str, str]:
-    spec = importlib.util.spec_from_file_location("make_schemas", ROOT / "docs" / "make_schemas.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    result: dict[str, str] = module.schemas()
+    result: dict[str, str] = docs_script("make_schemas").schemas()
     return result
 
 

@@ -1,6 +1,5 @@
 """The ten-minute path of docs/tutorial.md: its commands end as they say, and print what the page shows."""
 
-import importlib.util
 import re
 import shlex
 import subprocess
@@ -9,7 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from places import ROOT
+from places import ROOT, docs_script
 
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 SECTION = PAGE.split("## Ten minutes with your own files")[1].split("\n## ")[0]
@@ -51,12 +50,7 @@ def test_the_ten_minute_path_prints_what_the_page_shows(tmp_path):
 @pytest.fixture(scope="module")
 def made():
     """docs/make_tutorial.py, which runs the session and draws its pictures."""
-    spec = importlib.util.spec_from_file_location("make_tutorial", ROOT / "docs" / "make_tutorial.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return docs_script("make_tutorial")
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """`pipeline start`: from a folder to a report, by what the data prove, and by questions in a terminal."""
 
-import importlib.util
 import json
 import re
 import sys
@@ -8,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 from packed_sheets import xlsx
-from places import ROOT
+from places import docs_script
 from wall_logs import wall_log
 
 from pipeline.profiles.profile_files import read_profile
@@ -173,10 +172,7 @@ def test_native_logs_need_no_profile(call, tmp_path):
 
 def in_terminal(folder, answers, *words):
     """Run start in a pseudo-terminal, as the docs do; returns exit status, what was shown, and answers left over."""
-    spec = importlib.util.spec_from_file_location("make_tutorial", ROOT / "docs" / "make_tutorial.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    return script.in_terminal(folder, ["start", *words], answers)
+    return docs_script("make_tutorial").in_terminal(folder, ["start", *words], answers)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")

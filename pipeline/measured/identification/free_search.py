@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -129,7 +130,7 @@ def _load_parts(fit: Fit) -> dict[str, float]:
     for name, number in LOAD_PARTS.items():
         if number not in fit.device.numbers:
             continue
-        interval = Errors.of(fit).interval(lambda n, number=number: n[number])  # type: ignore[misc]
+        interval = Errors.of(fit).interval(itemgetter(number))
         gain = 0.5 * (interval.value / interval.error) ** 2 if interval.value > 0 and interval.error > 0 else 0.0
         gains[name] = gain if gain > WORTH else 0.0
     return gains
