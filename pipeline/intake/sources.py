@@ -288,7 +288,7 @@ def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
         if not os.path.exists(path):
-            raise UsageError(f"{path}: no such file or folder that may be looked at. Give folders with logs, or logs.")
+            raise UsageError(f"{path}: no such file or folder, or it cannot be read. Give folders with logs, or logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
     return excluded

@@ -11,6 +11,7 @@ from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
 from pipeline.measured.identification.departures import departure
 from pipeline.measured.identification.estimated import ESTIMATED, Quantity, estimated_names
+from pipeline.measured.identification.free_search import SENSED
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
     PER_MASS,
@@ -179,10 +180,16 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         unknown.discard("damping")
     recorded = Recorded.of(recordings)
     replay = _replay(recordings, choice)
-    misfit = "" if any(any(each.wall) for each in recordings) else _misfit(replay, choice, known="mass" not in unknown)
+    walls = any(any(each.wall) for each in recordings)
+    misfit = "" if walls else _misfit(replay, choice, known="mass" not in unknown)
+    parts = dict.fromkeys(choice.parts, 0.0) if misfit else dict(choice.parts)
     if misfit and alone is None:
         # a model that does not predict the motion has intervals of no meaning
         unknown = set(parameters)
+    if not walls and medians(replay)[0] is None:
+        # no log judges whether a vibration predicts the motion
+        unknown |= {name for name in parameters if name.startswith("mode.")}
+        parts |= dict.fromkeys(parts.keys() & set(SENSED.values()), 0.0)
     why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
     noise = float(np.sqrt(fit.solved.noise))
     folds = [] if len(recordings) < FEWEST else _without_folds(choice)
@@ -190,7 +197,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         parameters,
         unknown,
         why,
-        dict.fromkeys(choice.parts, 0.0) if misfit else choice.parts,
+        parts,
         choice.assumed,
         [] if misfit else combinations(choice, errors, recorded, unknown),
         {} if len(recordings) < FEWEST else _scatter(choice),
