@@ -35,6 +35,9 @@ def run_isolated(
 ) -> Any:
     """Call a function in a worker process, and return its result.
 
+    The function sees the environment variables and the working folder that the caller has now, not those with which the
+    worker was started.
+
     Parameters
     ----------
     place : str
@@ -57,8 +60,11 @@ def run_isolated(
     Exception
         Whatever the function raises.
     """
-    worker = _IDLE.pop() if _IDLE else _Worker()
-    answer = worker.call((place, imports, arguments, processor_s, memory), wait_s)
+    try:
+        worker = _IDLE.pop()
+    except IndexError:
+        worker = _Worker()
+    answer = worker.call((dict(os.environ), _folder(), place, imports, arguments, processor_s, memory), wait_s)
     if answer is None:
         raise IsolationError(worker.end())
     _IDLE.append(worker)
@@ -77,7 +83,8 @@ def serve() -> None:
     os.dup2(2, 1)
     with contextlib.suppress(EOFError):
         while True:
-            place, imports, arguments, processor_s, memory = pickle.load(calls)
+            environment, folder, place, imports, arguments, processor_s, memory = pickle.load(calls)
+            _adopt(environment, folder)
             module, _, function = place.partition(":")
             work = getattr(import_module(module), function)
             with contextlib.suppress(ImportError):  # the function itself reports what is missing and how to install it
@@ -91,6 +98,24 @@ def serve() -> None:
             pickle.dump(answer, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
             del arguments, answer
+
+
+def _folder() -> str | None:
+    """Return the working folder; None if it has been removed."""
+    with contextlib.suppress(OSError):
+        return os.getcwd()
+    return None
+
+
+def _adopt(environment: dict[str, str], folder: str | None) -> None:
+    """Use the environment variables of a caller, except those of the worker itself, and its working folder."""
+    wanted = environment | {name: os.environ[name] for name in _OWN if name in os.environ}
+    if wanted != dict(os.environ):
+        os.environ.clear()
+        os.environ.update(wanted)
+    if folder is not None:
+        with contextlib.suppress(OSError):
+            os.chdir(folder)
 
 
 @contextlib.contextmanager
@@ -162,6 +187,9 @@ class _Worker:
         endless = status in (-getattr(signal, "SIGPROF", 0), -getattr(signal, "SIGKILL", 0))
         return "does not come to an end" if endless else f"crashes (status {status})"
 
+
+_OWN = ("PYTHONPATH", "OPENBLAS_NUM_THREADS")
+"""Environment variables with which a worker is started, and which it keeps."""
 
 _IDLE: list[_Worker] = []
 """Idle workers; there are as many workers as threads that call at the same time."""

@@ -39,3 +39,13 @@ def test_a_process_that_hangs_or_crashes_is_replaced(function, limits, words):
 def test_memory_is_limited():
     with pytest.raises(MemoryError):
         run_isolated("misbehaving:starve", "log", b"", wait_s=WAIT_S, memory=64 << 20)
+
+
+def test_a_call_sees_the_environment_and_the_folder_of_now(monkeypatch, tmp_path):
+    assert run_isolated("os:getenv", "LAB_OF_THE_TEST", wait_s=WAIT_S) is None
+    monkeypatch.setenv("LAB_OF_THE_TEST", "north")
+    monkeypatch.chdir(tmp_path)
+    assert run_isolated("os:getenv", "LAB_OF_THE_TEST", wait_s=WAIT_S) == "north"
+    assert run_isolated("os:getcwd", wait_s=WAIT_S) == str(tmp_path)
+    monkeypatch.delenv("LAB_OF_THE_TEST")
+    assert run_isolated("os:getenv", "LAB_OF_THE_TEST", wait_s=WAIT_S) is None
