@@ -82,6 +82,11 @@ def _force(number: str) -> Conversion:
     return lambda n, units: n[number] / n["gain"] * units.command
 
 
+def _friction(n: Numbers, units: LogUnits) -> float:
+    """Return the friction of both sides of a mode: logs show their sum better than the share of each."""
+    return (n["coulomb"] + n.get("load_coulomb", 0.0)) / n["gain"] * units.command
+
+
 def _frequency(n: Numbers, units: LogUnits) -> float:
     return n["mode_frequency"] / (2 * pi * units.period)
 
@@ -100,7 +105,7 @@ _ROWS = (
     EstimatedParameter("mode.damping_ratio", "mode_damping_ratio", _mode_damping_ratio, "mode_damping_ratio"),
     EstimatedParameter("mode.mass", "mode_frequency", _mode_mass, "mode_mass"),
     EstimatedParameter("mode.load_damping", "load_damping", _per_mass("load_damping", 1), "load_damping"),
-    EstimatedParameter("friction.coulomb", "coulomb", _force("coulomb"), "friction"),
+    EstimatedParameter("friction.coulomb", "coulomb", _friction, "friction"),
     EstimatedParameter("constant_force", "force", _force("force"), "constant_force", ends_at_zero=False),
     EstimatedParameter(
         "force_limit", "limit", lambda n, units: n["limit"] * units.command, "force_limit", ends_at_zero=False

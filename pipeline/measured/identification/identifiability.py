@@ -192,6 +192,11 @@ def reasons(
             f"Rows are farther apart ({period:.3g} s) than the time constant of the device, so that no inertia is "
             "visible. Record at a higher sampling rate."
         )
+    elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
+        forces = (
+            "The gain of the drive differs by direction, so that one value per unit of command holds in neither. "
+            "The mass of each direction is given instead."
+        )
     elif misfit:
         return dict.fromkeys(sorted(names), misfit)
     result = dict.fromkeys(sorted(names), forces)

@@ -18,6 +18,7 @@ from pipeline.measured.identification.identifiability import (
     IdentifiableCombination,
     Recorded,
     combinations,
+    is_identifiable,
     largest_command,
     reasons,
     sensor_resolution,
@@ -25,21 +26,28 @@ from pipeline.measured.identification.identifiability import (
     unidentifiable,
 )
 from pipeline.measured.identification.intervals import Errors, Interval
-from pipeline.measured.identification.likelihood import Device, portions_of
+from pipeline.measured.identification.likelihood import Device
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
-from pipeline.measured.identification.replay import Replay, follows, medians, replays
-from pipeline.measured.identification.scatter import FEWEST, FOLDS, inverse
+from pipeline.measured.identification.replay import (
+    Replay,
+    devices_without_folds,
+    follows,
+    medians,
+    replays,
+    replays_left_out,
+)
+from pipeline.measured.identification.scatter import FEWEST, inverse
 from pipeline.measured.identification.search import refined
 from pipeline.measured.identification.segments import segments_of
 from pipeline.records.trials import Floats
 
-MOST_REPLAYED = 40
-"""Largest number of logs that are replayed, spread evenly over all."""
-
 EXPLAINS = 0.5
 """Smallest weight of a trial that the device explains; see `scatter.OWN_ROWS`."""
+
+SLOW_ROWS = 10.0
+"""Time constant [rows] above which rows show the inertia of a device."""
 
 SAME_PERIOD = 0.05
 """Largest relative difference of sampling periods that count as equal."""
@@ -174,7 +182,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
     unknown = unidentifiable(parameters, choice)
-    alone = damping_without_inertia(recordings) if "mass" in unknown else None
+    alone = damping_without_inertia(recordings) if "mass" in unknown and not _is_slow(errors) else None
     if alone is not None:
         parameters["damping"] = alone
         unknown.discard("damping")
@@ -192,7 +200,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         parts |= dict.fromkeys(parts.keys() & set(SENSED.values()), 0.0)
     why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
     noise = float(np.sqrt(fit.solved.noise))
-    folds = [] if len(recordings) < FEWEST else _without_folds(choice)
+    folds = [] if len(recordings) < FEWEST else devices_without_folds(choice.segments, fit)
     return Identification(
         parameters,
         unknown,
@@ -211,6 +219,12 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         choice,
     )
+
+
+def _is_slow(errors: Errors) -> bool:
+    """Return whether the logs show that the time constant of the device exceeds a row by `SLOW_ROWS`."""
+    rate = errors.interval(lambda n: n["delta"])
+    return is_identifiable(rate) and 0 < SLOW_ROWS * rate.high < 1
 
 
 def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
@@ -346,7 +360,6 @@ def _check_periods(recordings: list[Recording]) -> None:
 def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
     """Return the fit of free runs by the device without the log's fold (few logs: fitted to their first part)."""
     lead, free = choice.segments.lead, choice.segments.free
-    places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
     if len(recordings) == 1:
         cuts = [_first_part(each) for each in recordings]
         before = [_cut(each, 0, cut) for each, cut in zip(recordings, cuts, strict=True)]
@@ -356,11 +369,7 @@ def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
             device = refined(segments, device, steps=8, far=False, noisy=False).device
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
         return replays(last, choice.units, lead, replace(device, effects=None))
-    fits: list[Replay] = []
-    for fold, device in enumerate(_without_folds(choice)):
-        if logs := [recordings[i] for i in places if i % FOLDS == fold]:
-            fits += replays(logs, choice.units, lead, device)
-    return fits
+    return replays_left_out(recordings, choice.units, lead, choice.segments, choice.fit)
 
 
 def _first_part(each: Recording) -> int:
@@ -372,13 +381,6 @@ def _first_part(each: Recording) -> int:
 def _cut(each: Recording, first: int, behind: int) -> Recording:
     inside = slice(first, behind)
     return replace(each, time=each.time[inside], command=each.command[inside], position=each.position[inside])
-
-
-def _without_folds(choice: Choice) -> list[Device]:
-    """Return the device without each fold of trials, by one Newton step from the whole fit."""
-    fit, portions = choice.fit, portions_of(choice.segments)
-    trials = np.repeat(choice.segments.trial, portions) if portions else None
-    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds(trials)]
 
 
 OWN = ("mass", "damping", "delay_samples")

@@ -26,6 +26,7 @@ from pipeline.measured.identification.likelihood import (
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Part
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.replay import medians, replays_left_out
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.identification.search import climbed, ended, refined
 from pipeline.measured.identification.segments import Segments, segments_of
@@ -82,6 +83,9 @@ FIRST_STEPS, SOME_STEPS = 4, 10
 LEFT = 0.5
 """Largest share of the random force's variance that may remain with a part: a force limit that imitated a stiffening
 hand left 0.85 of it, real parts less than 0.01."""
+
+AS_WELL = 1.05
+"""Largest error of free runs with a part, relative to that without, at which both predict equally well."""
 
 HEAVY = 0.5
 """Smallest share of the mass for which the load of a mode may be the base to which a spring is fixed."""
@@ -245,7 +249,7 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     with part_of_work("", 0.1, 0.5):
         fit, segments, parts, bounds = _first(some, units, lead, begin)
     with part_of_work("", 0.5, 1.0):
-        fit, parts = _further(segments, fit, parts)
+        fit, parts = _further((some, units, lead), segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     segments, fit, parts = _swinging((some, units, lead), segments, fit, parts)
@@ -535,7 +539,9 @@ def _loss(fit: Fit, name: str) -> float:
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
-def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
+def _further(
+    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
+) -> tuple[Fit, dict[str, float]]:
     """Return the fit with force limit, lag and mode: the likeliest first, as each may replace another."""
     some, left, rounds = _some(segments), dict(PARTS), 0
     while left and "delay" in fit.device.numbers:
@@ -565,7 +571,8 @@ def _further(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit
         other = refined(segments, replace(tried[name].device, effects=None), far=False)
         fit = plain if some is segments else refined(segments, alone, far=False)
         part, gain = left.pop(name), held_out(other) - held_out(fit)
-        if gain > WORTH * len(part.numbers) and _is_inside(other.device, part) and _takes_away(fit, other):
+        worth = gain > WORTH * len(part.numbers) and _is_inside(other.device, part)
+        if worth and _predicts(logs, segments, fit, other):
             fit, parts = other, parts | {name: gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # jitter may have replaced the residual before the search for the part ended
@@ -604,6 +611,23 @@ def _is_inside(device: Device, part: Part) -> bool:
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
+
+
+def _predicts(logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, other: Fit) -> bool:
+    """Return whether a fit with another part predicts more of the motion.
+
+    It leaves less random force (`_takes_away`) and predicts free runs of logs left out as well, or it predicts these
+    with `LEFT` of the variance of the error: a ripple of the force at each turn is random force that no part takes
+    away. Behind walls, and of one log, only the random force is judged.
+    """
+    recordings, units, lead = logs
+    taken = _takes_away(fit, other)
+    if len(recordings) == 1 or any(any(each.wall) for each in recordings):
+        return taken
+    before, behind = (medians(replays_left_out(recordings, units, lead, segments, each))[0] for each in (fit, other))
+    if before is None or behind is None:
+        return taken
+    return 100 - behind <= (AS_WELL if taken else LEFT**0.5) * (100 - before)
 
 
 def _takes_away(fit: Fit, other: Fit) -> bool:

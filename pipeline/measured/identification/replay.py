@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.measured.identification.likelihood import Device, columns_of, free_motion
+from pipeline.measured.identification.likelihood import Device, Fit, columns_of, free_motion, portions_of
 from pipeline.measured.identification.motion import matrices_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.scatter import FOLDS
 from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Floats
 
@@ -31,12 +32,16 @@ SMOOTHED = 4
 NOISES = 2.0
 """Mean square of an error of the velocity, in squares of that of the readings, that is attributed to the readings."""
 
+MOST_REPLAYED = 40
+"""Largest number of logs that are replayed, spread evenly over all."""
+
 HALVED = 0.5
 """Largest error of a device that follows, relative to that of a motion that knows nothing of the command."""
 
 
 class Replay(NamedTuple):
-    """Fit of free runs to a log, and that of a motion at constant speed or acceleration in each window [%]."""
+    """Fit of free runs to a log [%], and that of a motion at constant speed in each window, or at the log's mean
+    acceleration."""
 
     log: str
     fit_percent: float
@@ -70,7 +75,7 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
     With the error e of the velocity and the velocity v, both smoothed as in `Recording.motion`, the fit is
     100 (1 - |e|/|v - mean v|); NaN for a log without motion, or with one at constant acceleration.
     """
-    whole = segments_of(list(recordings), units, lead, False)
+    whole = segments_of(list(recordings), units, lead, False, whole=True)
     halves = np.array([each.motion.half for each in recordings])
     rows = max(window_rows(device), SMOOTHED * float(halves.max(initial=1)), 2 * SHORTEST)
     windows = whole.split(int(min(rows, whole.rows.max(initial=1))))
@@ -83,7 +88,7 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
     result = []
     for trial in np.unique(windows.trial).tolist():
         inside, half = np.flatnonzero(windows.trial == trial), int(halves[trial])
-        naive = [[_polynomial_error(times[s], readings[s], order) for s in inside] for order in (1, 2)]
+        naive = _naive_errors([times[s] for s in inside], [readings[s] for s in inside])
         of_device, *of_naive, velocity = (
             _velocity(each, half) for each in ([errors[s] for s in inside], *naive, [readings[s] for s in inside])
         )
@@ -98,6 +103,28 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
     return result
 
 
+def devices_without_folds(segments: Segments, fit: Fit) -> list[Device]:
+    """Return the device without each fold of trials, by one Newton step from the whole fit."""
+    portions = portions_of(segments)
+    trials = np.repeat(segments.trial, portions) if portions else None
+    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds(trials)]
+
+
+def replays_left_out(
+    recordings: Sequence[Recording], units: LogUnits, lead: int, segments: Segments, fit: Fit
+) -> list[Replay]:
+    """Return the free runs of logs by the device that was fitted without them, for two or more logs.
+
+    ``segments`` are those of the fit.
+    """
+    places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
+    found: list[Replay] = []
+    for fold, device in enumerate(devices_without_folds(segments, fit)):
+        if logs := [recordings[i] for i in places if i % FOLDS == fold]:
+            found += replays(logs, units, lead, device)
+    return found
+
+
 def _errors(windows: Segments, device: Device) -> Floats:
     """Return the error of the position in free runs of a device from their best initial states."""
     if device.numbers.get("coulomb") or device.numbers.get("load_coulomb"):
@@ -107,10 +134,21 @@ def _errors(windows: Segments, device: Device) -> Floats:
     return np.asarray(columns.values[np.arange(len(windows.places)) + columns.starts * windows.segment, -1])
 
 
-def _polynomial_error(time: Floats, position: Floats, order: int) -> Floats:
-    """Return the error of the best motion at constant speed (order 1) or acceleration (order 2)."""
-    since = (time - time.mean()) / max(float(np.ptp(time)), 1e-300)
-    return np.asarray(position - np.polynomial.Polynomial.fit(since, position, order)(since))
+def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Floats], list[Floats]]:
+    """Return the errors of the position in the windows of a log, of motions that do not follow the command.
+
+    These are a constant speed in each window, and in addition the mean acceleration of the log: one for all windows.
+    """
+    moved, bent = [], []
+    for time, position in zip(times, readings, strict=True):
+        since = (time - time.mean()) / max(float(np.ptp(time)), 1e-300)
+        lines = np.stack([np.ones(len(since)), since], axis=1)
+        curve = 0.5 * (time - time.mean()) ** 2
+        moved.append(position - lines @ np.linalg.lstsq(lines, position, rcond=None)[0])
+        bent.append(curve - lines @ np.linalg.lstsq(lines, curve, rcond=None)[0])
+    curves, errors = np.concatenate(bent), np.concatenate(moved)
+    acceleration = float(curves @ errors) / max(float(curves @ curves), 1e-300)
+    return moved, [error - acceleration * curve for error, curve in zip(moved, bent, strict=True)]
 
 
 def _velocity(windows: list[Floats], half: int) -> Floats:

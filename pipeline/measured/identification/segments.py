@@ -171,7 +171,13 @@ class Segments:
 
 
 def segments_of(
-    recordings: list[Recording], units: LogUnits, lead: int, moving: bool, free: tuple[float, ...] = ()
+    recordings: list[Recording],
+    units: LogUnits,
+    lead: int,
+    moving: bool,
+    free: tuple[float, ...] = (),
+    *,
+    whole: bool = False,
 ) -> Segments:
     """Return the segments of recordings.
 
@@ -186,6 +192,8 @@ def segments_of(
         segment; a reversal is only known to a fraction of a row. Otherwise all rows are used.
     free : tuple of float
         As in `Segments`; logs are then not cut, as the run goes through reversals.
+    whole : bool
+        Whether logs longer than `LONGEST` are not cut either without free runs.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / units.period) for each in recordings]
@@ -198,7 +206,7 @@ def segments_of(
         for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
-                most = behind if free else LONGEST
+                most = behind if free or whole else LONGEST
                 cuts += _moving(trial, each, seen, (start, behind), lead) if seen else _all(trial, start, behind, most)
     return replace(_joined(recordings, even, cuts, units, lead), free=free)
 
