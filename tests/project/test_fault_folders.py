@@ -51,14 +51,14 @@ CARTS = {"mass": 0.87, "mode_mass": 0.29, "mode_frequency": 3.028}
 """Two carts on a spring: 0.58 and 0.29 V s^2/m; the frequency is sqrt(70 (1/0.58 + 1/0.29))/(2 pi)."""
 
 REAL: dict[str, tuple[dict[str, float], str]] = {
-    "real_fast_motor": ({}, "Rows are farther apart"),
+    "real_fast_motor": ({}, "The sampling period"),
     "real_gain_direction": ({"positive": 1.2e-4 / 0.7, "negative": 1.2e-4 / 0.4}, ""),
     "real_load_damping": (CARTS, ""),
     "real_plateau": ({"damping": 0.257, "mass": 0.00327}, ""),
     "real_ramp_saturated": ({"force_limit": 65.5, "mass": 0.0033}, ""),
     "real_slow_mode": (CARTS, ""),
     "real_slow_mode_no_friction": (CARTS, ""),
-    "real_cogging": ({}, "The errors differ by place"),
+    "real_cogging": ({}, "The errors depend on the position"),
 }
 """True numbers of the drives behind the folders, and the reason where nothing is identified."""
 

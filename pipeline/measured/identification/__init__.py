@@ -1,1 +1,1 @@
-"""Identification of an experiment by one model, one likelihood and one interval: from logs to a device."""
+"""Identification of a device from all logs of an experiment, by one model, one likelihood and one type of interval."""

@@ -1,4 +1,4 @@
-"""Where the errors of an identified device are: by direction, size of the command, place, or time."""
+"""Find what the errors of an identified device depend on: direction, size of the command, place, or time."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ from pipeline.measured.identification.parts import Choice
 from pipeline.records.trials import Floats, Integers
 
 SHARE = 0.2
-"""Smallest share of the variance of errors by groups, less that by chance, that names a cause."""
+"""Smallest adjusted share of the variance of errors between groups for which the grouping is reported as a cause."""
 
 FEWEST_ROWS = 3
-"""Smallest number of rows of a group, on average."""
+"""Smallest mean number of rows per group."""
 
 SIZES, PLACES, TIMES = 6, 60, 12
-"""Numbers of groups of the size of the command, of the place, and of the time in each log."""
+"""Number of groups of command size, number of groups of places, and number of groups of times in each log."""
 
 CAUSES = {
-    "direction": "The errors differ by direction: the drive or the friction is not the same both ways.",
-    "size": "The errors differ by the size of the command: the force is not proportional to it.",
-    "place": "The errors differ by place: a force or the friction changes along the way.",
-    "time": "The errors differ by time: a disturbance acts, or the device changes.",
+    "direction": "The errors depend on the direction: the drive or the friction differs between both directions.",
+    "size": "The errors depend on the size of the command: the force is not proportional to the command.",
+    "place": "The errors depend on the position: a force or the friction changes along the path.",
+    "time": "The errors depend on the time: a disturbance acts, or the device changes.",
 }
-"""Sentence by grouping."""
+"""Sentence of the report for each grouping."""
 
 
 def departure(choice: Choice) -> str:
-    """Return a sentence that names where the errors of a device are, with their share; empty if they are nowhere.
+    """Return a sentence that names what the errors of a device depend on; empty if they depend on nothing known.
 
-    The share of the variance between g groups of n rows is adjusted by that of chance, 1 - (1 - R^2) (n - 1)/(n - g).
+    R^2 is the share of the variance of n errors that lies between g groups. It is adjusted for chance:
+    1 - (1 - R^2) (n - 1)/(n - g).
     """
     segments = choice.segments
     columns = columns_of(segments, choice.fit.device, (), whole=segments)
@@ -40,7 +41,7 @@ def departure(choice: Choice) -> str:
 
 
 def _groupings(choice: Choice) -> dict[str, Integers]:
-    """Return the group of each row of segments by grouping."""
+    """Return the group of each row of the segments, for each grouping."""
     segments = choice.segments
     row, trial = segments.places, segments.trial[segments.segment]
     last = np.repeat(segments.behind - 1, segments.rows)
@@ -60,7 +61,7 @@ def _groupings(choice: Choice) -> dict[str, Integers]:
 
 
 def _share(errors: Floats, groups: Integers) -> float:
-    """Return the adjusted share of the variance of errors between groups."""
+    """Return the share of the variance of the errors that lies between the groups, adjusted for chance."""
     count = np.bincount(groups)
     used, n = int((count > 0).sum()), len(errors)
     if n < FEWEST_ROWS * used or not (total := float(((errors - errors.mean()) ** 2).sum())):

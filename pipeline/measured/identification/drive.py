@@ -1,4 +1,4 @@
-"""Static behaviour of a drive: the command that acts, for a largest force and a gain that differs by direction."""
+"""Static model of a drive: a force limit, and a gain that depends on the direction."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 from pipeline.records.trials import Floats
 
 DRIVE = ("limit", "asymmetry")
-"""Numbers of a drive: largest command, and half the difference of the gains of positive and negative commands, relative
-to their mean."""
+"""Parameters of a drive: the largest command, and the asymmetry. The asymmetry is half the difference between the gains
+of positive and negative commands, divided by their mean."""
 
 
 def applied_command(command: Floats, numbers: Mapping[str, float]) -> Floats:
-    """Return the command that acts and its derivatives along `DRIVE`, shape (3, R).
+    """Return the applied command and its derivatives along the parameters of `DRIVE`, shape (3, R).
 
-    With u clipped to the limit, u + a |u| acts: the gain is g (1 + a) for positive and g (1 - a) for negative commands.
+    The command u is clipped to the limit, and u + a |u| is applied. The gain g becomes g (1 + a) for a positive and
+    g (1 - a) for a negative command.
 
     Examples
     --------

@@ -1,7 +1,8 @@
 """Conversion table between the numbers of the estimator and the parameters of a loop.
 
-The estimator works per sample and with mass 1, in `LogUnits`: ``gain`` is the acceleration per command, ``coulomb`` and
-``force`` are accelerations, ``limit`` is a command; all others determine the shape of the motion (`motion.PlantShape`).
+The estimator works per sample and with mass 1, in `LogUnits`. ``gain`` is the acceleration per unit of command.
+``coulomb`` and ``force`` are accelerations, and ``limit`` is a command. All other numbers determine the shape of the
+motion (`motion.PlantShape`).
 """
 
 from __future__ import annotations
@@ -15,31 +16,31 @@ from pipeline.measured.identification.motion import PlantShape
 from pipeline.measured.identification.recordings import LogUnits
 
 Numbers = dict[str, float]
-"""Numbers of the estimator by name."""
+"""Numbers of the estimator, with their names as keys."""
 
 Quantity = Callable[[Numbers], float]
-"""Function that returns a quantity in SI from the estimator's numbers."""
+"""Function that computes a quantity in SI from the numbers of the estimator."""
 
 Conversion = Callable[[Numbers, LogUnits], float]
-"""Function that returns a quantity in SI, per unit of command, from the numbers and the units of the logs."""
+"""Function that computes a quantity in SI, per unit of command, from the numbers and the units of the logs."""
 
 
 @dataclass(frozen=True)
 class EstimatedParameter:
-    """Parameter of a loop that the estimator determines.
+    """Parameter of a loop that is computed from the numbers of the estimator.
 
     Parameters
     ----------
     name : str
-        In `PARAMETERS`.
+        Name in `PARAMETERS`.
     number : str
-        Number of the estimator whose presence means that a device has the parameter.
+        Name of a number of the estimator. A device has the parameter if it has this number.
     conversion : callable
-        Function that returns its value.
+        Function that computes the value of the parameter.
     key : str
         Name in the document of `pipeline identify`.
     ends_at_zero : bool
-        Whether its interval is bounded by 0, using the profile likelihood there.
+        Whether the parameter is nonnegative, so that the profile likelihood determines an interval that reaches 0.
     """
 
     name: str
@@ -49,11 +50,11 @@ class EstimatedParameter:
     ends_at_zero: bool = True
 
     def quantity(self, units: LogUnits) -> Quantity:
-        """Return the parameter's value as a function of the numbers."""
+        """Return the function that computes the parameter from the numbers."""
         return lambda numbers: self.conversion(numbers, units)
 
     def unit_size(self, mass: float, units: LogUnits) -> float:
-        """Return the size [SI] that determines the numerical error if the value is 0; 0 if it is never 0."""
+        """Return the size [SI] to which the numerical error of a value 0 is relative; 0 for a positive parameter."""
         parameter = PARAMETERS[self.name]
         if parameter.positive:
             return 0.0
@@ -73,7 +74,7 @@ def _mode_damping_ratio(n: Numbers, _: LogUnits) -> float:
 
 
 def _per_mass(number: str, power: int) -> Conversion:
-    """Return the conversion of a number per sample and mass into a damping or stiffness."""
+    """Return the conversion of a number per sample and unit mass into a damping or a stiffness."""
     return lambda n, units: n[number] / units.period**power * _mass(n, units)
 
 
@@ -113,9 +114,9 @@ _ROWS = (
 )
 
 ESTIMATED: dict[str, EstimatedParameter] = {row.name: row for row in _ROWS}
-"""Parameters of a loop that the estimator determines, by names of `PARAMETERS`, in its order."""
+"""Parameters of a loop that the estimator determines. The keys are names of `PARAMETERS`, in the same order."""
 
 
 def estimated_names(numbers: Numbers) -> list[str]:
-    """Return the parameters of a device with the given numbers."""
+    """Return the names of the parameters of a device with the given numbers."""
     return [name for name, row in ESTIMATED.items() if row.number in numbers]

@@ -1,4 +1,4 @@
-"""Initial device of a search: twice integrated force balances, solved by least squares over segments."""
+"""Compute initial devices for the search, by least squares on force balances that are integrated twice."""
 
 from __future__ import annotations
 
@@ -16,45 +16,47 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 ROBUST_ROUNDS = 4
-"""Number of iterations of reweighted least squares for a starting value."""
+"""Number of iterations of the reweighted least squares."""
 
 ALIKE = 0.7
-"""Share of the largest decrease of the log residual over all delays, above which a shorter delay is also plausible."""
+"""Threshold for a shorter delay to be plausible, as a share of the largest decrease of the log residual over all
+delays."""
 
 MIRRORED = 2.0
-"""Decrease of the log residual above which a device moves against its command: 8 and more for a wrong sign, below 0 for
-a correct one."""
+"""Decrease of the log residual above which a device moves against its command. It is 8 or more for a wrong sign and
+negative for a correct one."""
 
 ROUNDED = 1e-12
-"""Smallest eigenvalue of a scaled matrix of normal equations, relative to the largest; smaller ones are rounding
+"""Smallest eigenvalue of the scaled normal equations, relative to the largest. Smaller eigenvalues are rounding
 errors."""
 
 SMALLEST_SHARE = 1e-6
-"""Share of a column (square root of that of `numpy.linalg.lstsq`) below which it is a rounding error of the others."""
+"""Share of a column below which the column is a rounding error of the others (the square root of the limit that
+`numpy.linalg.lstsq` uses)."""
 
 VISIBLE = 4.0
-"""Sum of squares of a segment's deviations from a straight line, relative to that of its noise, above which its motion
-is visible: a plateau at constant speed has no information on the mass, however long it is."""
+"""Sum of squares of a segment's deviations from a straight line, relative to its noise, above which the motion is
+visible. A plateau at constant speed contains no information on the mass, even if it is long."""
 
 RESTING = (
-    "the position changes in no part of a log that is long enough: static friction or a stop may fix the device. "
+    "no part of a log with a changing position is long enough: static friction or a stop may block the device. "
     "Record larger commands"
 )
 
 
 BALANCED = ("gain", "delta", "gamma", "coulomb", "force")
-"""Numbers of the force balance."""
+"""Numbers that appear in the force balance."""
 
 MOST_SEGMENTS = 60
-"""Largest number of segments used for the force balance, spread evenly over all segments."""
+"""Largest number of segments in the force balance. They are spread evenly over all segments."""
 
 
 def first_guesses(segments: Segments, names: Sequence[str], most_delay: float) -> list[Device]:
-    """Return initial devices of a search, with the best integer delay of the twice integrated force balance.
+    """Return initial devices for the search, with the integer delay that fits the force balance best.
 
-    With y the position, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2, where ' is an integral
-    from the segment's start. This is linear, and hardly amplifies errors of readings. The second device has no spring;
-    it is included if such a device moves along its command.
+    The force balance is integrated twice. With the position y and the prime for an integral from the start of the
+    segment, y = start + gain u'' - delta y' - gamma y'' - coulomb s'' + force t^2/2. This equation is linear and hardly
+    amplifies reading errors. A second device without a spring is returned if such a device moves along its command.
 
     Raises
     ------
@@ -83,12 +85,12 @@ def first_guesses(segments: Segments, names: Sequence[str], most_delay: float) -
 
 
 def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) -> dict[str, float]:
-    """Return the numbers of the balance with the best delay; none if there is no motion along the command."""
+    """Return the numbers of the balance with the best delay; an empty dict if no motion follows the command."""
     numbers, lefts, weights = _robust(products)
     gain = names.index("gain")
     signs = np.stack([_left(products, numbers, floor), *np.full((2, len(delays)), np.inf)], axis=1)
     for place in np.flatnonzero(numbers[:, gain] < 0).tolist():
-        # a motion delayed by half a period, or with widely spaced rows, also fits a force of opposite sign
+        # a force of opposite sign also explains a motion delayed by half a period, or sampled at widely spaced rows
         fits = np.stack([_bounded(products[place], weights[place], names, sign) for sign in (1.0, -1.0, 0.0)])
         signs[place] = _left(products[place], fits, floor)
         numbers[place] = fits[0]
@@ -96,8 +98,8 @@ def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) ->
     along, against, unmoved = signs.min(axis=0).tolist()
     if against < min(along, unmoved, 0.0) - MIRRORED:
         raise ParameterError(
-            "the device moves against its command, so that one of the two has the wrong sign. Set the other `sign` of "
-            "columns.command in the profile"
+            "the device moves against its command, so the sign of the command or of the position is wrong. Change the "
+            "`sign` of columns.command in the profile"
         )
     first = shortest(lefts)
     if not np.isfinite(lefts[first]):
@@ -106,7 +108,7 @@ def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) ->
 
 
 def _way(segments: Segments) -> Floats:
-    """Return the integral of the position over each segment up to its rows, relative to its rest position, if any."""
+    """Return the integral of the position over each segment up to each row, relative to the rest position, if any."""
     parts = []
     for first, behind, rests in zip(segments.first, segments.behind, segments.rests, strict=True):
         way = segments.between[first:behind] - segments.position[first] * rests
@@ -115,7 +117,7 @@ def _way(segments: Segments) -> Floats:
 
 
 def _balances(segments: Segments, names: list[str], delay: float, once: Floats) -> Floats:
-    """Return the products of the columns of each segment and its position, without initial state, (S, k + 1, k + 1)."""
+    """Return the products of the columns and the position of each segment without initial state, (S, k + 1, k + 1)."""
     forces = [name for name in names if name != "delta"]
     transitions = Transitions.of(segments, PlantShape(delay=delay))
     columns, _, _ = kernels.whitened(
@@ -148,9 +150,10 @@ def _balances(segments: Segments, names: list[str], delay: float, once: Floats) 
 
 
 def shortest(lefts: Floats) -> int:
-    """Return the index of the shortest delay that is about as likely as the best of all.
+    """Return the index of the shortest delay whose residual is close to the smallest one.
 
-    If a mode dominates the motion, all delays explain little of it, and a large one hardly more than the true one.
+    If a mode dominates the motion, every delay explains little of the motion. A large delay then fits hardly better
+    than the true one.
 
     >>> shortest(np.array([-0.054, -0.058, -0.057, -0.004, -0.053, -0.064])), shortest(np.array([-2.0, -6.0, -9.0]))
     (1, 2)
@@ -162,16 +165,16 @@ def shortest(lefts: Floats) -> int:
 
 
 def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return least squares over segments, the logarithm of the residual share of the motion, and the weights.
+    """Return the least-squares solution, the logarithm of the residual share of the motion, and the weights.
 
-    Of products (D, S, k + 1, k + 1) for D delays: shapes (D, k), (D,) and (D, S). A segment with a much larger residual
-    than most has little weight. The share is a mean over segments, weighted by the distance they move up to that of
-    most segments: an unbounded motion would otherwise dominate.
+    For products of shape (D, S, k + 1, k + 1) with D delays, the shapes are (D, k), (D,) and (D, S). A segment with a
+    much larger residual than most segments has little weight. The residual share is a weighted mean over segments. The
+    weight is the distance of a segment, limited to the median distance, so that an unbounded motion does not dominate.
     """
     way, weight = _ways(products), np.ones(products.shape[:2])
     for _ in range(ROBUST_ROUNDS):
         total = np.einsum("ds,dsij->dij", weight, products)
-        # columns of unit size: the integrals of long segments differ by many orders
+        # scale columns to unit size: the integrals of long segments differ by many orders of magnitude
         scale = 1 / np.sqrt(np.maximum(np.einsum("dii->di", total)[:, :-1], 1e-300))
         values, vectors = np.linalg.eigh(total[:, :-1, :-1] * scale[:, :, None] * scale[:, None, :])
         known = values > ROUNDED * values.max(axis=1, keepdims=True)
@@ -187,32 +190,32 @@ def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _rest(products: Floats, found: Floats) -> Floats:
-    """Return the residual sum of squares of each segment for numbers (..., k), shape (..., S)."""
+    """Return the residual sum of squares of each segment for coefficients of shape (..., k), shape (..., S)."""
     whole = np.concatenate([-found, np.ones((*found.shape[:-1], 1))], axis=-1)
     return np.asarray(np.maximum(np.einsum("...i,...tij,...j->...t", whole, products, whole), 1e-300))
 
 
 def _ways(products: Floats) -> Floats:
-    """Return the weight of each segment in a mean: the distance it moves, up to the median, with a sum of 1."""
+    """Return the weights of segments in a mean: their distances, limited to the median and normalised to a sum of 1."""
     way = np.sqrt(products[..., -1, -1])
     way = np.minimum(way, np.median(way, axis=-1, keepdims=True))
     return np.asarray(way / np.maximum(way.sum(axis=-1, keepdims=True), 1e-300))
 
 
 def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> Floats:
-    """Return the mean logarithm of the residual share of the motion of segments for each force balance.
+    """Return the mean logarithm of the residual share of the motion, for each force balance.
 
-    ``floor`` is the smallest residual of each due to the noise of readings.
+    ``floor`` is the smallest residual of each segment, which is due to the noise of readings.
     """
     left, moved = np.maximum(_rest(products, found), floor), np.maximum(products[..., -1, -1], floor)
     return np.asarray((_ways(products) * np.log(left / np.maximum(moved, 1e-300))).sum(axis=-1))
 
 
 def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) -> Floats:
-    """Return least squares over segments for a gain of one sign, or 0, and nonnegative friction.
+    """Return the least-squares solution with a gain of the given sign (or 0) and nonnegative friction.
 
-    Damping, stiffness and Coulomb friction are nonnegative: with all of them reversed a device would also follow its
-    command.
+    Damping, stiffness and Coulomb friction are nonnegative. If all of them were reversed, the motion could also be
+    explained by a reversed command.
     """
     from scipy.optimize import nnls
 
@@ -223,7 +226,7 @@ def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) ->
     ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
     signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
     columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
-    # if two columns are equal, as for friction and a constant force in one direction, both are small
+    # if two columns are equal (friction and a constant force in one direction), the solution with small values is taken
     columns = np.vstack([columns, SMALLEST_SHARE * np.eye(columns.shape[1])])
     amounts, _ = nnls(columns, np.append(root[:, -1], np.zeros(columns.shape[1])))
     found = np.zeros(len(names))

@@ -1,4 +1,4 @@
-"""Free runs of a device with friction on motor and load: exact transitions of all pieces, from any initial states."""
+"""Compute free runs of a device with friction on motor and load, with exact transitions from any initial state."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 SUB_STEPS = 4
-"""Number of sub-steps of an interval's piece: a side stops late by at most one of them."""
+"""Number of sub-steps of each piece of a sampling interval. A side stops at most one sub-step too late."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanics:
-    """Motion of motor and load by their own positions: matrix (n, n), inputs of command and of forces on the sides
-    (n, 1 + sides), sensor row (n,) and masses of the sides (sides,), for a device of mass 1."""
+    """Equations of motion in the positions of motor and load, for a device of mass 1.
+
+    Parameters
+    ----------
+    matrix : float64, shape (n, n)
+    inputs : float64, shape (n, 1 + sides)
+        Input of the command, and inputs of the forces on the sides.
+    sensor : float64, shape (n,)
+    masses : float64, shape (sides,)
+    """
 
     matrix: Floats
     inputs: Floats
@@ -31,7 +39,7 @@ class Mechanics:
 
     @classmethod
     def of(cls, shape: PlantShape) -> Mechanics:
-        """Return the mechanics of a shape; `state_space` counts from the centre of mass."""
+        """Return the equations of motion of a shape. `state_space` uses the centre of mass as a coordinate instead."""
         system, load = state_space(shape.plant), shape.load_mass
         n, sides = system.states, 2 if load else 1
         turn = np.eye(n)
@@ -46,7 +54,8 @@ class Mechanics:
         return cls(turn @ system.matrix @ back, inputs, system.sensor @ back, masses)
 
     def transitions(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return transitions (2^sides, m, n, n) and gains (2^sides, m, n, 1 + sides) over times, by sides at rest."""
+        """Return transitions (2^sides, m, n, n) and gains (2^sides, m, n, 1 + sides) for each combination of resting
+        sides."""
         n, inputs = self.inputs.shape
         moved = []
         for rests in range(2 ** len(self.masses)):
@@ -60,7 +69,7 @@ class Mechanics:
 
     @property
     def forces(self) -> tuple[Floats, Floats]:
-        """Forces on the sides by the states (sides, n), and by a unit command (sides,)."""
+        """Forces on the sides per unit of each state (sides, n), and per unit of command (sides,)."""
         rows = slice(1, 2 * len(self.masses), 2)
         return np.ascontiguousarray(self.matrix[rows] * self.masses[:, None]), self.inputs[rows, 0] * self.masses
 
@@ -68,14 +77,14 @@ class Mechanics:
 def free_runs(
     segments: Segments, numbers: Mapping[str, float], forces: Sequence[tuple[float, Floats]], starts: Floats
 ) -> Floats:
-    """Return free runs from several initial states (S, V, n) of each segment, shape (rows of all segments, V).
+    """Return free runs from initial states (S, V, n) of each segment, shape (rows of all segments, V).
 
-    ``forces`` are the gain, constant force, and friction of the sides, of each segment.
+    ``forces`` contains the gain of each segment and an array of its constant force and the friction of the sides.
     """
     shape = PlantShape.of(numbers)
     mechanics, pieces = Mechanics.of(shape), Pieces.of(segments, [shape.delay])
     spans, kind = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
-    # after the last piece of an interval with fewer pieces than others, nothing moves
+    # intervals with fewer pieces than others are padded by pieces of duration zero
     rubs = any(each[1][1:].any() for each in forces)
     steps = SUB_STEPS if rubs else 1
     F, G = mechanics.transitions(np.append(spans, 0.0) / steps)

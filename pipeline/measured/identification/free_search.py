@@ -1,8 +1,8 @@
-"""Friction and a vibration of few logs: free runs through all reversals decide between a mode, a spring, and neither.
+"""Decide from free runs of few logs between a mode, a spring, and neither, for a device with friction.
 
-Between two reversals a command is often constant, so that segments of one direction show how a device with a load
-swings, and neither what drives the load nor its share of mass, damping and friction. A free run goes through the
-reversals. Its errors are an autoregressive noise, estimated with the device:
+The command is often constant between two reversals. Segments of one direction then show how a device with a load
+vibrates. They do not show whether motor or load is driven, nor how mass, damping and friction are shared. A free run
+includes the reversals. Its errors are modelled as autoregressive noise, which is estimated together with the device:
 
     y_k - y(theta)_k + a_1 (y_(k-1) - y(theta)_(k-1)) + ... = e_k
 
@@ -26,46 +26,46 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 WHITE_ERRORS = (1.0,)
-"""Filter of errors that are white."""
+"""Filter for white errors."""
 
 ORDER = 4
-"""Number of coefficients of the noise of free runs: drift of a force, and a sensor's own filter."""
+"""Number of coefficients of the noise of free runs, which includes force drift and the filter of a sensor."""
 
 NOISE_ROUNDS = 2
-"""Number of estimates of this noise, each followed by a search."""
+"""Number of estimates of this noise. A search follows each of them."""
 
 STEPS, LAST_STEPS = 20, 6
-"""Largest number of steps of a search from a starting value, and after an estimate of the noise."""
+"""Largest number of steps of a search from a starting value, and of a search after an estimate of the noise."""
 
 LOAD_SHARES = ((0.1, 0.1), (0.3, 0.4))
-"""Initial shares of damping and friction that act on the load."""
+"""Initial values of the shares of damping and friction that act on the load."""
 
 VISIBLE = 4.0
-"""Variance of the errors of a free run, relative to that of readings, above which a slow mode is searched for."""
+"""Variance of free-run errors, relative to the variance of readings, above which a slow mode is searched for."""
 
 LOWEST, HIGHEST, FACTOR = 4 * np.pi, 0.4, 1.4
-"""Lowest phase [rad] of a mode over a record, two periods; highest frequency [rad/sample], above which segments show a
-mode; and ratio of the frequencies that are searched for."""
+"""Limits and ratio of the frequencies of the search: the lowest phase [rad] of a mode over a record (two periods), the
+highest frequency [rad/sample], and the ratio of successive frequencies. Segments show modes of higher frequency."""
 
 MASS_SHARES, DAMPER_SHARES = (0.15, 0.45), (0.5,)
-"""Initial mass of the load, as shares of the mass, and, if its position is measured, share of the loss in the damper
-between both sides."""
+"""Initial values for a mode: shares of the mass that belong to the load, and, if the position of the load is measured,
+shares of the loss that occur in the damper between both sides."""
 
 LOAD_PARTS = {"load damping": "load_damping", "load friction": "load_coulomb"}
-"""Number of each part that acts on the load of a mode."""
+"""Number of the estimator for each part that acts on the load of a mode."""
 
 LEFT = 0.5
-"""Largest share of the variance of free-run errors that may remain with a mode."""
+"""Largest share of the variance of free-run errors that may remain after a mode is added."""
 
 SENSED = {"motor": "mode", "load": "mode at the load"}
-"""Part of a mode by the side whose position is measured."""
+"""Name of the mode's part for each side whose position may be measured."""
 
 MODE = {name for part in SENSED.values() for name in PARTS[part].numbers}
 """Numbers of a mode."""
 
 
 def free_fit(segments: Segments, device: Device, steps: int = STEPS) -> tuple[Segments, Fit]:
-    """Return the fit of free runs near a device, and the segments with the filter that whitens its errors."""
+    """Fit free runs near a device; return the segments with the filter that whitens the errors, and the fit."""
     segments = replace(segments, free=WHITE_ERRORS)
     fit = climbed(segments, replace(device, noise=WHITE, effects=None), steps)
     for _ in range(NOISE_ROUNDS):
@@ -75,14 +75,14 @@ def free_fit(segments: Segments, device: Device, steps: int = STEPS) -> tuple[Se
 
 
 def free_errors(segments: Segments, fit: Fit) -> list[Floats]:
-    """Return the errors of the free run of each segment, from its likeliest initial state."""
+    """Return the errors of the free run of each segment from its most likely initial state."""
     motion, _, _ = free_motion(segments, fit.device, min(segments.white, fit.device.reading), segments.largest)
     errors = segments.position[segments.places] - motion
     return np.split(errors, np.cumsum(segments.rows)[:-1])
 
 
 def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
-    """Return the filter that whitens the errors of free runs, by least squares over all segments."""
+    """Return the filter that whitens the errors of free runs, from least squares over all segments."""
     before, now = [], []
     for errors in free_errors(segments, fit):
         before.append(np.stack([errors[ORDER - back : -back] for back in range(1, ORDER + 1)], axis=1))
@@ -92,10 +92,11 @@ def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
 
 
 def with_mode(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Segments, Fit, dict[str, float]] | None:
-    """Return segments, fit and parts of a device with friction and a mode, None if free runs do not require a mode.
+    """Return segments, fit and parts of a device with friction and a mode; None if free runs do not require a mode.
 
-    ``fit`` is that of segments in one direction each. A mode, a spring and neither compete. A mode must be likelier by
-    its threshold and leave at most `LEFT` of the variance of free-run errors.
+    ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
+    accepted if its likelihood exceeds the others by its threshold and at most `LEFT` of the variance of free-run errors
+    remains.
     """
     numbers = fit.device.numbers
     rigid = {name: value for name, value in numbers.items() if name not in (*MODE, "load_damping")}
@@ -123,7 +124,7 @@ def with_mode(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Se
 
 
 def _load_parts(fit: Fit) -> dict[str, float]:
-    """Return the gain of likelihood by damping and friction of the load, 0 where the logs do not decide."""
+    """Return the likelihood gains of damping and friction on the load; 0 if the logs do not identify them."""
     from pipeline.measured.identification.intervals import Errors
 
     gains = {}
@@ -142,7 +143,7 @@ def _variance(segments: Segments, fit: Fit) -> float:
 
 
 def _starts(segments: Segments, fit: Fit, without: Fit) -> Iterator[Device]:
-    """Yield devices with a mode from which to search: that of the segments, and the best of a grid of frequencies."""
+    """Yield initial devices with a mode: with the mode of the segments if any, otherwise the best of a grid."""
     if "mode_frequency" in fit.device.numbers:
         for shares in LOAD_SHARES:
             yield _loaded(fit.device.numbers, shares)
@@ -157,7 +158,7 @@ def _starts(segments: Segments, fit: Fit, without: Fit) -> Iterator[Device]:
 
 
 def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
-    """Return a device whose load has shares of its damping and friction."""
+    """Return a device of which the load has the given shares of damping and friction."""
     damping, friction = shares
     load = {}
     if "coulomb" in numbers:
@@ -168,7 +169,7 @@ def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
 
 
 def _promise(segments: Segments, device: Device) -> float:
-    """Return the likelihood of a device with a mode after a step of its other numbers."""
+    """Return the likelihood of a device with a mode after one step of all numbers except those of the mode."""
     fit = fitted(replace(segments, free=WHITE_ERRORS), device, np.empty(0, dtype=np.int64))
     others = [place for place, name in enumerate(device.names) if name not in MODE]
     return solve(fit.moments.some(others), np.empty(0, dtype=np.int64)).likelihood

@@ -1,4 +1,4 @@
-"""Parameters that logs cannot identify: which ones, why, the combination that is known, and what to record."""
+"""Find the parameters that logs cannot identify, with the reason, identifiable combinations, and what to record."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from pipeline.measured.identification.recordings import Recording
 from pipeline.records.trials import Floats
 
 WIDE = 0.5
-"""Half-width of an interval, relative to its value, above which a quantity is not identifiable: one end may be three
-times as large as the other."""
+"""Largest half-width of the interval of an identifiable quantity, relative to its value. At this limit, the upper end
+is three times the lower end."""
 
 FEWEST_COUNTS = 10
-"""Smallest motion of a device in the largest log, in sensor steps; presliding alone causes as many."""
+"""Smallest motion of a device in the log with the largest motion, in sensor steps. Presliding alone causes as many."""
 
 STILL_COUNTS, SPRING_LIKE = 3.0, 0.5
-"""Largest motion of a device at rest, in sensor steps, and smallest correlation of its position with the command at
-which it follows the command like a spring: friction that does not slide is one."""
+"""Largest motion of a device at rest, in sensor steps, and smallest correlation between position and command at which
+the device follows the command like a spring. Friction without sliding acts like a spring."""
 
 FEW_COUNTS = 100
-"""Number of sensor steps below which a device whose mass cannot be identified hardly moves."""
+"""Number of sensor steps below which a device without an identifiable mass is reported to hardly move."""
 
 PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.coulomb", "constant_force"}
-"""Parameters that cannot be identified without the mass."""
+"""Parameters that cannot be identified if the mass cannot be identified."""
 
 
 @dataclass(frozen=True)
 class IdentifiableCombination:
-    """Combination of parameters that is known although its members are not.
+    """Combination of parameters that is identifiable although its members are not.
 
     Parameters
     ----------
     code : str
     members : tuple of str
-        Names of the members as in `PARAMETERS`.
+        Names of the members, as in `PARAMETERS`.
     interval : Interval
-        Value and interval in SI.
+        Value and 95 % interval in SI.
     unit : str
-        Dimension of `parameters.UNITS`, otherwise the unit itself.
+        Dimension in `parameters.UNITS`, or a unit.
     record : str
-        What to record to identify each of the members.
+        What to record so that each member becomes identifiable.
     """
 
     code: str
@@ -57,7 +57,7 @@ class IdentifiableCombination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Content of the recordings: largest number of command sizes in one direction, directions, trials."""
+    """Content of recordings: number of command sizes in one direction, of command signs, of directions, of trials."""
 
     sizes: int
     signs: int
@@ -93,7 +93,7 @@ class Recorded:
 
 
 def _turns(position: Floats) -> bool:
-    """Return whether a log moves back and forth by a tenth of its range."""
+    """Return whether the position moves back and forth by at least a tenth of its range."""
     way = float(np.ptp(position))
     ahead = np.maximum.accumulate(position) - position
     behind = position - np.minimum.accumulate(position)
@@ -111,21 +111,21 @@ def largest_command(recordings: list[Recording]) -> float:
 
 
 def sensor_resolution(recordings: list[Recording]) -> float:
-    """Return the coarsest resolution of the position of recordings [m, rad], 0 if none is visible."""
+    """Return the coarsest position resolution of the recordings [m, rad]; 0 if none is visible."""
     return max(each.rounding for each in recordings) * float(np.sqrt(12.0))
 
 
 def stuck(steps: float, command: float) -> str:
-    """Return why nothing is identifiable for a device that moves by few sensor steps under a command."""
+    """Return why nothing is identifiable from a device that moves by only a few sensor steps."""
     return (
         f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the "
-        f"command reaches {command:.3g}. Static friction of more than that command, or a stop, fixes it. Record larger "
+        f"command reaches {command:.3g}. Static friction larger than that command, or a stop, blocks it. Record larger "
         "commands"
     )
 
 
 def _rests(each: Recording, resolution: float) -> bool:
-    """Return whether a device rests in the last third of a log, or follows its command like a spring."""
+    """Return whether the device rests in the last third of a log or follows its command like a spring."""
     last = each.position[-max(len(each.position) // 3, 1) :]
     if np.ptp(last) <= STILL_COUNTS * resolution:
         return True
@@ -136,9 +136,8 @@ def _rests(each: Recording, resolution: float) -> bool:
 def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
     """Return the names of parameters whose interval is too wide for a meaningful value.
 
-    Such are: an interval of mass, frequency or largest force that includes 0; that of a force beyond the largest
-    command; that of a delay over several samples; that of a damping or spring that would stop the device within a
-    sample.
+    The interval is too wide if it includes 0 (mass, frequency, force limit), exceeds the largest command (forces),
+    spans several samples (delay), or includes a damping or a spring that would stop the device within a sample.
     """
     period, command = choice.units.period, choice.units.command
     mass = parameters["mass"]
@@ -176,10 +175,10 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
 def reasons(
     names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool, misfit: str
 ) -> dict[str, str]:
-    """Return why each of some parameters is not identifiable, and what to record, as one sentence each.
+    """Return one sentence for each given parameter: why it is not identifiable, and what to record.
 
-    ``slow_rows``: whether the command explains the motion without an inertia; ``misfit``: why no device explains it,
-    empty if one does.
+    ``slow_rows`` is whether the command explains the motion without an inertia. ``misfit`` is the reason why no device
+    explains the motion; empty if one does.
     """
     resolution = sensor_resolution(recordings)
     travel = max(float(np.ptp(each.position)) for each in recordings)
@@ -189,8 +188,8 @@ def reasons(
         forces = stuck(travel / resolution, command) + "."
     elif slow_rows:
         forces = (
-            f"Rows are farther apart ({period:.3g} s) than the time constant of the device, so that no inertia is "
-            "visible. Record at a higher sampling rate."
+            f"The sampling period ({period:.3g} s) is longer than the time constant of the device, so the inertia is "
+            "not visible. Record at a higher sampling rate."
         )
     elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
         forces = (
@@ -201,12 +200,12 @@ def reasons(
         return dict.fromkeys(sorted(names), misfit)
     result = dict.fromkeys(sorted(names), forces)
     wide = {
-        "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, or "
-        "with a finer sensor or a higher sampling rate.",
+        "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, use a "
+        "finer sensor, or sample faster.",
         "actuator_lag_s": "Actuator lag and delay cannot be separated from these logs. Record at a higher sampling "
         "rate.",
-        "mode.frequency_hz": "The vibration hardly moves the position. Record larger steps, or with a finer sensor.",
-        "force_limit": f"No command up to {command:.3g} shows a largest force. Record larger commands.",
+        "mode.frequency_hz": "The vibration hardly moves the position. Record larger steps, or use a finer sensor.",
+        "force_limit": f"No command up to {command:.3g} reaches a force limit. Record larger commands.",
     }
     wide |= dict.fromkeys(("mode.damping_ratio", "mode.mass"), wide["mode.frequency_hz"])
     for name in names & wide.keys():
@@ -216,13 +215,13 @@ def reasons(
     if "mass" not in names:
         both = f"Friction and a constant force cannot be separated from these logs. Record {recorded.remedy()}."
         result |= dict.fromkeys(names & {"friction.coulomb", "constant_force"}, both)
-        little = "The inertia hides damping and stiffness in these logs. Record longer motions, at several speeds."
+        little = "The inertia hides damping and stiffness in these logs. Record longer motions at several speeds."
         result |= dict.fromkeys(names & {"damping", "stiffness", "mode.load_damping"}, little)
     return result
 
 
 def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[str]) -> list[IdentifiableCombination]:
-    """Return the known combinations of the named parameters that cannot be identified."""
+    """Return the identifiable combinations of parameters that are not identifiable alone."""
     units, numbers = choice.units, errors.numbers
     acceleration = units.position / units.period**2
     level = _usual_level(choice)
@@ -257,13 +256,13 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[
             ("delay_samples", "actuator_lag_s"),
             lambda n: (n["delay"] + n.get("lag", 0.0)) * units.period,
             "s",
-            "steps of the command at a higher sampling rate, or with a finer sensor",
+            "steps of the command at a higher sampling rate or with a finer sensor",
         )
     return found
 
 
 def _usual_level(choice: Choice) -> float:
-    """Return the largest of the median commands of the segments, in units of `LogUnits`, with its sign."""
+    """Return the signed median command of the segment in which it is largest, in units of `LogUnits`."""
     segments = choice.segments
     usual = np.array([np.median(segments.command[a:b]) for a, b in zip(segments.first, segments.behind, strict=True)])
     return float(usual[np.argmax(np.abs(usual))]) if len(usual) else 1.0

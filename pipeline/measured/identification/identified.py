@@ -1,4 +1,4 @@
-"""Identification from recordings: parameters, parts, what is not identifiable, replay, and each trial alone."""
+"""Identify a device from recordings: parameters, parts, unidentifiable parameters, replay, and values of each trial."""
 
 from __future__ import annotations
 
@@ -44,68 +44,68 @@ from pipeline.measured.identification.segments import segments_of
 from pipeline.records.trials import Floats
 
 EXPLAINS = 0.5
-"""Smallest weight of a trial that the device explains; see `scatter.OWN_ROWS`."""
+"""Smallest weight of a trial that the device explains (see `scatter.OWN_ROWS`)."""
 
 SLOW_ROWS = 10.0
 """Time constant [rows] above which rows show the inertia of a device."""
 
 SAME_PERIOD = 0.05
-"""Largest relative difference of sampling periods that count as equal."""
+"""Largest relative difference between sampling periods that are treated as equal."""
 
 SMALLEST_UNIT = 1e-60
-"""Smallest unit of position, command and time in SI, and the inverse of the largest: squares of larger ones
+"""Smallest unit of position, command and time in SI. Its inverse is the largest unit, since squares of larger numbers
 overflow."""
 
 LAST = 0.4
-"""Share of the changes of velocity of a single log that are replayed by the device fitted to the part before."""
+"""Share of the velocity changes of a single log that are replayed. The device is fitted to the part before."""
 
 
 REMEDY = (
-    "Another force acts, a part is missing, or the command is not that which moves the device. "
+    "Another force acts, a part is missing, or the recorded command does not drive the device. "
     "Record smaller and slower steps."
 )
-"""Remedy for logs without a device, whose errors have no place."""
+"""Remedy for logs that no device explains, if the errors do not depend on a known quantity."""
 
-NO_FIT = "no single device fits these logs ({}): exclude logs of another device or wall, or record more trials"
+NO_FIT = "no single device fits these logs ({}). Exclude logs of other devices or walls, or record more trials"
 """Reason if the equations of a fit have no solution."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Result of the identification of a device; parameters are in SI by their names in `ESTIMATED`.
+    """Result of the identification of a device. Parameters are in SI, with the names of `ESTIMATED` as keys.
 
     Parameters
     ----------
     parameters : dict of str to Interval
     unidentifiable : set of str
-        Names among them whose value cannot be identified.
+        Names of the parameters whose values are not identifiable.
     reasons : dict of str to str
-        A sentence for each of these.
+        One sentence for each unidentifiable parameter.
     parts : dict of str to float
-        Gain of cross-validated log-likelihood by part.
+        Gain of cross-validated log-likelihood of each part.
     assumed : tuple of str
-        Names of parameters that were assumed to be zero.
+        Names of parameters that are assumed to be zero.
     combinations : list of IdentifiableCombination
-        Known combinations of unidentifiable parameters.
+        Identifiable combinations of unidentifiable parameters.
     scatter : dict of str to float
         Standard deviations from trial to trial by name.
     noise : float
         Standard deviation of a reading [m, rad].
     disturbance : float
-        Standard deviation of the random force, constant over a sample [N, Nm].
+        Standard deviation of a random force that is constant over each sample [N, Nm].
     replay : list of Replay
-        Fit of free runs of the device identified without each log.
+        Fit of the free runs. Each log is replayed by a device that is identified without this log.
     units : LogUnits
     names : list of str
         Names of all recordings.
     drive : dict of str to Interval
-        Mass per unit of a positive and of a negative command, by "positive" and "negative", and "asymmetry", half the
-        difference of both gains relative to their mean; empty if the gain does not differ by direction.
+        "positive" and "negative": mass per unit of a positive and of a negative command. "asymmetry": half the
+        difference between both gains, divided by their mean. Empty if the gain does not depend on the direction.
     covariance : float64, shape (P, P)
-        Covariance of the parameters, in their order.
+        Covariance of the parameters, in the order of `parameters`.
     folds : list of dict of str to float
-        Values of the parameters without every fifth log, starting at the first, the second ...; empty below `FEWEST`
-        logs.
+        Values of the parameters if one fold of the logs is left out (every fifth log, starting at the first, the second
+        and so on). Empty for fewer than `FEWEST` logs.
     choice : Choice
     """
 
@@ -128,7 +128,7 @@ class Identification:
 
     @property
     def explained(self) -> int:
-        """Number of logs explained by the device and its noise: with a residual less than twice that of most logs."""
+        """Number of logs that the device and its noise explain. Their residual is below twice the usual residual."""
         fit = self.choice.fit
         return len(self.names) if fit.few else int((fit.solved.weight > EXPLAINS).sum())
 
@@ -139,23 +139,23 @@ class Identification:
 
     @property
     def naive_percent(self) -> float | None:
-        """Median fit of a motion at constant speed or acceleration; None if no log could be replayed."""
+        """Median fit of a motion with constant velocity or acceleration; None if no log could be replayed."""
         return medians(self.replay)[1]
 
 
 def identified(recordings: list[Recording], chosen: ChosenParts | None = None) -> Identification:
-    """Return the device identified from recordings, independently of their order.
+    """Identify a device from recordings. The result does not depend on their order.
 
     Parameters
     ----------
     recordings : list of Recording
     chosen : ChosenParts, optional
-        Parts of the device, if already chosen from the `subset` of these recordings.
+        Parts of the device, if they have already been chosen from the `subset` of these recordings.
 
     Raises
     ------
     ParameterError
-        If they contain no motion or no command, are too short, or no device fits them.
+        If the recordings contain no motion or no command, are too short, or no device fits them.
     """
     check_recordings(recordings)
     recordings = sorted(recordings, key=lambda each: each.rank)
@@ -177,7 +177,7 @@ def no_fit(error: np.linalg.LinAlgError) -> ParameterError:
 
 
 def described(recordings: list[Recording], choice: Choice) -> Identification:
-    """Return the identification of a device with given parts from recordings in the order of their ranks."""
+    """Return the identification for chosen parts, from recordings in the order of their ranks."""
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
@@ -192,10 +192,10 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     misfit = "" if walls else _misfit(replay, choice, known="mass" not in unknown)
     parts = dict.fromkeys(choice.parts, 0.0) if misfit else dict(choice.parts)
     if misfit and alone is None:
-        # a model that does not predict the motion has intervals of no meaning
+        # the intervals of a model that does not predict the motion have no meaning
         unknown = set(parameters)
     if not walls and medians(replay)[0] is None:
-        # no log judges whether a vibration predicts the motion
+        # without a replay, nothing tests whether a vibration predicts the motion
         unknown |= {name for name in parameters if name.startswith("mode.")}
         parts |= dict.fromkeys(parts.keys() & set(SENSED.values()), 0.0)
     why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
@@ -228,7 +228,7 @@ def _is_slow(errors: Errors) -> bool:
 
 
 def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
-    """Return the mass per unit of command of each direction, and the asymmetry; empty without one."""
+    """Return the mass per unit of command for each direction, and the asymmetry; empty without an asymmetry."""
     if "asymmetry" not in errors.numbers:
         return {}
     mass = ESTIMATED["mass"].quantity(units)
@@ -240,22 +240,21 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
 
 
 def _misfit(replay: list[Replay], choice: Choice, *, known: bool) -> str:
-    """Return why a device that does not predict its logs is not identified; empty if it does, or without a replay.
+    """Return why no device is identified if the fitted one does not predict its logs.
 
-    If it is not ``known`` anyway, only a place of the errors is a better reason than the intervals.
+    The result is empty if the device predicts the logs, or if there is no replay. If the mass is not ``known``, it is
+    also empty unless the errors depend on a known quantity: the wide intervals are then the better reason.
     """
     fit, naive = medians(replay)
     if fit is None or naive is None or follows(fit, naive):
         return ""
     place = departure(choice)
-    words = (
-        f"No device with these parts predicts the motion: free runs fit {fit:.0f} % of the velocity of logs left out"
-    )
-    return f"{words}, a motion without the command {naive:.0f} %. {place or REMEDY}" if known or place else ""
+    words = f"No device with these parts predicts logs left out: free runs fit {fit:.0f} % of the velocity"
+    return f"{words}, and a motion without the command {naive:.0f} %. {place or REMEDY}" if known or place else ""
 
 
 def _scatter(choice: Choice) -> dict[str, float]:
-    """Return the standard deviations from trial to trial of the parameters that may differ between these."""
+    """Return the standard deviations of the parameters that may vary from trial to trial."""
     device, size = choice.fit.device, np.sqrt(choice.fit.solved.scatter)
     force = choice.units.command / device.numbers["gain"]
     unit = {"delay_samples": 1.0, "friction.coulomb": force, "constant_force": force}
@@ -264,20 +263,20 @@ def _scatter(choice: Choice) -> dict[str, float]:
 
 
 def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
-    """Return intervals widened by uncertainty that the likelihood of this device does not include."""
+    """Return intervals that include the uncertainty which the likelihood of the device does not contain."""
     result = dict(parameters)
     if "delay_samples" in choice.bounds:
         delay, more = parameters["delay_samples"], choice.bounds["delay_samples"] - parameters["delay_samples"].value
         low, high = max(delay.low + min(more, 0.0), 0.0), delay.high + max(more, 0.0)
         result["delay_samples"] = replace(delay, low=low, high=high)
     if "spring_damping_fraction" in choice.fit.device.numbers:
-        # with damping on both sides a load of any mass gives the same motion
+        # if both sides have damping, a load of any mass gives the same motion
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
     if asymmetry := abs(choice.fit.device.numbers.get("asymmetry", 0.0)):
         for name in ({"mass"} | PER_MASS) & result.keys():
-            # from the value per unit of command of the stronger direction to that of the weaker one
+            # extend from the value per unit of command of the stronger direction to the value of the weaker direction
             ends = result[name].low / (1 + asymmetry), result[name].high / (1 - asymmetry)
             result[name] = replace(
                 result[name], low=min(ends[0], result[name].low), high=max(ends[1], result[name].high)
@@ -286,10 +285,10 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
 
 
 def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
-    """Return intervals without the assumption of no constant force: at rest before, friction may have balanced one.
+    """Return intervals that allow for a constant force. Friction may have balanced it while the device was at rest.
 
-    The constant force lies anywhere between both directions of friction; quantities identified per unit of command have
-    the same relative error.
+    The constant force lies anywhere between the friction in both directions. Quantities identified per unit of command
+    have the same relative error.
     """
     share = parameters["friction.coulomb"].value / command / np.sqrt(3.0)
     result = dict(parameters)
@@ -309,7 +308,7 @@ def check_recordings(recordings: list[Recording]) -> None:
     Raises
     ------
     ParameterError
-        As in `identified`: too few rows, several sampling periods, no motion, no command, or values out of range.
+        If there are too few rows, several sampling periods, no motion, no command, or values out of range.
     """
     rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
     if rows < 4 * SHORTEST:
@@ -321,8 +320,8 @@ def check_recordings(recordings: list[Recording]) -> None:
         )
     if not any(np.any(each.command != 0) for each in recordings):
         raise ParameterError(
-            "the command is 0 in all rows; a motion without a force does not show the mass. Record steps of the "
-            "command, or name the column of the force in the profile (columns.command)."
+            "the command is 0 in all rows, and a motion without a force does not show the mass. Record steps of the "
+            "command, or set the column of the force in the profile (columns.command)."
         )
     travel = max(float(np.ptp(each.position)) for each in recordings)
     resolution, largest = sensor_resolution(recordings), largest_command(recordings)
@@ -332,7 +331,7 @@ def check_recordings(recordings: list[Recording]) -> None:
     if not all(SMALLEST_UNIT < unit < 1 / SMALLEST_UNIT for unit in units):
         raise ParameterError(
             f"the position changes by {travel:.3g} under a command of {largest:.3g} at T = {recordings[0].period:.3g} "
-            "s; expected numbers in SI. Correct the units in the profile."
+            "s; expected values in SI. Correct the units in the profile."
         )
 
 
@@ -342,7 +341,7 @@ def _check_periods(recordings: list[Recording]) -> None:
     low, high = float(periods.min()), float(periods.max())
     if not low > SMALLEST_UNIT or not high < 1 / SMALLEST_UNIT:
         raise ParameterError(
-            f"sampling periods of {low:g} to {high:g} s; expected some between a microsecond and a day."
+            f"sampling periods of {low:g} to {high:g} s; expected values between a microsecond and a day."
         )
     if high - low <= SAME_PERIOD * low:
         return
@@ -358,7 +357,7 @@ def _check_periods(recordings: list[Recording]) -> None:
 
 
 def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
-    """Return the fit of free runs by the device without the log's fold (few logs: fitted to their first part)."""
+    """Return the fit of free runs by a device fitted without the log's fold, or to the first part of a single log."""
     lead, free = choice.segments.lead, choice.segments.free
     if len(recordings) == 1:
         cuts = [_first_part(each) for each in recordings]
@@ -373,7 +372,7 @@ def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
 
 
 def _first_part(each: Recording) -> int:
-    """Return the row up to which a single log has `1 - LAST` of its changes of velocity."""
+    """Return the row up to which a single log contains the share `1 - LAST` of its velocity changes."""
     changes = np.cumsum(np.abs(np.diff(each.motion.velocity)))
     return int(np.searchsorted(changes, (1 - LAST) * changes[-1]))
 
@@ -384,13 +383,13 @@ def _cut(each: Recording, first: int, behind: int) -> Recording:
 
 
 OWN = ("mass", "damping", "delay_samples")
-"""Parameters that are identified for each trial; the others are kept at their common values."""
+"""Parameters that are identified for each trial. The other parameters keep their common values."""
 
 
 def own_numbers(found: Identification) -> dict[str, list[float]]:
-    """Return mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] of each trial, each with its error.
+    """Return mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] of each trial, each followed by its error.
 
-    Friction, a constant force and all other parts are those of the trial according to the model, or common ones.
+    Friction and constant force are the model's values for the trial. All other parts have common values.
     """
     fit, units = found.choice.fit, found.units
     if fit.few:

@@ -1,4 +1,4 @@
-"""Results of a fit in SI: quantities of a device, each with one interval."""
+"""Convert the result of a fit into quantities in SI with 95 % intervals."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pipeline.measured.student import NORMAL_95, student_95
 from pipeline.records.trials import Floats
 
 COMPUTED = 1e-9
-"""Relative numerical error of a value: the accuracy of the search in logs without noise."""
+"""Relative numerical error of a value, equal to the accuracy of the search in logs without noise."""
 
 FAR = 1e3
-"""Deviation, relative to the size of a number, assigned to a number on which the logs contain no information."""
+"""Deviation, relative to the size of a number, that is assumed if the logs contain no information on the number."""
 
 GROUPS = 10
-"""Number of groups of neighbouring walls for a jackknife, if there are at least twice as many units."""
+"""Number of groups of neighbouring walls for a jackknife. It is used if there are at least twice as many units."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A quantity with its 95 % interval; ``error`` is its standard error."""
+    """A quantity with its 95 % interval and its standard error ``error``."""
 
     value: float
     low: float
@@ -36,9 +36,23 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Inputs of intervals: numbers and their covariance, those without each unit, degrees of freedom, the change of the
-    numbers due to an error of the noise, the contribution of each phase of the motion, and the steps to other
-    optima."""
+    """Inputs for intervals.
+
+    Parameters
+    ----------
+    numbers : dict of str to float
+    covariance_of_numbers : float64, shape (p, p)
+    without : float64, shape (U, p)
+        Change of the numbers if one unit is left out.
+    freedom : float
+        Degrees of freedom.
+    open : float64, shape (p,)
+        Change of the numbers due to an error of the noise.
+    phases : float64, shape (F, p)
+        Contributions of the phases of the motion.
+    optima : float64, shape (O, p)
+        Steps to other optima.
+    """
 
     numbers: Numbers
     covariance_of_numbers: Floats
@@ -50,10 +64,10 @@ class Errors:
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
-        """Return the errors of a fit: from its information, and from leaving out each unit, with one Newton step each.
+        """Return the errors of a fit, from its information matrix and from one Newton step without each unit.
 
-        With few logs, a single portion may be the only one that identifies a number, such as the delay: its step is of
-        first order.
+        In few logs, a single portion may be the only one that identifies a number, such as the delay. The step without
+        it is then of first order.
         """
         solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
@@ -63,36 +77,36 @@ class Errors:
         steps = -(without @ score[..., None])[..., 0]
         freedom = max(float(informative.sum() - 1), 1.0)
         nothing = unidentified(total)
-        # numbers of the shape are per sample and for a mass of 1
+        # numbers of the shape are per sample and for unit mass
         least = {name: numbers.get("gain", 0.0) if name in LINEAR else 1.0 for name in numbers}
         sizes = [max(abs(value), least[name], 1e-6) for name, value in numbers.items()]
         nothing *= FAR / np.abs(nothing / sizes).max(axis=1, keepdims=True, initial=1e-300)
-        # equal readings count as one
+        # repeated equal readings count as one reading
         known = fit.repeats * inverse(total) + nothing.T @ nothing
         return cls(numbers, known, steps, freedom, fit.open, fit.phases, fit.optima)
 
     def parameter(self, name: str, units: LogUnits) -> Interval:
-        """Return a parameter of the loop with its interval, by its name in `ESTIMATED`."""
+        """Return a parameter of the loop with its interval. ``name`` is a key of `ESTIMATED`."""
         row, mass = ESTIMATED[name], ESTIMATED["mass"].quantity(units)(self.numbers)
         return self.interval(row.quantity(units), row.ends_at_zero, row.unit_size(mass, units))
 
     def interval(self, quantity: Quantity, ends_at_zero: bool = False, unit: float = 0.0) -> Interval:
-        """Return a quantity's value and interval; one bounded by zero uses the profile likelihood there.
+        """Return a quantity with its interval. ``ends_at_zero`` bounds the interval by 0, with the profile likelihood.
 
-        ``unit`` is the size that determines the numerical error.
+        ``unit`` is the size to which the numerical error is relative if the value is 0.
         """
         value, slope = quantity(self.numbers), self._slope(quantity)
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))
         reach = float(student_95(self.freedom)) * error
         if ends_at_zero and value - reach < 0:
-            # the likelihood falls from the likeliest admissible value to the end of the interval by as much as it
-            # falls from an interior optimum to the end of its interval
+            # the drop of the likelihood from the best admissible value to the end of the interval equals the drop
+            # from an interior optimum to the end of its interval
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
             return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
         return Interval(value, value - reach, value + reach, error)
 
     def covariance(self, names: Sequence[str], units: LogUnits) -> Floats:
-        """Return the covariance (Q, Q) of parameters, scaled so that normal 95 % intervals equal theirs."""
+        """Return the covariance (Q, Q) of parameters, scaled so that normal 95 % intervals equal their intervals."""
         slopes = np.stack([self._slope(ESTIMATED[name].quantity(units)) for name in names])
         known = slopes @ self.covariance_of_numbers @ slopes.T
         size = np.sqrt(np.maximum(np.diagonal(known), 1e-300))
@@ -101,7 +115,7 @@ class Errors:
         return np.asarray(known * wide[:, None] * wide[None, :])
 
     def _slope(self, quantity: Quantity) -> Floats:
-        """Return the derivative of a quantity along each number, (p,)."""
+        """Return the derivative of a quantity with respect to each number, (p,)."""
         names = list(self.numbers)
         base = np.array([self.numbers[name] for name in names])
         sizes = np.sqrt(np.maximum(np.diagonal(self.covariance_of_numbers), 0.0))
@@ -115,10 +129,10 @@ class Errors:
         return slope
 
     def _spread(self, slopes: Floats) -> Floats:
-        """Return the variance along slopes (Q, p): from the information, or from a jackknife if that is larger.
+        """Return the variance along slopes (Q, p): the larger of the information's and the jackknife's variance.
 
-        Unmodelled behaviour shifts units of similar walls together, which are neighbours, and differs between phases of
-        the motion: neighbours and phases are therefore also left out as groups.
+        Unmodelled behaviour shifts the units of similar walls together, and it differs between phases of the motion.
+        Similar walls are neighbours. Therefore, neighbouring units and phases are also left out as groups.
         """
         variance = np.einsum("qi,ij,qj->q", slopes, self.covariance_of_numbers, slopes)
         count, spread = len(self.without), (self.without - self.without.mean(axis=0)) @ slopes.T
@@ -136,7 +150,7 @@ class Errors:
 
 
 def with_delay(values: dict[str, float], covariance: Floats) -> tuple[dict[str, float], Floats]:
-    """Return values and their covariance with a delay of 0 if logs show none, in the order of `ESTIMATED`."""
+    """Add a delay of 0 to values and covariance if the logs show no delay, in the order of `ESTIMATED`."""
     if "delay_samples" in values:
         return values, covariance
     complete = {name: values.get(name, 0.0) for name in ESTIMATED if name in values or name == "delay_samples"}

@@ -1,28 +1,28 @@
-"""Loops over the rows of segments: transitions, filter gains, prediction errors with tangents, triangular factors.
+"""Compiled loops over the rows of segments: transitions, filter gains, prediction errors, and triangular factors.
 
-In units of sampling periods and standard deviations of a reading, x is the device's state, and a the indicator of the
-age of the applied command among A ages (1 for that age, else 0) minus the probability of each:
+Time is in sampling periods, and position in standard deviations of a reading. x is the state of the device. Under
+jitter, the applied command has one of A ages. The indicator of an age is 1 if the applied command has this age, else 0;
+a contains the indicators minus their probabilities. Without jitter, A is 0.
 
     x[k+1] = F x[k] + u[k] + W (c[k]' a[k] + w[k])     var(w) = q
     a[k+1] = M' a[k] + v[k]                            cov(v) = C - M' C M
     y[k]   = H x[k] + e[k]                             var(e) = 1
 
-u[k] is the motion due to the known forces of an interval, c[k] the force for each age. Without a jittering delay A is
-0.
+u[k] is the motion due to the known forces in an interval, and c[k] contains the force for each age.
 
-Arrays of the same meaning in all functions:
+These arrays have the same meaning in all functions:
 
 time, command, position : float64, shape (R,)
     Rows of all trials.
 first, behind : int64, shape (S,)
-    Rows of segment s are ``first[s]`` to ``behind[s]``; ``begin`` is the first row of its trial, ``edge`` the row from
-    which on forces act on a device that is fixed by friction before, `ALWAYS` if they act in all rows.
+    Rows of segment s are ``first[s]`` to ``behind[s]``. ``begin`` is the first row of its trial. Friction fixes the
+    device before the row ``edge``, and forces act on it from this row on; `ALWAYS` if they act in all rows.
 kind : int64, shape (1,) or (R,)
     Index of the transition among F (m, n, n) for the interval after a row; one value if all intervals are equal.
 offset : int64, shape (2,) or (R + 1,)
-    Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``. In each of them one command is applied:
-    that ``back`` rows before, of age ``age``, for the part ``width`` of the interval; G (Q, n, 2) is the motion by a
-    unit command and by a unit force on the motor in it.
+    Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``. One command is applied in each piece. It
+    is ``back`` rows old, its age has the index ``age``, and it is applied for the share ``width`` of the interval.
+    G (Q, n, 2) is the motion in the piece due to a unit command and due to a unit force on the motor.
 
 Source: Anderson and Moore 1979, Optimal Filtering, sec. 3.1.
 """
@@ -41,19 +41,19 @@ ALWAYS = -1_000_000_000
 """Marker for a device in motion, on which forces act in all rows."""
 
 TERMS = 14
-"""Number of terms of the series of a matrix exponential of norm 1/2: 0.5^15/15! is neglected."""
+"""Number of terms in the series of a matrix exponential of norm 1/2. The neglected remainder is about 0.5^15/15!."""
 
 
 @compiled("f8[:,:,:,::1](f8[:,:,::1],f8[::1])")
 def exponentials(matrices: Floats, times: Floats) -> Floats:
-    """Return exponentials of a matrix over times, with their tangents.
+    """Return the exponentials of a matrix over several times, with their tangents.
 
-    By scaling and squaring of a Taylor series whose products (A, A') (B, B') are (A B, A' B + A B').
+    The Taylor series is scaled and squared. The product of (A, A') and (B, B') is (A B, A' B + A B').
 
     Parameters
     ----------
     matrices : float64, shape (1 + p, N, N)
-        A matrix, and its derivative along each of p parameters.
+        A matrix and its derivatives along p parameters.
     times : float64, shape (m,)
 
     Returns
@@ -112,15 +112,15 @@ def exponentials(matrices: Floats, times: Floats) -> Floats:
 
 
 DOUBLINGS = 60
-"""Largest number of doublings of a filter's memory until it is steady: doubles resolve at most 2^40 samples."""
+"""Largest number of doublings of the filter's memory until convergence. The variance converges within 2^40 samples."""
 
 STEADY = 1e-14
-"""Relative change of a filter's variance per doubling that is attributed to rounding."""
+"""Relative change of a filter's variance per doubling that is due to rounding."""
 
 
 @compiled("Tuple((f8[::1],f8))(f8[:,::1],f8[::1],f8[::1],f8)")
 def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, float]:
-    """Return the gain (n,) of the steady filter and the variance of its prediction errors; NaN if there is none.
+    """Return the gain (n,) of the steady-state filter and the variance of its prediction errors; NaN if none exists.
 
     The memory of the initial state is doubled until convergence:
 
@@ -202,9 +202,9 @@ def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, floa
 
 @inlined
 def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: int) -> None:
-    """Write M' a into a result for the columns a of ages; rows from ``top`` on are ages.
+    """Write the product M' a into ``result`` for the columns of a. The ages start at row ``top``.
 
-    Uses sums over the ages from each age on, for which M needs only a few numbers: see `motion.Ages.ageing`.
+    M is described by three numbers per age (see `motion.Ages.ageing`), so that cumulative sums over ages suffice.
     """
     reached, left, chance = chances[0], chances[1], chances[2]
     last = len(chance) - 1
@@ -220,13 +220,13 @@ def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: 
             )
     for col in range(columns):
         result[top, col] *= reached[0] - chance[0]
-        # anything older than the oldest age stays there
+        # ages beyond the oldest one are counted as the oldest
         result[top + last, col] += left[last] * ages[top + last, col]
 
 
 @inlined
 def advance(result: Floats, P: Floats, F: Floats, W: Floats, c: Floats, chances: Floats) -> None:
-    """Write Phi P into a result, Phi = [F, W c'; 0, M']."""
+    """Write the product Phi P into ``result``, with Phi = [F, W c'; 0, M']."""
     n, A, m = len(F), len(c), len(P)
     for i in range(n):
         for j in range(m):
@@ -249,7 +249,7 @@ def advance(result: Floats, P: Floats, F: Floats, W: Floats, c: Floats, chances:
 def filter_gains(
     segments: Any, command: Floats, motion: Any, pieces: Any, ages: Any, noise: Any
 ) -> tuple[Floats, Floats]:
-    """Return the gains of a filter with known initial state, and the standard deviations of its prediction errors.
+    """Return the gains of a filter with a known initial state, and the standard deviations of its prediction errors.
 
     With z = (x, a), z[k+1] = Phi z[k] + ..., cov = Q:
 
@@ -262,9 +262,9 @@ def filter_gains(
     motion : kind, F, W, H
     pieces : offset, back, age, width
     ages : M, C
-        Transition probabilities (3, A) of the ages as in `motion.Ages.ageing`, and covariance (A, A) of the ages.
+        Transition probabilities (3, A) as in `motion.Ages.ageing`, and covariance (A, A) of the indicators of the ages.
     noise : q, late
-        Variance of the random force, and standard deviation of the force of a unit command.
+        Variance of the random force, and standard deviation of the force per unit of command.
 
     Returns
     -------
@@ -343,8 +343,9 @@ def filter_gains(
 
 
 GAIN, COULOMB, FORCE, SPRING, SHAPE = 0, 1, 2, 3, 4
-"""Codes of the columns of `whitened`: acceleration by a unit command, by Coulomb friction, by a constant force, by a
-separate spring; from SHAPE on the parameters of a motion's shape, and -1, -2 ... those of the drive, in their order."""
+"""Codes of the columns of `whitened`: acceleration per unit of command, due to Coulomb friction, due to a constant
+force, and due to a separate spring. Codes from SHAPE on are parameters of the shape, and negative codes those of the
+drive."""
 
 
 @compiled(
@@ -356,51 +357,50 @@ separate spring; from SHAPE on the parameters of a motion's shape, and -1, -2 ..
     "Tuple((i8[::1],i8[::1],f8[::1],f8[::1])))"
 )
 def whitened(
-    rows: Any, segments: Any, motion: Any, pieces: Any, gains: Any, asked: Any
+    rows: Any, segments: Any, motion: Any, pieces: Any, gains: Any, requested: Any
 ) -> tuple[Floats, Floats, float]:
-    """Return the whitened prediction errors of segments with tangents, without the unknown initial state of each.
+    """Return the whitened prediction errors of segments with tangents, after elimination of unknown initial states.
 
-    All columns pass through the same filter, whose gains K do not depend on the parameters:
+    All columns pass through the same filter. Its gains K do not depend on the parameters:
 
         e[k] = y[k] - H x[k]     x <- F (x + K e) + W c' a + u     a <- M' (a + K e)
 
-    and along a parameter of the shape, with ' its derivative,
+    Along a parameter of the shape, with ' for the derivative,
 
         e' = -H x' - H' x        x' <- F (x' + K e') + F' (x + K e) + W c' a' + W' c' a + u'
 
-    The unknown initial values z of a segment (states, and the lagged actuator force) are columns, too. One row for
-    each, after those of the errors, contains its prior size. Their maximum-likelihood values (least squares by
-    Gram-Schmidt, twice) are subtracted from all columns, and are the initial state of the motion along which tangents
-    are taken.
+    The unknown initial values z of a segment (states and the lagged actuator force) are additional columns. Rows for
+    their prior follow the rows of the errors. The maximum-likelihood values of z are found by least squares (two passes
+    of Gram-Schmidt) and subtracted from all columns. Tangents are taken along the motion from this initial state.
 
     Parameters
     ----------
     rows : time, commands, position, spring
-        ``commands`` (1 + D, R) contains the command that acts, and its derivatives along D parameters of the drive;
-        ``spring`` is the position between two rows, for a column of that code.
+        ``commands`` (1 + D, R) contains the applied command and its derivatives along D parameters of the drive.
+        ``spring`` is the position between two rows, for the column SPRING.
     segments : first, behind, begin, edge, direction, numbers, shifts
-        ``direction`` of motion, -1, 0 or 1; ``numbers`` (S, 3) acceleration per command, by friction and by a constant
-        force; ``shifts`` (S, p) deviation of a segment's numbers from the common ones, for which the errors are
+        ``direction`` of motion is -1, 0 or 1. ``numbers`` (S, 3) are accelerations per unit of command, due to friction
+        and due to a constant force. ``shifts`` (S, p) are deviations of a segment's numbers from the common numbers.
         computed.
     motion : kind, F, F', W, W', H, H'
         Derivatives of shape (m, P, n, n), (m, P, n), (P, n) along P parameters of the shape.
     pieces : offset, back, age, width, G, G'
     gains : K, spread, M, late
-        K (1 or all rows, n + A), standard deviation of the errors, transition probabilities (3, A) of the ages, and
-        standard deviation of the force of a unit command.
-    asked : codes, places, constants, sizes
-        Codes (p,) of the columns; places of stiffness, lag and delay among the parameters of the shape, -1 for none;
-        stiffness, lag, delay, variance of a reading, and rows of commands before a segment that a lag reaches back
-        to; sizes (q,) of the unknown starts.
+        K (1 or all rows, n + A), standard deviations of the errors, transition probabilities (3, A) of the ages, and
+        standard deviation of the force per unit of command.
+    requested : codes, places, constants, sizes
+        ``codes`` (p,) of the columns. ``places`` of stiffness, lag and delay among the parameters of the shape, or -1.
+        ``constants``: stiffness, lag, delay, variance of a reading, and number of rows before a segment whose commands
+        affect the lagged force. ``sizes`` (q,) of the unknown initial values.
 
     Returns
     -------
     columns : float64, shape (rows of all segments + S q, p + 1)
-        -e' of each code, and e; after each segment the rows of the prior.
+        The derivatives -e' for each code, and e. The rows of the prior follow the rows of each segment.
     known : float64, shape (S,)
         Number of unknown initial values that the readings determine.
     lost : float
-        Reduction of the log-likelihood by the standard deviations of the errors and by the information on the initial
+        Reduction of the log-likelihood due to the standard deviations of the errors and the information on the initial
         states.
     """
     time, commands, position, spring = rows
@@ -408,7 +408,7 @@ def whitened(
     kind, F, dF, W, dW, H, dH = motion
     offset, back, age, width, G, dG = pieces
     K, spread, M, late = gains
-    codes, places, constants, sizes = asked
+    codes, places, constants, sizes = requested
     n, A, P, p, q, S = len(H), M.shape[1], dF.shape[1], len(codes), len(sizes), len(first)
     gamma, lag, delay, variance, reach = constants[0], constants[1], constants[2], constants[3], int(constants[4])
     command, drive = commands[0], len(commands) - 1
@@ -416,7 +416,7 @@ def whitened(
     for s in range(S):
         longest = max(longest, behind[s] - first[s])
         total += behind[s] - first[s]
-    # columns of the first pass: all forces, the linear ones, the unknown starts
+    # columns of the first pass: motion due to all forces, linear numbers, unknown initial values
     linear = np.full(p, -1)
     L = 1
     for j in range(p):
@@ -438,8 +438,8 @@ def whitened(
         own_gain, own_coulomb, own_force = numbers[s, 0], numbers[s, 1], numbers[s, 2]
         way, rests = direction[s], edge[s] > ALWAYS
         direct = own_force - own_coulomb * way
-        # lagged force at the first row due to previous commands: value, and along lag, delay and drive; and due to the
-        # force before all of them
+        # lagged force at the first row: due to previous commands (value, derivatives along lag, delay and drive), and
+        # share that remains of the force before them
         oldest = 1.0
         lag_start[:] = 0.0
         if lag > 0:
@@ -552,7 +552,7 @@ def whitened(
                         moved[i, col] += w[i] * e[col]
                 a, aged = aged, a
             x, moved = moved, x
-        # the likeliest start: columns of its unknowns become orthonormal, with the rows of what is known before
+        # maximum-likelihood initial state: orthonormalise the columns of its unknowns, including the rows of the prior
         for j in range(q):
             for k in range(N):
                 E[k, L + j] = -E[k, L + j]
@@ -580,7 +580,7 @@ def whitened(
             lost += 0.5 * (math.log(information) - (1.0 - share) * math.log(variance))
         for k in range(N):
             lost += math.log(spread[0 if steady else row_place + k])
-        # along the parameters of the shape, starting at the likeliest initial state
+        # tangents along the parameters of the shape, from the maximum-likelihood initial state
         if P:
             for j in range(q - 1, -1, -1):
                 value = 0.0
@@ -699,12 +699,12 @@ def whitened(
 
 
 BLOCK = 32
-"""Number of rows added to a triangular factor at a time."""
+"""Number of rows that are added to a triangular factor together."""
 
 
 @compiled("void(f8[:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1])")
 def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers) -> None:
-    """Append rows to the triangular factors R of units: R'R is the Gram matrix of the columns over all their rows.
+    """Append rows to the triangular factors R of units, so that R'R is the Gram matrix of all rows of a unit.
 
     Parameters
     ----------
@@ -713,7 +713,7 @@ def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integer
     columns : float64, shape (rows, c)
         Overwritten.
     first, behind, unit : int64, shape (ranges,)
-        Ranges of rows, and the unit that each belongs to.
+        Ranges of rows, and the unit of each range.
 
     Source: Golub and Van Loan 2013, Matrix Computations, sec. 5.1 and 6.5.3 (Householder, appended rows).
     """

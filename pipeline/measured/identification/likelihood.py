@@ -1,4 +1,4 @@
-"""Maximum-likelihood device: start from integrated balances, then Newton steps on the likelihood of all trials."""
+"""Evaluate the likelihood of a device for all trials, with its derivatives along the numbers of the device."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats, Integers
 
 LINEAR = ("gain", "coulomb", "force")
-"""Numbers in which the motion is linear: acceleration per command, by friction and by a constant force; `LogUnits`,
-time in samples."""
+"""Numbers in which the motion is linear: acceleration per unit of command, due to friction and due to a constant force.
+They are in `LogUnits`, with time in samples."""
 
 FREE_STARTS = 3
-"""Number of Newton steps for the initial states of free runs, in which everything except friction is linear."""
+"""Number of Newton steps for the initial states of free runs, which are linear except for friction."""
 
 NUDGE = 1e-4
-"""Perturbation for numerical derivatives of free runs, relative to the size of a number."""
+"""Perturbation for numerical derivatives of free runs, relative to the size of the number."""
 
 SCATTERED = ("delay", "coulomb", "force")
-"""Numbers that may differ from trial to trial."""
+"""Numbers that may vary from trial to trial."""
 
 LIMITS = {
     "limit": (1e-3, 1.0),
@@ -45,7 +45,7 @@ LIMITS = {
     "spring_damping_fraction": (1e-4, 0.999),
 }
 BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
-"""Prior of a number, as mean and information: a fraction anywhere between 0 and 1."""
+"""Mean and information of the prior of a number. The prior of a fraction covers all values between 0 and 1."""
 
 LARGEST_STEP = {
     "limit": 0.05,
@@ -59,41 +59,44 @@ LARGEST_STEP = {
     "load_damping": 0.2,
     "spring_damping_fraction": 0.3,
 }
-"""Largest change of a number in one step for which the response is approximately linear."""
+"""Largest change of a number in one step. Up to this change, the response is approximately linear."""
 
 BY_HALF = ("gain", "mode_damping_ratio", "mode_frequency")
-"""Numbers whose largest relative step is one half: an undamped mode is so sharply determined that a full step would
-lose it."""
+"""Numbers that change by at most one half of their value in a step. A lightly damped mode is so sharply determined that
+a full step would lose it."""
 
 DONE = 1e-3
-"""Square of the step, in standard errors, at which the search ends: 0.03 of the interval's half-width."""
+"""Squared step, in standard errors, at which the search ends. The step is then 0.03 standard errors."""
 
 PORTIONS = 16
-"""Number of portions of few logs, whose separate estimates show the correlation within a log; Student's t is then
-2.13."""
+"""Number of portions into which few logs are divided. Their separate estimates show the correlation within a log, with
+a Student's t of 2.13."""
 
 PHASES = 8
-"""Number of phases of the motion, between which unmodelled effects differ: damping by direction, a hand by
-displacement, backlash by speed."""
+"""Number of phases of the motion. Unmodelled effects differ between phases: damping by direction, the force of a hand
+by displacement, and backlash by speed."""
 
 TOGETHER = 3_000_000
-"""Largest number of values in the columns of segments that are computed together, 24 MB."""
+"""Largest number of values in the columns of segments that are computed together (24 MB)."""
 
 ROUNDED_ROW = 0.01
-"""Gain of log-likelihood per row up to which a random force is attributed to rounding; neither jitter nor another part
+"""Gain of log-likelihood per row up to which a random force is attributed to rounding. Neither jitter nor another part
 is then searched for."""
 
 LARGEST_FACTOR = 1e30
-"""Largest root sum of squares of a column, in units near 1, for which others can be computed in double precision."""
+"""Largest root sum of squares of a column, in units near 1. Other columns cannot be computed in double precision if it
+is larger."""
 
 WORTH = 5.0
-"""Gain of log-likelihood above which a part of the device or of its noise is accepted: odds of 150 to 1."""
+"""Smallest gain of log-likelihood for which a part of the device or of its noise is accepted (odds of 150 to 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Numbers of a device by name, and its noise; ``effects`` (T, p) are deviations of trials, ``reading`` is the
-    variance of a reading if a fit has one."""
+    """Numbers of a device by name, and its noise.
+
+    ``effects`` (T, p) are deviations of the trials. ``reading`` is the variance of a reading from a fit, or infinite.
+    """
 
     numbers: dict[str, float]
     noise: Noise = WHITE
@@ -107,7 +110,7 @@ class Device:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its numbers, in the order of columns."""
+        """Names of the numbers, in the order of the columns."""
         return tuple(self.numbers)
 
     def stepped(self, step: Floats) -> Device:
@@ -120,7 +123,7 @@ class Device:
         return replace(self, numbers=moved)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
-        """Return a number for the trial of each segment, shape (S,); 0 if the device does not have it."""
+        """Return a number for the trial of each segment, shape (S,); 0 if the device does not have this number."""
         common = np.full(len(trials), self.numbers.get(name, 0.0))
         if self.effects is None or name not in self.numbers:
             return common
@@ -129,13 +132,27 @@ class Device:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Device with its likelihood and the results derived from it.
+    """Device with its likelihood and derived results.
 
-    ``solved`` at the device, with its ``moments`` and the ``places`` of numbers that scatter; units are portions of
-    ``few`` logs, else trials. ``repeats`` is the mean number of consecutive equal readings, which count as one,
-    ``open`` (p,) the change of the numbers if the jitter is larger by its error, ``phases`` (8, p) the contribution of
-    each phase of the motion to them, which is only noise if the model is complete. They are None for a fit that has not
-    `ended`. ``optima`` (k, p) are the steps to other optima of the likelihood that the logs do not exclude.
+    Parameters
+    ----------
+    device : Device
+    solved : Solved
+        Solution at the device, from its ``moments``.
+    moments : Moments
+    places : int64
+        Indices of the numbers that vary between trials.
+    few : bool
+        Whether there are few logs, so that units are portions instead of trials.
+    repeats : float
+        Mean number of consecutive equal readings, which count as one reading.
+    open : float64, shape (p,)
+        Change of the numbers if the jitter is larger by its standard error; computed by `search.ended`.
+    phases : float64, shape (8, p)
+        Contribution of each phase of the motion, which is only noise if the model is complete; computed by
+        `search.ended`.
+    optima : float64, shape (k, p)
+        Steps to other optima of the likelihood that the logs do not exclude.
     """
 
     device: Device
@@ -161,28 +178,28 @@ CODES = {
     "spring": kernels.SPRING,
     **{name: -1 - place for place, name in enumerate(DRIVE)},
 }
-"""Columns of `kernels.whitened` in which the motion is linear, and those of the drive."""
+"""Codes of the columns of `kernels.whitened` for the numbers in which the motion is linear, and for the drive."""
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Whitened prediction errors of segments with their derivatives, without the maximum-likelihood initial states.
+    """Whitened prediction errors of segments with their derivatives, after elimination of the initial states.
 
     Parameters
     ----------
     values : float64, shape (rows of all segments + S q, p + 1)
-        Derivatives of the predictions along p numbers, and the errors; after the rows of each segment, q rows for the
-        prior of its initial state.
+        Derivatives of the predictions along p numbers, and the errors. The rows of each segment are followed by q rows
+        for the prior of its initial state.
     first, behind : int64, shape (S,)
-        Rows of each segment among these, without the rows of the initial states.
+        Rows of each segment in ``values``, without those of the initial states.
     starts : int
-        Number q of unknowns of an initial state.
+        Number q of unknowns in an initial state.
     known : float64, shape (S,)
         Number of these unknowns that the readings determine.
     lost : float
-        Reduction of the log-likelihood by the innovation variances of the filter and by the unknown initial states.
+        Reduction of the log-likelihood due to the innovation variances of the filter and the unknown initial states.
     spread : float64, shape (rows of all segments,), or (1,)
-        Standard deviations of the errors, relative to that of a reading.
+        Standard deviations of the errors, relative to the standard deviation of a reading.
     """
 
     values: Floats
@@ -201,10 +218,10 @@ def columns_of(
     transitions: Transitions | None = None,
     whole: Segments | None = None,
 ) -> Columns:
-    """Return the whitened prediction errors of segments, with derivatives along some numbers of a device.
+    """Return the whitened prediction errors of segments, with derivatives along some numbers of the device.
 
-    ``transitions`` are those of the device along those names, if known; ``whole`` contains all segments if these are a
-    subset: the prior of the initial state is common to all.
+    ``transitions`` are the transitions with derivatives along ``names``, if already computed. ``whole`` contains all
+    segments if ``segments`` is a subset of them; it determines the prior of the initial state.
     """
     whole, shape, noise = whole or segments, device.shape, device.noise
     if segments.free:
@@ -217,7 +234,7 @@ def columns_of(
     for place, name in enumerate(names):
         if device.effects is not None and name in LINEAR:
             shifts[:, place] = own[:, LINEAR.index(name)] - device.numbers[name]
-    # third differences of logs without noise are those of the motion
+    # third differences of logs without noise contain the motion
     gain, variance = abs(device.numbers["gain"]), min(whole.white, device.reading)
     mode = [gain / shape.mode_frequency**2, gain / shape.mode_frequency] if shape.load_mass else []
     sizes = np.array([1.0 + whole.largest, 1.0, *mode, *([gain] if shape.lag else [])])
@@ -244,21 +261,21 @@ def columns_of(
 
 
 def _unknown_starts(segments: Segments, device: Device, largest: float) -> tuple[Floats, Floats]:
-    """Return sizes of the unknown initial states of a device, and the states of its sides per unit of each, (n, q)."""
+    """Return the sizes (q,) of the unknown initial values, and the states of both sides per unit of each, (n, q)."""
     shape, gain = device.shape, abs(device.numbers["gain"])
     mode = [gain / shape.mode_frequency**2, gain / shape.mode_frequency] if shape.load_mass else []
     sizes = np.array([1.0 + largest, 1.0, *mode, *([gain] if shape.lag else [])])
     states = np.eye(len(sizes))
     if mode:
-        # the load is where the motor is, except for its distance
+        # the position of the load is relative to the motor
         states[2, 0], states[3, 1] = 1.0, 1.0
     return sizes, states
 
 
 def free_motion(segments: Segments, device: Device, variance: float, largest: float) -> tuple[Floats, Floats, Floats]:
-    """Return free runs from their likeliest initial states, derivatives along the unknowns of these, and the unknowns.
+    """Return free runs from their maximum-likelihood initial states, derivatives along the unknowns, and the unknowns.
 
-    Shapes (rows,), (rows, q) and (S, q) for q unknowns.
+    The shapes are (rows,), (rows, q) and (S, q) for q unknowns.
     """
     sizes, states = _unknown_starts(segments, device, largest)
     q, ends = len(sizes), np.cumsum(segments.rows)[:-1]
@@ -294,7 +311,7 @@ def _runs(segments: Segments, device: Device, starts: Floats) -> Floats:
 
 
 def whitened_errors(columns: Floats, coefficients: tuple[float, ...], first: int) -> tuple[Floats, Floats]:
-    """Return columns of one segment through the filter that whitens its errors, divided in front of one of them."""
+    """Return columns of one segment after the filter that whitens its errors, split before the column ``first``."""
     whole = columns.copy()
     for back, coefficient in enumerate(coefficients[1:], start=1):
         whole[back:] += coefficient * columns[:-back]
@@ -303,7 +320,7 @@ def whitened_errors(columns: Floats, coefficients: tuple[float, ...], first: int
 
 @np.errstate(all="ignore")  # as in `moments_of`
 def _free_columns(segments: Segments, device: Device, names: tuple[str, ...], whole: Segments) -> Columns:
-    """Return the errors of free runs with derivatives along some numbers of a device, by differences."""
+    """Return the errors of free runs, with numerical derivatives along some numbers of the device."""
     variance = min(whole.white, device.reading)
     motion, along, unknown = free_motion(segments, device, variance, whole.largest)
     sizes, states = _unknown_starts(segments, device, whole.largest)
@@ -336,7 +353,7 @@ def _free_columns(segments: Segments, device: Device, names: tuple[str, ...], wh
 
 
 def blocks(segments: Segments, columns: int) -> list[Segments]:
-    """Return the segments in blocks that are computed together."""
+    """Split the segments into blocks whose columns fit into memory together."""
     most = max(1, TOGETHER // columns)
     part = (np.cumsum(segments.rows) - segments.rows) // most
     cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(segments)]
@@ -344,13 +361,13 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
 
 
 def portions_of(segments: Segments) -> int:
-    """Return the number of portions of each segment; 0 with `FEWEST` trials, each of which is one unit."""
+    """Return the number of portions of each segment; 0 for at least `FEWEST` trials, which are units themselves."""
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 
-@np.errstate(all="ignore")  # numbers far from the solution overflow: they count as impossible, and a search leaves them
+@np.errstate(all="ignore")  # numbers far from the solution may overflow; a search then rejects them
 def moments_of(segments: Segments, device: Device) -> Moments:
-    """Return the moments of all units (trials, or portions) at a device; none if doubles overflow."""
+    """Return the moments of all units (trials or portions) at a device, without information after an overflow."""
     p, portions = len(device.names), portions_of(segments)
     units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
@@ -378,7 +395,7 @@ def moments_of(segments: Segments, device: Device) -> Moments:
 
 
 def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
-    """Return the likelihood at a device, with scatter between trials of the numbers at some places."""
+    """Return the fit at a device. The numbers at ``places`` may vary between trials."""
     moments = moments_of(segments, device)
     solved = solve(moments, places)
     repeats = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
@@ -398,13 +415,13 @@ def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
 
 
 def phases_of(segments: Segments, fit: Fit) -> Floats:
-    """Return the step of the numbers from the errors of each phase of the motion, shape (8, p), with a sum of zero.
+    """Return the step of the numbers due to the errors of each phase of the motion, shape (8, p), with a sum of zero.
 
-    Phases are both directions on both sides of the middle of all readings, each slow and fast. Each contributes the
-    product of the inverse information and its sum of scores; the scatter between phases is that of the numbers. With a
-    complete model it is only noise.
+    There are eight phases: positions below and above the median, both directions, slow and fast motion. The step of a
+    phase is the inverse information times the sum of its scores. The scatter between phases is that of the numbers. It
+    is only noise if the model is complete.
 
-    Source: the sandwich estimate with few clusters; White 1982, "Maximum likelihood estimation of misspecified models".
+    Source: White 1982, "Maximum likelihood estimation of misspecified models" (sandwich estimate, with few clusters).
     """
     solved, p, portions = fit.solved, len(fit.device.names), portions_of(segments)
     rate, position = _rate(segments), segments.position[segments.places]
@@ -430,12 +447,12 @@ def phases_of(segments: Segments, fit: Fit) -> Floats:
 
 
 def _rate(segments: Segments) -> Floats:
-    """Return the change of the position in the four rows around each row of segments."""
+    """Return the change of the position over the four intervals around each row of the segments."""
     first, last = (np.repeat(ends, segments.rows) for ends in (segments.first, segments.behind - 1))
     ahead, before = np.minimum(segments.places + 2, last), np.maximum(segments.places - 2, first)
     return np.asarray(segments.position[ahead] - segments.position[before])
 
 
 def spread(segments: Segments, most: int) -> np.ndarray:
-    """Return the indices of at most ``most`` segments, spread evenly over all."""
+    """Return the indices of at most ``most`` segments, spread evenly over all segments."""
     return np.unique(np.linspace(0, len(segments) - 1, min(most, len(segments))).round().astype(int))

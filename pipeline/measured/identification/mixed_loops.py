@@ -1,11 +1,12 @@
-"""Loops over the units of a mixed-effects regression: common numbers, variances between units, weights of units.
+"""Compiled loops of a mixed-effects regression: common numbers, variances between units, and weights of units.
 
-Each of T units is represented by a triangular factor R of its whitened columns and errors, e_t = X_t (theta + b_t) +
-noise. With c columns X'X = R'R, and D the variances between units, its covariance is that of
+Each of T units has a linear regression e_t = X_t (theta + b_t) + noise. The upper triangular factor R_t of its c
+whitened columns and its errors represents it, with X'X = R'R. D contains the variances between units. The covariance of
+the rotated errors is
 
     V_t = 1 + C_t D C_t'        C_t = R_t sqrt(w_t / v)
 
-where v is the variance of an error and w_t the weight of the unit.
+v is the variance of an error, and w_t is the weight of the unit.
 
 Source: Searle, Casella and McCulloch 1992, Variance Components, ch. 8.
 """
@@ -19,47 +20,47 @@ from pipeline.base.compiled import compiled, inlined, part
 from pipeline.records.trials import Floats, Integers
 
 OWN_ROWS = 20.0
-"""Degrees of freedom of the noise distribution of single trials: a disturbed trial is noisier than the others, and has
-less weight."""
+"""Degrees of freedom of Student's t for the noise of single trials. A trial with a disturbance is noisier than others
+and has less weight."""
 
 ROUNDS = 4
-"""Number of alternating updates of weights and variances between trials, which depend on each other."""
+"""Number of alternating updates of the weights and the variances between trials, which depend on each other."""
 
 FLAT = 1e-8
-"""Relative change of the noise at which its search ends."""
+"""Relative change of the noise at which the search for it ends."""
 
 NEWTON = 40
-"""Largest number of Newton steps of that search, each by at most a factor of e^2."""
+"""Largest number of Newton steps in the search for the noise. Each step changes it by at most a factor of e^2."""
 
 LEAST_SHARE = 1e-6
-"""Share of the mean square at which the search starts: most units are as noisy as the others."""
+"""Smallest initial value of the noise, as a share of the mean square. Most units have similar noise."""
 
 RIDGE = 1e-12
-"""Share of a number's information below which a direction contains only rounding errors; its step is 0."""
+"""Share of a number's information below which a direction contains only rounding errors. The step along it is 0."""
 
 ROUNDED = 1e-16
-"""Share of a number's information below which a column is a rounding error, and its number has no scatter."""
+"""Share of a number's information below which a column is a rounding error and its number has no scatter."""
 
 LEAST_LOG, MOST_LOG = -9.0, 25.0
-"""Smallest and largest logarithm of the variances between units, relative to the variance of a number from a typical
+"""Smallest and largest logarithm of a variance between units, relative to the variance of the number from a typical
 unit."""
 
 SCORING = 30
 """Largest number of steps of the search for these variances."""
 
 FARTHEST = 3.0
-"""Largest change of such a logarithm in a step."""
+"""Largest change of the logarithm of a variance in one step."""
 
 ENOUGH = 1e-6
-"""Smallest predicted gain of log-likelihood for which the search for variances continues."""
+"""Predicted gain of log-likelihood below which the search for variances ends."""
 
 SWEEPS, NOTHING = 30, 1e-150
-"""Largest number of sweeps of rotations for eigenvalues (typically six), and size below which an element is zero."""
+"""Largest number of sweeps of rotations for eigenvalues (six are typical), and size below which an element is zero."""
 
 
 @part
 def spectrum(matrix: Floats, values: Floats, vectors: Floats) -> None:
-    """Write the eigenvalues and eigenvectors (columns) of a symmetric matrix, which is overwritten.
+    """Compute the eigenvalues and eigenvectors (columns) of a symmetric matrix, and overwrite the matrix.
 
     Source: Golub and Van Loan 2013, Matrix Computations, sec. 8.5 (cyclic Jacobi).
     """
@@ -97,9 +98,9 @@ def spectrum(matrix: Floats, values: Floats, vectors: Floats) -> None:
 
 @part
 def invert(matrix: Floats, result: Floats, work: Floats) -> float:
-    """Write the inverse of an information matrix, 0 along directions without information; return its log determinant.
+    """Compute the pseudo-inverse of an information matrix and return its log determinant.
 
-    ``work`` contains at least four matrices of this size.
+    The inverse is 0 along directions without information. ``work`` provides at least four matrices of this size.
     """
     n, log = len(matrix), 0.0
     scale, values = work[2, 0], work[3, 0, :n]
@@ -124,10 +125,10 @@ def invert(matrix: Floats, result: Floats, work: Floats) -> float:
 
 @inlined
 def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) -> float:
-    """Return the maximum-likelihood variance of errors of units with the given sums of squares, starting nearby.
+    """Return the maximum-likelihood variance of errors of units with the given sums of squares.
 
-    With s_t = squares, n_t = rows and f = `OWN_ROWS`: sum (n_t + f) s_t/(f v + s_t) = sum n_t, by Newton's steps in ln
-    v.
+    With s_t = squares, n_t = rows and f = `OWN_ROWS`, the variance v solves sum (n_t + f) s_t/(f v + s_t) = sum n_t. It
+    is found by Newton steps in ln v from ``near``.
     """
     total, whole = 0.0, 0.0
     for t in range(len(rows)):
@@ -142,7 +143,7 @@ def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) ->
             slope += (rows[t] + OWN_ROWS) * ratio * (1 - ratio)
         step = min(max(off / max(slope, 1e-3 * total), -2.0), 2.0)
         former, noise = noise, max(noise * math.exp(step), least)
-        # the likelihood is flat along the noise: an error of it enters squared
+        # the likelihood is flat along the noise: its relative error is squared
         if not abs(noise - former) > FLAT * noise:
             break
     return noise
@@ -150,7 +151,7 @@ def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) ->
 
 @part
 def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> float:
-    """Write columns (T, p, p + 1) whitened by variances (p,) between units; return minus half the log determinants."""
+    """Whiten columns (T, p, p + 1) by the variances (p,) between units; return minus half the log determinants."""
     T, p = len(plain), len(variances)
     log, mixed = 0.0, False
     for j in range(p):
@@ -181,10 +182,10 @@ def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> f
 
 @part
 def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Floats) -> float:
-    """Write the maximum-likelihood step of whitened columns with a prior (2, p), and its residual.
+    """Compute the maximum-likelihood step for whitened columns with a prior (2, p); return the log determinant.
 
-    ``outputs`` are step (p,), sums of squares (T,) before and after it, and the inverse information (p, p); returned is
-    the log determinant of the information.
+    The results are written to ``outputs``: step (p,), sums of squares (T,) before and after the step, and inverse
+    information (p, p). The determinant is that of the information.
     """
     step, before, behind, inverse = outputs
     T, p = len(columns), len(step)
@@ -221,7 +222,7 @@ def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Fl
 
 @part
 def score_variances(columns: Floats, step: Floats, inverse: Floats, random: Integers, outputs: Any) -> None:
-    """Write slope (r,) and information (r, r) of the restricted likelihood along the variances of random numbers."""
+    """Compute slope (r,) and information (r, r) of the restricted likelihood along the variances of random numbers."""
     slope, information, of_unit, rows = outputs
     p, r = len(step), len(random)
     slope[:] = 0.0
@@ -255,7 +256,7 @@ def score_variances(columns: Floats, step: Floats, inverse: Floats, random: Inte
 
 
 SPACE = 14
-"""Number of work matrices (p + 1, p + 1) that the loops below need."""
+"""Number of work matrices of shape (p + 1, p + 1) for the loops below."""
 
 
 @compiled(
@@ -263,22 +264,24 @@ SPACE = 14
     "Tuple((f8[::1],f8[::1],f8[::1],f8[::1],f8[::1],f8[:,::1],f8[::1])))"
 )
 def mixed_effects(given: Any, space: Any, result: Any) -> None:
-    """Write the maximum-likelihood common numbers of units, with variances between units and a weight of each.
+    """Compute the maximum-likelihood common numbers of units, the variances between units, and the weights of units.
 
-    Alternates between variances (restricted likelihood, by Fisher scoring in their logarithms, with steps shortened
-    until it does not fall), numbers (weighted least squares), and noise and weights (Student's t).
+    Three updates alternate. Variances maximise the restricted likelihood, by Fisher scoring in their logarithms with
+    steps that are shortened until the likelihood does not fall. Numbers solve a weighted least-squares problem. Noise
+    and weights maximise the likelihood of Student's t.
 
     Parameters
     ----------
     given : factors, rows, random, known, noise, least
-        R (T, p + 1, p + 1); degrees of freedom (T,); numbers with a variance between units, as places (r,); information
-        and slope (2, p) of the prior of the numbers; initial and smallest variance of an error.
+        R (T, p + 1, p + 1), degrees of freedom (T,), indices (r,) of the numbers that vary between units, information
+        and slope (2, p) of the prior of the numbers, and initial and smallest variance of an error.
     space : plain, columns, rest, work
-        Shapes (T, p, p + 1) twice, (T,), and (`SPACE`, p + 1, p + 1).
+        Arrays of shape (T, p, p + 1) twice, (T,), and (`SPACE`, p + 1, p + 1). At the end, ``columns`` are whitened by
+        all results.
     result : step, variances, weight, before, behind, inverse, sums
-        Step (p,), variances (p,) and weights (T,); sums of squares (T,) before and after the step, divided by the
-        variance of the unit's noise; inverse information (p, p); noise, noise before the step, and minus half the
-        logarithms of the units' covariances. ``columns`` are then those whitened by all of these.
+        Step (p,), variances (p,), weights (T,), and sums of squares (T,) before and after the step, divided by the
+        noise of the unit; inverse information (p, p). ``sums`` are the noise after and before the step, and minus half
+        the sum of the log determinants of the units' covariances.
     """
     factors, rows, random, known, noise, least = given
     plain, columns, rest, work = space
@@ -307,7 +310,7 @@ def mixed_effects(given: Any, space: Any, result: Any) -> None:
                 for i in range(p):
                     usual[a] += plain[t, i, random[a]] ** 2
             usual[a] /= T
-            # columns have unit size: smaller values are rounding errors without scatter
+            # columns have unit size, so smaller values are rounding errors and have no scatter
             if usual[a] > ROUNDED:
                 active += 1
         if active:

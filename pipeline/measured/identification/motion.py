@@ -1,6 +1,6 @@
-"""Motion of a device between two readings: exact for a delayed command, and for even and uneven rows.
+"""Compute the exact motion of a device between two readings under a delayed command, for even and uneven rows.
 
-Time is in sampling periods, mass 1. The states of the device are those of `loop.state_space`.
+Time is in sampling periods, and the mass is 1. The states of the device are those of `loop.state_space`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats, Integers
 
 LARGEST_LOAD = 0.97
-"""Largest load, as a fraction of the mass: with a lighter motor, the motion shows only that it is light."""
+"""Largest load, as a fraction of the mass. If the motor is lighter, the logs show only that it is light."""
 
 SMALL = 1e-20
-"""Imaginary perturbation of a number for the derivative of a matrix: its square is lost to rounding."""
+"""Imaginary perturbation of a number for the derivative of a matrix. Its square vanishes by rounding."""
 
 SHORTEST_LAG = 0.02
-"""Shortest lag [samples] that counts as a part: a shorter one shifts the position by less than any sensor resolves."""
+"""Shortest lag [samples] that counts as a part. A shorter one shifts the position by less than a sensor resolves."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,15 @@ class PlantShape:
     mode_frequency : float
         Frequency of a vibration mode [rad/sample].
     mode_damping_ratio : float
-        Total damping ratio of the vibration, including the damping of both sides: it is better identified than each
-        part.
+        Total damping ratio of the vibration, including the damping of both sides. It is better identified than its
+        components.
     load_mass_fraction : float
-        Fraction of the mass that is the load; no mode if it and ``spring_damping_fraction`` are 0.
+        Fraction of the mass that is the load. There is no mode if it and ``spring_damping_fraction`` are 0.
     load_damping : float
         Part of ``delta`` that acts on the load.
     spring_damping_fraction : float
-        If the load's position is measured, any fraction of the mass gives the same motion: the parameter is then the
-        part of the loss in the damper between both sides; the remainder is lost at the motor.
+        Share of the loss that occurs in the damper between both sides; the rest occurs at the motor. It replaces
+        ``load_mass_fraction`` if the position of the load is measured, since any load mass then gives the same motion.
     """
 
     delta: float = 0.0
@@ -63,16 +63,16 @@ class PlantShape:
 
     @classmethod
     def of(cls, numbers: Mapping[str, float]) -> PlantShape:
-        """Return the shape of a device with the given numbers, ignoring those that do not affect it."""
+        """Return the shape of a device with the given numbers. Numbers that do not affect the shape are ignored."""
         return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
 
     @property
     def load_mass(self) -> float:
-        """Mass of the load, relative to a total of 1; 0 without a mode."""
+        """Mass of the load for a total mass of 1; 0 without a mode."""
         if not self.spring_damping_fraction:
             return self.load_mass_fraction
         lost = 2 * self.mode_damping_ratio * self.mode_frequency * (1 - self.spring_damping_fraction)
-        # the motor's damping absorbs more of a vibration the lighter that side is; nothing without damping
+        # a lighter motor absorbs more of a vibration by its damping, and nothing without damping
         load = lost / (lost + self.delta) if np.real(self.delta) > 0 else LARGEST_LOAD
         return load if np.real(load) < LARGEST_LOAD else LARGEST_LOAD
 
@@ -102,14 +102,14 @@ class PlantShape:
 def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floats]:
     """Return the matrix of motion and inputs, (1 + P, n + 2, n + 2), and the sensor row, (1 + P, n), of a shape.
 
-    The inputs are a command and a force on the motor; the first entry is followed by the derivatives along P
-    parameters. The arrays are cached for the next call, and must not be changed.
+    The inputs are a command and a force on the motor. Derivatives along P parameters follow the first entry. They are
+    complex-step derivatives of the entries of the state space, which are rational in the parameters. The arrays are
+    cached and must not be changed.
 
-    Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions" (of the entries
-    of the state space, which are rational in the parameters).
+    Source: Squire and Trapp 1998, "Using complex variables to estimate derivatives of real functions".
     """
     systems = [state_space(shape.plant)]
-    # a delay is not part of the state space
+    # the state space does not include the delay
     shaping = [name for name in along if name != "delay"]
     systems += [state_space(replace(shape, **{name: getattr(shape, name) + SMALL * 1j}).plant) for name in shaping]
     n, places = systems[0].states, [0, *(1 + along.index(name) for name in shaping)]
@@ -122,13 +122,13 @@ def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floa
 
 
 OFF_BY_ONE = 0.7
-"""Largest variance of ages [samples^2] due to commands one sample early or late, chosen to be possible for a mean 0.5
-from a whole delay; a larger variance is due to larger deviations."""
+"""Largest variance of ages [samples^2] that is modelled by commands one sample early or late. It is possible even for a
+mean delay of half a sample. A larger variance requires larger deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Ages:
-    """Ages [samples] of the applied command, shape (A,), and their probabilities, with derivatives along the delay."""
+    """Ages [samples] of the applied command, shape (A,), their probabilities, and derivatives along the delay."""
 
     age: Floats
     chance: Floats
@@ -140,8 +140,8 @@ class Ages:
     def of(cls, delay: float, jitter: float) -> Ages:
         """Return the ages for their mean and standard deviation [samples].
 
-        Commands arrive on whole samples if the deviation allows it: for whole delays whose mean differs by ``off`` from
-        a whole number, the variance is at least |off| - off^2.
+        Ages are whole numbers of samples if the standard deviation allows it. If the mean differs by ``off`` from a
+        whole number, the variance of whole ages is at least |off| - off^2.
         """
         if jitter <= 0:
             return cls(np.array([delay]), np.ones(1), 1.0, np.zeros(1))
@@ -163,17 +163,17 @@ class Ages:
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance (A, A) of the indicators of the applied age."""
+        """Covariance (A, A) of the indicators of the ages."""
         return np.diag(self.chance) - np.outer(self.chance, self.chance)
 
     @cached_property
     def ageing(self) -> Floats:
-        """Transition probabilities of the applied age for independently drawn delays, three numbers per age, (3, A).
+        """Transition probabilities of the applied age for independent delays, three numbers per age, shape (3, A).
 
-        The newest command that has arrived is applied: one of age i has arrived with probability F_i; one that was
-        still on its way arrives by the next row with probability (F_i - F_(i-1))/(1 - F_(i-1)). The probability of age
-        j is therefore equal after every age i >= j; the second number is that of i + 1 after i (the remainder), and the
-        third that of an age after any other.
+        The newest command that has arrived is applied. A command of age i has arrived with probability F_i. If it has
+        not, it arrives by the next row with probability (F_i - F_(i-1))/(1 - F_(i-1)). Therefore, the probability of
+        the next age j is equal for all present ages i >= j. The three numbers are: this probability, the probability
+        of age i + 1 after age i (the remainder), and the probability of the age without knowledge of the present one.
         """
         left = 1 - np.append(0.0, np.cumsum(self.chance)[:-1])
         arrived = np.clip(self.chance / np.maximum(left, 1e-12), 0.0, 1.0)
@@ -186,11 +186,12 @@ class Ages:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Pieces of the intervals after rows, in each of which one command is applied.
+    """Pieces of the intervals after rows. One command is applied in each piece.
 
-    Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``; two values if all rows are even. Arrays
-    of shape (Q,): the command is that ``back`` rows before, of age ``age`` among those of `Ages`; ``begin`` and ``end``
-    are the times before the interval's end [samples], which change with the age by ``begin_slope`` and ``end_slope``.
+    The pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``; there are two offsets if all rows are
+    even. The other arrays have the shape (Q,). The command is ``back`` rows old, and ``age`` is the index of its age in
+    `Ages`. ``begin`` and ``end`` are times before the end of the interval [samples]. Their derivatives with respect to
+    the age are ``begin_slope`` and ``end_slope``.
     """
 
     offset: Integers
@@ -244,10 +245,10 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """Transitions of a shape's states over the intervals after rows, and gains of the inputs in them, with tangents.
+    """Transitions of the states over the intervals after rows, and gains of the inputs, with tangents.
 
-    In the form used by the loops of `kernels`: ``motion`` is (kind, F, F', W, W', H, H'), ``pieces`` (offset, back,
-    age, width, G, G') along P parameters.
+    The tuples are arguments of the loops in `kernels`: ``motion`` is (kind, F, F', W, W', H, H'), and ``pieces`` is
+    (offset, back, age, width, G, G'). Derivatives are taken along P parameters.
     """
 
     motion: tuple[Integers, Floats, Floats, Floats, Floats, Floats, Floats]
@@ -261,10 +262,7 @@ class Transitions:
 
     @classmethod
     def of(cls, segments: Segments, shape: PlantShape, jitter: float = 0.0, along: Sequence[str] = ()) -> Transitions:
-        """Return the state transitions of a plant shape over the rows of the segments.
-
-        They have derivatives with respect to some of its parameters.
-        """
+        """Return the state transitions of a shape over the rows of segments, with derivatives along some parameters."""
         matrices, sensors = matrices_of(shape, tuple(along))
         ages = Ages.of(shape.delay, jitter)
         pieces = Pieces.of(segments, ages.age)

@@ -1,4 +1,4 @@
-"""Noise in addition to that of readings, and the Kalman filter that whitens the prediction errors."""
+"""Model of the random force and of jitter, and the Kalman filter that whitens the prediction errors."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 FORGETS = 1e-6
-"""Largest excess of the largest eigenvalue of a filter's errors over 1 due to rounding: a filter forgets its initial
-state."""
+"""Largest amount by which rounding raises the spectral radius of a stable filter above 1."""
 
 Gains = tuple[Floats, Floats, Floats, float]
-"""K, standard deviation of the errors, transition probabilities of ages, and force of a unit command, for
-`kernels.whitened`."""
+"""Gains K, standard deviations of the errors, transition probabilities of the ages, and standard deviation of the force
+per unit of command, as arguments of `kernels.whitened`."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Random force, and jitter of the delay.
+    """Random force and jitter of the delay.
 
     Parameters
     ----------
     force : float
-        Variance of the random force over a sample, relative to that of a reading.
+        Variance of the random force over a sample, relative to the variance of a reading.
     late : float
-        Variance of the force of a unit command, relative to that of a reading; 0 without jitter.
+        Variance of the force per unit of command, relative to the variance of a reading; 0 without jitter.
     jitter : float
         Standard deviation of the age of the applied command [samples].
     jitter_error : float
@@ -43,13 +42,13 @@ class Noise:
 
 
 WHITE = Noise()
-"""Noise of the readings alone."""
+"""Noise that consists of reading errors only."""
 
 
 def gains_of(segments: Segments, transitions: Transitions, noise: Noise, command: Floats) -> Gains:
-    """Return the filter for some noise: a steady one for even rows without jitter, else one with gains row by row.
+    """Return the filter for a noise: steady for even rows without jitter, otherwise with gains for each row.
 
-    ``command`` (R,) is the one that acts.
+    ``command`` (R,) is the applied command.
     """
     n, none = transitions.states, np.zeros((3, 0))
     if noise == WHITE:
@@ -71,9 +70,9 @@ def gains_of(segments: Segments, transitions: Transitions, noise: Noise, command
 
 
 def _steady(F: Floats, W: Floats, H: Floats, force: float) -> tuple[Floats, Floats]:
-    """Return the gain (1, n) and the standard deviation (1,) of the steady filter.
+    """Return the gain (1, n) and the standard deviation (1,) of the steady-state filter.
 
-    They are NaN if it cannot be computed in double precision, e.g. for a device that runs away faster than its readings
+    They are NaN if double precision does not suffice, e.g. for a device that diverges faster than its readings can
     show.
     """
     gain, variance = steady_gain(F, W, H, force)

@@ -1,4 +1,4 @@
-"""Maximum-likelihood noise of a device: a random force, and a jitter of the delay."""
+"""Find the maximum-likelihood noise of a device: a random force and a jitter of the delay."""
 
 from __future__ import annotations
 
@@ -15,57 +15,57 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 MEMORIES = (1e-12, 3e5)
-"""Smallest and largest variance of the random force per sample, relative to that of a reading: from a filter memory of
-a thousand samples to one of a single sample."""
+"""Smallest and largest variance of the random force per sample, relative to the variance of a reading. The memory of
+the filter is then between a thousand samples and one sample."""
 
 JITTERS = (0.02, 1.5)
-"""Smallest and largest jitter of the delay that is searched for [samples], with nine ages of the applied command; for
-eight equally likely whole delays the jitter is 1.5."""
+"""Smallest and largest jitter of the delay in the search [samples]. The largest one requires nine ages of the applied
+command. If eight whole delays are equally likely, the age of the applied command has a jitter of 1.5 samples."""
 
 FIRST_JITTERS, FIRST_FORCES = (0.08, 0.25, 0.6, 1.2), (1.0, 0.1, 1e-2, 1e-4)
-"""Initial jitters [samples] of the search, and initial random forces relative to that without jitter."""
+"""Initial jitters [samples] of the search, and initial random forces relative to the random force without jitter."""
 
 FORCE_ROUNDS = 2
-"""Number of rounds over the range of random forces: a far smaller one than the local optimum may be likelier."""
+"""Number of searches over the range of random forces. A force far below the local optimum may be more likely."""
 
 READINGS = (1e-6, 10.0)
-"""Smallest and largest variance of a reading that is searched for with jitter, relative to that from third differences:
-for exact readings, the latter contain the effects of jitter, 1e3 times as large."""
+"""Smallest and largest variance of a reading in a search with jitter, relative to the variance from third differences.
+Third differences of exact readings contain the effects of jitter, which may be 1e3 times as large."""
 
 ROUGH = 0.7
-"""Tolerance of the logarithm of a variance for a starting value: intervals scale with its square root."""
+"""Tolerance of the logarithm of a variance in a starting value. Intervals scale with the square root of a variance."""
 
 NEAR = 0.05
-"""Change of the logarithm of a variance, or of a jitter, within which the likelihood is approximately parabolic."""
+"""Change of the logarithm of a variance or a jitter for which the likelihood is approximately parabolic."""
 
 ASIDE = 0.1
-"""Step of the logarithm of a variance, or of a jitter, for numerical derivatives."""
+"""Step of the logarithm of a variance or a jitter for numerical derivatives."""
 
 SCORING, FARTHEST = 6, 1.5
-"""Largest number of steps in the search for a jitter, the noise of readings and a random force, and largest change of a
-logarithm in a step."""
+"""Largest number of steps in the search for jitter, reading noise and random force, and largest change of a logarithm
+in a step."""
 
 ENOUGH = 0.05
-"""Gain of log-likelihood of a step below which the search ends."""
+"""Gain of log-likelihood in a step below which the search ends."""
 
 OTHER_AGES = 0.08
-"""Relative error of a jitter due to the shape of its distribution, per sample of jitter above one half: for delays
-drawn from two to four whole values it is up to 0.15."""
+"""Relative error of a jitter due to the unknown shape of its distribution, per sample of jitter above one half. It is
+up to 0.15 for delays drawn from two to four whole values."""
 
 LEAST_JITTER = 0.05
-"""Smallest jitter [samples] that is accepted; rounding may imitate smaller ones."""
+"""Smallest jitter [samples] that is accepted. Rounding may imitate smaller jitter."""
 
 NOISE_SEGMENTS, NOISE_ROWS = 24, 150
-"""Number of segments used to estimate the noise, and largest number of rows of the parts into which they are cut: 8,000
-rows give a variance to 2 %."""
+"""Number of segments for the noise estimate, and largest number of rows of the parts into which they are split. The
+variance from 8,000 rows has an error of 2 %."""
 
 IMPOSSIBLE = 1e30
-"""Cost, as a negative log-likelihood, of a noise for which a device cannot be computed; any other cost is lower."""
+"""Cost, as a negative log-likelihood, of a noise for which the device cannot be computed. Any other cost is lower."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseLikelihood:
-    """Cost of a noise, the errors of all rows in their standard deviations, and the logarithms of these, (R,)."""
+    """Cost of a noise, errors of all rows divided by their standard deviations, and logarithms of the latter, (R,)."""
 
     lost: float
     errors: Floats
@@ -74,7 +74,7 @@ class NoiseLikelihood:
 
 @dataclass(eq=False)
 class NoiseCost:
-    """Likelihood of segments of a device as a function of its noise, with its other numbers fixed."""
+    """Likelihood of a device in some segments as a function of its noise, with all other numbers fixed."""
 
     segments: Segments
     device: Device
@@ -82,7 +82,7 @@ class NoiseCost:
 
     @classmethod
     def of(cls, segments: Segments, device: Device) -> NoiseCost:
-        """Return the likelihood of parts of some segments, spread evenly over all."""
+        """Return the likelihood for parts of some segments, which are spread evenly over all segments."""
         return cls(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
 
     @cached_property
@@ -98,9 +98,9 @@ class NoiseCost:
     def likelihood(self, force: float, jitter: float = 0.0, reading: float = 1.0) -> NoiseLikelihood:
         """Return the likelihood of a noise.
 
-        ``force`` as in `Noise`; ``jitter`` [samples]; ``reading`` the variance of a reading with jitter, relative to
-        that from third differences. The constant force of each segment is estimated, so that it is not mistaken for a
-        random one.
+        ``force`` is as in `Noise`, and ``jitter`` is in samples. With jitter, ``reading`` is the variance of a reading,
+        relative to the variance from third differences. A constant force is estimated for each segment, so that it is
+        not mistaken for a random force.
         """
         some, noise = self.segments, self.noise(force, jitter, reading)
         if self._transitions is None or self._transitions[0] != jitter:
@@ -111,7 +111,7 @@ class NoiseCost:
         own_force = np.add.reduceat(pushed * errors, columns.first) / squares
         errors = errors - pushed * np.repeat(own_force, some.rows + columns.starts)
         rows = np.maximum(some.rows - columns.known - 1, 1)
-        # the effect of jitter is that of its forces, relative to the noise of a reading
+        # jitter acts by its forces, whose variance is relative to the noise of a reading
         left = np.add.reduceat(errors**2, columns.first)
         variance = np.full(len(some), reading * self.white) if jitter else np.maximum(left / rows, some.least)
         lost = 0.5 * float((rows * np.log(variance) + left / variance + np.log(squares)).sum()) + columns.lost
@@ -128,7 +128,7 @@ class NoiseCost:
 def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> Noise:
     """Return the maximum-likelihood noise of a device, without insignificant contributions.
 
-    A random force is searched for, and optionally a jitter of the delay, starting at the device's present noise.
+    The search starts at the present noise of the device. It includes jitter of the delay if ``jitters`` is true.
     """
     cost, former = NoiseCost.of(segments, device), device.noise
 
@@ -142,7 +142,7 @@ def noise_and_jitter(segments: Segments, device: Device, *, jitters: bool) -> No
     if none >= IMPOSSIBLE:
         return WHITE
     force, by_force = _likeliest(cost, MEMORIES, 0.0 if former.jitter else former.force)
-    # rounding may imitate a little of either
+    # rounding may imitate a small random force or jitter
     still, least = (Noise(force), by_force) if by_force < none - WORTH else (WHITE, none)
     if not jitters or none - by_force <= WORTH + ROUNDED_ROW * float(cost.segments.rows.sum()):
         return still
@@ -168,7 +168,7 @@ def with_jitter_error(segments: Segments, device: Device) -> Noise:
     noise, cost = device.noise, NoiseCost.of(segments, device)
     reading = device.numbers["gain"] ** 2 / (noise.late * cost.white)
     lost = [cost(noise.force, noise.jitter * float(np.exp(way * NEAR)), reading) for way in range(-2, 3)]
-    # the likelihood has a kink at a jitter and a delay of half a sample: its flatter side gives the error
+    # the likelihood has a kink at a jitter and a delay of half a sample; the flatter side determines the error
     bends = np.diff(lost, 2)[[0, 2]]
     bend = max(float(min(bends, key=lambda each: each if each > 0 else np.inf)), 2e-3)
     error = float(np.hypot(NEAR / np.sqrt(bend), OTHER_AGES * max(noise.jitter - 0.5, 0.0)))
@@ -176,7 +176,7 @@ def with_jitter_error(segments: Segments, device: Device) -> Noise:
 
 
 def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near: float = 0.0) -> tuple[float, float]:
-    """Return approximately the number of lowest cost within limits, and that cost; start at a nonzero ``near``."""
+    """Return the approximate minimum of a cost within limits, and the cost there. Start at ``near`` if nonzero."""
     from scipy.optimize import minimize_scalar
 
     if limits[0] < near < limits[1]:
@@ -193,15 +193,16 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 def _minimum(
     likelihood: Callable[..., NoiseLikelihood], near: Sequence[float], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
-    """Return the positive numbers within limits of lowest cost, starting near the given ones, and that cost.
+    """Return the positive numbers within limits that have the lowest cost, and that cost. Start near the given numbers.
 
-    Uses Fisher scoring in their logarithms: with errors e, relative to their standard deviations s, the information is
+    The method is Fisher scoring in the logarithms of the numbers. With the errors e, divided by their standard
+    deviations s, the information is
 
         e_i' e_j + (ln s)_i' (ln s)_j          subscripts are derivatives
 
-    Derivatives are differences over `ASIDE`, minus the contribution of the information: the likelihood has a kink where
-    the number of ages changes, at which smaller differences would mislead. If a step with forward differences does not
-    lower the cost, central differences give the slope.
+    Derivatives are forward differences over `ASIDE`, corrected by the information. Smaller differences would mislead
+    near the kinks of the likelihood, at which the number of ages changes. If a step with forward differences does not
+    lower the cost, the slope is computed from central differences.
 
     Source: Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, p. 774.
     """

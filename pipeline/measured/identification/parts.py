@@ -1,4 +1,4 @@
-"""Selection of the parts of a device by cross-validation: parts without which trials left out are less likely."""
+"""Select the parts of a device by cross-validation: a part is accepted if it makes trials left out more likely."""
 
 from __future__ import annotations
 
@@ -33,92 +33,93 @@ from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Integers
 
 BASE = ("gain", "delta", "delay", "force")
-"""Numbers of every device."""
+"""Numbers that every device has."""
 
 SHORTER = (150,)
-"""Largest number of rows of the short segments that are also used for starting values: about ten time constants of a
+"""Largest number of rows of short segments, which give additional starting values. It is about ten time constants of a
 fast motor at 1 kHz."""
 
 STARTS = 2
-"""Number of initial devices for a search on whole segments: with a spring, and without."""
+"""Number of initial devices for a search on whole segments: one with a spring and one without."""
 
 MOST_TRIALS = 100
-"""Largest number of trials used to choose parts; all are fitted in the end."""
+"""Largest number of trials that are used to choose parts. All trials are used for the final fit."""
 
 LONGEST_DELAY = 48
 """Longest delay [samples] that is searched for."""
 
 LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
-"""Longest delay [samples] with which a largest force is searched for, and rows to each side for the speed."""
+"""Longest delay [samples] in the search for a force limit, and number of rows on each side for the speed."""
 
 LIMITS_SOUGHT = 0.05, 0.99, 150
-"""Smallest and largest command of the search for a largest force, 2 % apart, and their number."""
+"""Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
 
 LIMIT_SPREADS = (0.015, 0.005, 0.0015)
-"""Relative distances at which a largest force is searched for near the best one so far: the force balances of a ramp
-far beyond it are right only within a percent."""
+"""Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit
+are accurate only to a percent."""
 
 DELAYS, FRICTIONS = 4, (0.3, 2.0)
-"""Number of delays over their range, and friction relative to the optimum, from which other optima are searched for."""
+"""Number of delays over their range, and factors of the best friction, from which other optima are searched for."""
 
 UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
-"""Lags [samples] that may be part of a delay; rounding makes shorter ones likelier than none."""
+"""Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than none."""
 
 IMITATED = 0.75
-"""Lag [samples] below which a mode too fast to be searched for has the same effect: one of 1.9 rad a sample acts like
-0.38, with a delay that is shorter by the same amount."""
+"""Lag [samples] below which a fast mode, beyond the range of the search, has the same effect. A mode at 1.9 rad/sample
+acts like a lag of 0.38 samples with a delay that is shorter by the same amount."""
 
 BESIDE = 1.92
 """Drop of the log-likelihood at the ends of a 95 % profile interval."""
 
 WEIGHED = 0.1
-"""Share of the random force of the fit without a part that is assumed in the search for a starting value with it."""
+"""Share of the fitted random force that is assumed in the search for a starting value of a part."""
 
 LOOKED_AT = 9000
-"""Number of rows, in segments spread over all, with which parts are first searched for: others change no limit."""
+"""Number of rows used in the first search for parts, in segments spread over all. More rows change no decision."""
 
 FIRST_STEPS, SOME_STEPS = 4, 10
-"""Number of steps of the first search for parts, without noise other than that of readings, and with it."""
+"""Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
 
 LEFT = 0.5
-"""Largest share of the random force's variance that may remain with a part: a force limit that imitated a stiffening
-hand left 0.85 of it, real parts less than 0.01."""
+"""Largest share of the random force's variance that may remain after a part is added. It was 0.85 for a force limit
+that imitated a stiffening hand, and less than 0.01 for real parts."""
 
 AS_WELL = 1.05
 """Largest error of free runs with a part, relative to that without, at which both predict equally well."""
 
 HEAVY = 0.5
-"""Smallest share of the mass for which the load of a mode may be the base to which a spring is fixed."""
+"""Smallest share of the mass for which the load of a mode may actually be the base of a spring."""
 
 SLOW = 4 * np.pi
-"""Largest phase [rad] of a mode over a log for which its load hardly moves: two periods."""
+"""Largest phase [rad] of a mode over a log for which the load hardly moves (two periods)."""
 
 FEW_PERIODS = 20 * np.pi
-"""Phase [rad] of a mode over a segment below which the unknown initial states hide it: ten periods."""
+"""Phase [rad] of a mode over a segment below which the unknown initial states hide the mode (ten periods)."""
 
 APART = 10.0
-"""Largest range of the first positions of logs, in noise standard deviations of a reading, for which they begin in one
-place."""
+"""Largest range of the initial positions of logs that begin in the same place, in noise standard deviations of a
+reading."""
 
 UNSEEN_FRICTION = 0.02
-"""Friction, relative to the largest command, that may remain undetected before it must be included as unknown: the mass
-is too large by the same amount."""
+"""Friction that may remain undetected, relative to the largest command. Beyond it, unknown friction is included in the
+fit. The relative error of the mass equals this ratio."""
 
 SLIGHT = 1e-6
-"""Force of a spring or of friction, relative to the largest command, below which it is zero; it separates rounding from
-real forces in exact logs."""
+"""Force of a spring or of friction, relative to the largest command, below which it is zero. The value separates
+rounding from real forces in exact logs."""
 
 CONSTANT = 1e-3
-"""Change of the commands, relative to the largest, below which they count as one constant command."""
+"""Change of the commands, relative to the largest one, below which they are treated as one constant command."""
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Fit with its parts, and the gain of cross-validated likelihood by each.
+    """Fit of a device with its parts, and the gain of cross-validated likelihood of each part.
 
-    A part with 0 may be present or not: its number is included as unknown. ``assumed`` names the parameters assumed to
-    be zero, ``bounds`` contains the upper ends of absent friction, spring and lag, and the other end of a delay that
-    may be part of a lag, or include one; both by names of `ESTIMATED`.
+    A part with a gain of 0 is undecided, and its number is included as unknown. ``assumed`` contains the names of
+    parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag. For a
+    delay that cannot be separated from a lag, it contains the other end of the delay's range. Keys are names of
+    `ESTIMATED`.
     """
 
     fit: Fit
@@ -130,13 +131,13 @@ class Choice:
 
     @property
     def moving(self) -> bool:
-        """Whether rows with an unknown direction of motion are left out."""
+        """Whether rows with an unknown direction of motion are excluded."""
         return "friction" in self.parts
 
 
 @dataclass(frozen=True, eq=False)
 class ChosenParts:
-    """Parts of a device, and starting point for a fit of its logs.
+    """Parts of a device and starting point for a fit to its logs.
 
     Parameters
     ----------
@@ -147,13 +148,13 @@ class ChosenParts:
         Variance of a reading, in ``units``.
     units : LogUnits
     lead : int
-        Number of rows before a segment whose commands may still act in it because of the delay.
+        Number of rows before a segment whose commands may still act in it due to the delay.
     parts : dict of str to float
-        Gain of cross-validated log-likelihood by part; 0 where undecided.
+        Gain of cross-validated log-likelihood of each part; 0 if undecided.
     assumed : tuple of str
-        Names of parameters assumed to be zero.
+        Names of parameters that are assumed to be zero.
     bounds : dict of str to float
-        Upper ends of friction and spring [SI] with both in the fit.
+        Upper ends of friction and spring [SI], from a fit with both.
     free : bool
         Whether free runs determine the device.
     """
@@ -170,48 +171,48 @@ class ChosenParts:
 
     @property
     def device(self) -> Device:
-        """Initial device of a fit."""
+        """Initial device for a fit."""
         return Device(self.numbers, self.noise, reading=self.reading)
 
 
 def held_out(fit: Fit) -> float:
-    """Return the log-likelihood of units under fits without their fold, each one Newton step from the whole fit.
+    """Return the cross-validated log-likelihood. Fits without one fold are one Newton step from the fit to all units.
 
-    Each portion of few logs is a fold, and the step that of first order (Takeuchi's criterion).
+    With few logs, each portion is a fold, and the step is of first order (Takeuchi's criterion).
     """
     solved = fit.solved
     if fit.few:
         return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, inverse(solved.total), solved.score))
-    # above 0 only by rounding, if a direction is hardly known
+    # positive only by rounding, if a direction is hardly identified
     losses = (float(score @ step - 0.5 * step @ information @ step) for information, score, step in solved.folds())
     return fit.likelihood + sum(min(loss, 0.0) for loss in losses)
 
 
 def subset(recordings: list[Recording]) -> list[Recording]:
-    """Return the recordings used to choose parts, in the order of their ranks.
+    """Return the recordings that are used to choose parts, in the order of their ranks.
 
-    All up to `MOST_TRIALS`, otherwise those with the smallest hashes of their samples: an additional log replaces at
-    most one of them, whatever it contains and at whichever wall it was recorded.
+    If there are more than `MOST_TRIALS`, those with the smallest hashes of their samples are used. An additional log
+    then replaces at most one of them, independently of its content and wall.
     """
     some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
     return sorted(some, key=lambda each: each.rank)
 
 
 def choose_parts(recordings: list[Recording]) -> ChosenParts:
-    """Return the parts of a device that cross-validation over the `subset` of some recordings requires.
+    """Choose the parts of a device that cross-validation over the `subset` of the recordings requires.
 
-    A spring may belong to the device and be relaxed in one place, or to a hand and be relaxed where each log begins:
-    logs that begin in several places decide.
+    The spring of a device is relaxed at a fixed position, and the spring of a hand where each log begins. Logs that
+    begin in several places decide between both.
 
     Parameters
     ----------
     recordings : list of Recording
-        At least one with `recordings.SHORTEST` rows.
+        At least one recording with `recordings.SHORTEST` rows.
 
     Raises
     ------
     ParameterError
-        If no part of a log is long enough or moves, or the device moves against its command.
+        If no part of a log is long enough or in motion, or if the device moves against its command.
     numpy.linalg.LinAlgError
         If no device fits.
     """
@@ -227,7 +228,7 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
 
 
 def _is_like_ground(chosen: ChosenParts, rows: float) -> bool:
-    """Return whether the load of a mode may be the base of a spring: it is heavy, or hardly moves in a log."""
+    """Return whether the load of a mode may be the base of a spring, i.e. is heavy or hardly moves in a log."""
     turn = chosen.numbers.get("mode_frequency", np.inf)
     return chosen.numbers.get("load_mass_fraction", 0.0) > HEAVY or turn * rows < SLOW
 
@@ -238,9 +239,9 @@ def _worthiness(fit: Fit) -> float:
 
 
 def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, float]:
-    """Return the parts of a device with a spring relaxed at the units' origin, its fit, and the usual segment length.
+    """Return the parts of a device with a spring relaxed at the origin of the units, its fit, and the segment length.
 
-    The usual length is the median number of rows of a segment.
+    The segment length is the median number of rows.
     """
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
@@ -262,7 +263,7 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
 def _swinging(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]]:
-    """Return segments, fit and parts after free runs of few logs decided on a mode, with friction or a slow one."""
+    """Return segments, fit and parts after free runs decide on a mode, for few logs with friction or a slow mode."""
     numbers = fit.device.numbers
     phase = numbers.get("mode_frequency", np.inf) * float(np.median(segments.rows))
     rubs = parts.get("friction", 0.0) > 0 and numbers["coulomb"] > 0
@@ -282,7 +283,7 @@ def _swinging(
 
 
 def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
-    """Return the fit of recordings, in the order of their ranks, with parts that were chosen from some of them.
+    """Fit a device with chosen parts to recordings in the order of their ranks.
 
     Raises
     ------
@@ -311,17 +312,17 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
 def _largest_bound(name: str, units: LogUnits) -> float:
     """Return the largest meaningful upper end of friction or of a spring [SI].
 
-    More friction than the largest command would fix the device, and a stiffer spring than twice that command over the
-    largest displacement would have moved it less.
+    Friction larger than the largest command would fix the device. A spring stiffer than twice the largest command over
+    the largest displacement would not have allowed this displacement.
     """
     return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
 
 
 def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
-    """Return the best of several optima, with intervals that include those that the logs do not exclude.
+    """Return the best of several optima, with intervals that include all optima that the logs do not exclude.
 
-    With friction and few logs there are several, because a reversal depends on both friction and delay. They are
-    searched for from delays over the whole range, with less and with more friction.
+    With friction and few logs there are several optima, because a reversal depends on both friction and delay. The
+    search starts from delays over the whole range, with less and with more friction.
     """
     numbers = fit.device.numbers
     starts = [
@@ -332,16 +333,16 @@ def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
     fits = [fit, *(climbed(segments, device, SOME_STEPS) for device in starts)]
     best = max(fits, key=lambda each: each.likelihood)
     best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
-    # the last search may end beyond all others
+    # the last search may find a better optimum than all others
     near = [each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats]
     steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
     return replace(best, optima=np.stack([*best.optima, *steps]))
 
 
 def _unseen_lag(segments: Segments, fit: Fit) -> float:
-    """Return the upper end of the lag [samples] that is indistinguishable from an equally longer delay.
+    """Return the longest lag [samples] that cannot be distinguished from an equal additional delay.
 
-    Up to second order in its length, a lag acts like a delay. In addition to a lag or a mode, none is searched for.
+    Up to second order in its length, a lag acts like a delay. The result is 0 if the device has a lag or a mode.
     """
     numbers = fit.device.numbers
     if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
@@ -351,7 +352,7 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
     def likelihood(lag: float) -> float:
         late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
         device = replace(alone, numbers=numbers | late)
-        # start at the optimum of the others with it: a prediction from far away is too optimistic
+        # start at the optimum of the other numbers for this lag: a prediction from far away is too optimistic
         step = np.zeros(len(device.names))
         step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
         return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood
@@ -368,11 +369,10 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
 def _first(
     recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
 ) -> tuple[Fit, Segments, dict[str, float], dict[str, float]]:
-    """Return the fit with friction and spring if present or possible, its segments, those parts, and bounds.
+    """Return the fit with friction and spring if present or possible, its segments, these parts, and bounds.
 
-    The search starts from each of the given devices.
-
-    Bounds are the upper ends of friction and spring [SI] with both in the fit.
+    The search starts from each of the given devices. Bounds are the upper ends of friction and spring [SI], from a fit
+    with both.
     """
     bounds, fit = {}, None
     if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
@@ -397,13 +397,13 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
 
 
 def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with its spring if there is one, otherwise without.
+    """Return the fit with its spring if the logs show one, otherwise the fit without.
 
-    If there seems to be one, the search is repeated without it from the same start: with a single wall a spring may
-    imitate the command.
+    If the logs seem to show a spring, the search is repeated without it from the same start. With a single wall, a
+    spring may imitate the command.
     """
     gain, numbers = _loss(fit, "gamma"), fit.device.numbers
-    # in units of the largest command, at the largest displacement
+    # relative to the largest command, at the largest displacement
     if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
         free = refined(segments, _springless(begin))
         return (free, {}) if free.likelihood > fit.likelihood - WORTH else (fit, {"stiffness": gain})
@@ -415,13 +415,13 @@ def _springless(device: Device) -> Device:
 
 
 def _sliding(device: Device) -> Device:
-    """Return a device without friction, with a spring."""
+    """Return a device without friction and with a spring."""
     numbers = {name: value for name, value in device.numbers.items() if name != "coulomb"}
     return Device({"gamma": 0.0} | numbers, device.noise)
 
 
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the numbers that commands identify, and those assumed to be zero."""
+    """Return the numbers that the commands make identifiable, and the parameters that are assumed to be zero."""
     largest = max(float(np.abs(each.command).max()) for each in recordings)
     if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
         return BASE, ()
@@ -434,53 +434,53 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
 
 
 def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], lead: int) -> list[Device]:
-    """Return initial devices of a search, with a spring, and with friction if directions are known.
+    """Return initial devices for a search, with a spring, and with friction if directions of motion are known.
 
-    The force balances are integrated over whole segments, and over short ones: a long plateau after a fast motion
-    outweighs it, and short segments of a slow motion hardly move.
+    Force balances are integrated over whole and over short segments. In a whole segment, a long plateau outweighs the
+    fast motion before it; in short segments, a slow motion is hardly visible.
 
     Raises
     ------
     ParameterError
-        If no part of a log is long enough or moves, or the device moves against its command.
+        If no part of a log is long enough or in motion, or if the device moves against its command.
     """
     segments, names = segments_of(recordings, units, lead, True), (*base, "gamma", "coulomb")
     if not len(segments):
         names, segments = (*base, "gamma"), segments_of(recordings, units, lead, False)
     if not len(segments):
         raise ParameterError(
-            f"no log has {SHORTEST} rows in sequence behind the {lead} whose commands a delay may need; record longer "
-            "logs, with the step nearer to their begin"
+            f"no log has {SHORTEST} consecutive rows after the first {lead} rows, whose commands are needed for the "
+            "delay. Record longer logs, with the step closer to the start"
         )
     parts = [segments, *(segments.split(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
     return [device for part in parts for device in _first_devices(part, names, lead)]
 
 
 def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
-    """Return two initial devices of a search, the likelier first: from the balance with a spring, and without.
+    """Return two initial devices, the more likely one first: from the force balance with a spring, and without.
 
-    With a single wall the command is that of a spring and a damper: except for the delay, a device with these and no
-    gain moves in the same way, and the errors of readings decide between the two.
+    With a single wall, the command is that of a spring and a damper. Except for the delay, a device with a spring and a
+    damper but no gain moves in the same way. Reading errors then decide between the two devices.
     """
     some = _some(segments)
     return sorted(first_guesses(segments, names, lead), key=lambda device: -_likelihood(some, device))
 
 
 def _searched(segments: Segments, begin: list[Device]) -> Fit:
-    """Return the maximum-likelihood fit, starting from the first of some devices.
+    """Return the maximum-likelihood fit, starting from the first device.
 
-    If the best model includes a random force, the search is repeated from all devices without one: a random force that
-    is included too early may replace friction, a delay, or a fast motion.
+    If the best model includes a random force, the search is repeated from all devices without a random force. A random
+    force that is included too early may replace friction, a delay, or a fast motion.
     """
     fit = refined(segments, begin[0])
     if not fit.solved.information.any():
         raise ParameterError(
-            "nothing in the logs follows the edge of its command, so that they say nothing of the device; record for "
-            "longer behind the edge, and begin at rest"
+            "no motion follows the edge of the command, so the logs contain no information on the device. Record for a "
+            "longer time after the edge, and start at rest"
         )
     if segments.trials < FEWEST and len(begin) > 1:
         first, second = (climbed(segments, device).solved.here for device in begin[:2])
-        # starts with the same optimum without a random force give one fit
+        # one fit suffices if both starts lead to the same optimum without a random force
         if abs(first - second) >= WORTH:
             fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
     if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):
@@ -488,7 +488,7 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
     some = _some(segments)
     climbs = [climbed(some, device) for device in begin]
     here = climbed(some, replace(fit.device, noise=WHITE, effects=None))
-    # if these have the same optimum without a random force, it has replaced nothing
+    # if all have the same optimum without a random force, the random force has replaced nothing
     best = max(climbs, key=lambda each: each.solved.here)
     if best.solved.here < here.solved.here + WORTH:
         return fit
@@ -504,16 +504,16 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
 
 
 def _likelihood(segments: Segments, device: Device) -> float:
-    """Return the likelihood of a device without further search."""
+    """Return the likelihood of a device without a further search."""
     return solve(moments_of(segments, device), np.empty(0, dtype=np.int64)).here
 
 
 def _pruned(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]]:
-    """Return segments, fit and parts without friction and spring that only imitated another part.
+    """Remove friction and spring if they only imitated another part; return segments, fit and parts.
 
-    Friction that was hidden by another part is added.
+    Friction that another part has hidden is added.
     """
     recordings, units, lead = logs
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
@@ -534,7 +534,7 @@ def _pruned(
 
 
 def _loss(fit: Fit, name: str) -> float:
-    """Return the loss of likelihood without a nonnegative number in which the motion is linear."""
+    """Return the loss of likelihood if a nonnegative number in which the motion is linear is set to 0."""
     found = Errors.of(fit).interval(lambda n: n[name])
     return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
@@ -542,12 +542,12 @@ def _loss(fit: Fit, name: str) -> float:
 def _further(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with force limit, lag and mode: the likeliest first, as each may replace another."""
+    """Add force limit, lag and mode to a fit. The most likely part is added first, since each may replace another."""
     some, left, rounds = _some(segments), dict(PARTS), 0
     while left and "delay" in fit.device.numbers:
         alone, tried = replace(fit.device, effects=None), {}
         plain = fit if some is segments else refined(some, alone, far=False)
-        # if only the noise of readings remains, most parts can be excluded at the start of a search
+        # if only reading noise remains, most parts can be excluded at the start of their search
         least = ROUNDED_ROW * float(some.rows.sum())
         is_white, white = plain.device.noise == WHITE, climbed(some, replace(plain.device, noise=WHITE, effects=None))
         for number, (name, part) in enumerate(left.items()):
@@ -567,7 +567,7 @@ def _further(
             break
         rounds += 1
         name = max(tried, key=lambda each: tried[each].likelihood - PARTS[each].threshold)
-        # far from the solution noise may replace the residual: it is estimated again
+        # far from the solution, noise may replace the residual, so it is estimated again
         other = refined(segments, replace(tried[name].device, effects=None), far=False)
         fit = plain if some is segments else refined(segments, alone, far=False)
         part, gain = left.pop(name), held_out(other) - held_out(fit)
@@ -575,16 +575,16 @@ def _further(
         if worth and _predicts(logs, segments, fit, other):
             fit, parts = other, parts | {name: gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
-        # jitter may have replaced the residual before the search for the part ended
+        # jitter may have replaced the residual before the search for a part ended
         fit = refined(segments, replace(fit.device, effects=None), far=False)
     return fit, parts
 
 
 def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | None:
-    """Return the fit from a device with an additional part; None if it is not better than ``plain``, the fit without.
+    """Return the fit with an additional part, starting from a given device; None if it is not better than ``plain``.
 
-    A real part makes the motion likelier both with the noise of readings alone, as in ``white``, and with the noise
-    that remains without it.
+    ``plain`` is the fit without the part, and ``white`` is the same with reading noise only. A real part makes the
+    motion more likely in both cases.
     """
     climb = climbed(some, start, FIRST_STEPS)
     if climb.likelihood < white.solved.here + WORTH:
@@ -593,20 +593,20 @@ def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | N
     within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
     if within.likelihood < plain.likelihood + BESIDE:
         return None
-    # a part does not add jitter if there was none without it
+    # a part does not cause jitter, so none is searched for if the fit without the part has none
     return refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
 
 
 def _some(segments: Segments) -> Segments:
-    """Return segments of about `LOOKED_AT` rows; all segments if there are no more."""
+    """Return segments with about `LOOKED_AT` rows in total, or all segments if they have fewer."""
     count = int(LOOKED_AT / np.mean(segments.rows)) + 1
     return segments if count >= len(segments) else segments.select(spread(segments, count))
 
 
 def _is_inside(device: Device, part: Part) -> bool:
-    """Return whether no number of a part is at its search limit, e.g. a force limit that is never reached.
+    """Return whether all numbers of a part are inside their search limits. A force limit that is never reached is not.
 
-    Readings at the load hardly show where a vibration is dissipated.
+    The share of damping in the spring is not tested, since readings at the load hardly show it.
     """
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
@@ -616,9 +616,10 @@ def _is_inside(device: Device, part: Part) -> bool:
 def _predicts(logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, other: Fit) -> bool:
     """Return whether a fit with another part predicts more of the motion.
 
-    It leaves less random force (`_takes_away`) and predicts free runs of logs left out as well, or it predicts these
-    with `LEFT` of the variance of the error: a ripple of the force at each turn is random force that no part takes
-    away. Behind walls, and of one log, only the random force is judged.
+    There are two ways: the fit leaves less random force (`_takes_away`) and predicts the free runs of logs left out
+    equally well, or its free runs have at most `LEFT` of the variance of the error. The second one is for a ripple of
+    the force at each turn, a random force that no part removes. For walls, and for a single log, only the random force
+    is judged.
     """
     recordings, units, lead = logs
     taken = _takes_away(fit, other)
@@ -631,7 +632,7 @@ def _predicts(logs: tuple[list[Recording], LogUnits, int], segments: Segments, f
 
 
 def _takes_away(fit: Fit, other: Fit) -> bool:
-    """Return whether a fit has at most `LEFT` of another's random force, or of its jitter if it has only jitter."""
+    """Return whether ``other`` has at most `LEFT` of the random force of ``fit``, or of its jitter without a force."""
     before, behind = fit.device.noise, other.device.noise
     if before.force > 0:
         return bool(behind.force * other.solved.noise <= LEFT * before.force * fit.solved.noise)
@@ -639,10 +640,10 @@ def _takes_away(fit: Fit, other: Fit) -> bool:
 
 
 def _having(segments: Segments, device: Device, part: Part) -> Device:
-    """Return a device with an additional part as the start of a search: the one with the smallest remaining noise.
+    """Return the best starting device with an additional part, judged with a small random force.
 
-    Jitter, or the full random force, would replace the part; without any noise, the slowest part of the residual would
-    dominate.
+    Jitter or the full random force would replace the part. Without any noise, the slowest component of the residual
+    would dominate.
     """
     device = replace(device, noise=Noise(WEIGHED * device.noise.force))
     starts = part.starts(device.numbers)
@@ -658,10 +659,10 @@ def _having(segments: Segments, device: Device, part: Part) -> Device:
 
 
 def _saturated(segments: Segments, device: Device) -> Device:
-    """Return the likeliest device with a largest force by force balances with a clipped command.
+    """Return the most likely device with a force limit, from force balances with a clipped command.
 
-    If most of the command is beyond the limit, the other numbers of a device without limit are far from the true ones.
-    The search starts at the limit above which the velocity no longer follows the command.
+    If most commands exceed the limit, the numbers of a device without a limit are far from the true ones. The search
+    starts at the limit above which the velocity no longer follows the command.
     """
     known = [name for name in (*BALANCED, "delay") if name in device.names]
 
@@ -682,7 +683,7 @@ def _saturated(segments: Segments, device: Device) -> Device:
 
 
 def _static_limit(segments: Segments) -> float:
-    """Return the largest command with which the speed is closest to a straight line over the clipped command."""
+    """Return the limit for which the speed is closest to a linear function of the clipped command."""
     ahead = segments.places[LIMIT_ROWS:-LIMIT_ROWS]
     inside = segments.segment[: -2 * LIMIT_ROWS] == segments.segment[2 * LIMIT_ROWS :]
     row = ahead[inside]
@@ -698,17 +699,17 @@ def _static_limit(segments: Segments) -> float:
 
 
 def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:
-    """Return the best of some devices with a part as given, each with the best of its other numbers."""
+    """Return the best device for several values of a part's numbers. All other numbers are optimised for each."""
     devices = (replace(device, numbers=device.numbers | each) for each in starts)
     return max(devices, key=lambda each: _promise(segments, each, part))
 
 
 def _promise(segments: Segments, device: Device, part: Part) -> float:
-    """Return the likelihood of a device with the best of the numbers that do not belong to a part."""
+    """Return the likelihood of a device after optimisation of the numbers that do not belong to a part."""
     return _others(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
 
 
 def _others(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
-    """Return the estimate of the numbers that do not belong to a part, in order, with scatter of some of them."""
+    """Return the estimate of the numbers that do not belong to a part. Those at ``random`` vary between trials."""
     others = [i for i, name in enumerate(device.names) if name not in part.numbers]
     return solve(moments_of(segments, device).some(others), random)

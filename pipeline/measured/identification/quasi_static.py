@@ -1,4 +1,4 @@
-"""Speed per command of a device whose row spacing exceeds its time constant."""
+"""Estimate the damping of a device whose sampling period exceeds its time constant."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from pipeline.measured.student import student_95
 from pipeline.records.trials import Booleans, Floats
 
 WINDOW = 8
-"""Number of rows of a window: the transient after a change of the command ends within it, and the position moves
-visibly."""
+"""Number of rows of a window. The transient after a change of the command ends within a window, and the position
+changes visibly."""
 
 BLOCKS = 16
-"""Number of blocks of windows for the jackknife."""
+"""Number of blocks of windows for a jackknife."""
 
 KNOWN = (0.1, 0.05)
-"""Largest changes of the command between rows, relative to its range, in the windows that are used, since the command
-is unknown between rows. The difference between both results is the error of trapezoidal integration."""
+"""Largest changes of the command between rows in the windows used, relative to its range. The command between rows is
+unknown. The difference between the two results is the error of the trapezoidal rule."""
 
 EXPLAINS = 0.97
-"""Share of the sum of squares of the displacements that the command must explain; it explains less if an inertia is
-visible."""
+"""Smallest share of the sum of squares of the displacements that the command explains. It explains less if an inertia
+is visible."""
 
 FASTEST = 2.0
-"""Delay and time constant [rows] above which the rows themselves show an inertia."""
+"""Sum of delay and time constant [rows] above which the inertia is visible in the rows."""
 
 
 def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
-    """Return the damping [Ns/m, Nms/rad per unit of command] of a device without visible inertia; None if it has some.
+    """Return the damping [Ns/m, Nms/rad per unit of command] of a device without visible inertia; None if visible.
 
-    Over a window of rows the displacement is x_1 - x_0 = (U - t_a (u_1 - u_0) - c S)/b + v_0 t with U the integral of
-    the command by trapezoids, t_a the sum of delay and time constant, c Coulomb friction, and S the time in which the
-    device moves forwards less that in which it moves backwards: least squares for 1/b and the others. The interval is
-    that of a jackknife over blocks.
+    The displacement over a window is x_1 - x_0 = (U - t_a (u_1 - u_0) - c S)/b + v_0 t. U is the trapezoidal integral
+    of the command, t_a is the sum of delay and time constant, and c is Coulomb friction. S is the duration of forward
+    motion minus that of backward motion. Least squares determine 1/b and the other coefficients. The interval is from a
+    jackknife over blocks.
     """
     fast, slow = (_estimate(recordings, known) for known in KNOWN)
     if fast is None or slow is None:
@@ -48,7 +48,7 @@ def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
 
 
 def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, float] | None:
-    """Return the damping from windows with a slowly changing command, and its standard error; None if there is none."""
+    """Return the damping and its standard error from windows with a slowly changing command; None if not available."""
     rows = [_windows(each, known) for each in recordings if len(each.time) >= 4 * WINDOW]
     if not rows:
         return None
@@ -76,7 +76,7 @@ def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, flo
 
 
 def _windows(each: Recording, known: float) -> tuple[Floats, Floats]:
-    """Return the columns (W, 4) of the windows of a log and their displacements (W,)."""
+    """Return the columns (W, 4) and the displacements (W,) of the windows of a log."""
     first = np.arange(0, len(each.time) - WINDOW, WINDOW)
     last, step = first + WINDOW, np.diff(each.time)
     force = np.concatenate([[0.0], np.cumsum(0.5 * (each.command[1:] + each.command[:-1]) * step)])

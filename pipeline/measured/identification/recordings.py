@@ -1,4 +1,4 @@
-"""Logs as input of the estimator: rows in SI, their motion, and units in which their values are near 1."""
+"""Logs as input of the estimator: rows in SI, smoothed motion, and units in which values are near 1."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pipeline.measured.signal.sensor import position_quantum
 from pipeline.records.trials import Floats, Integers
 
 SHORTEST = 8
-"""Smallest number of rows of a segment that has information beyond its initial state."""
+"""Smallest number of rows of a segment that contains information in addition to its initial state."""
 
 SURE = 4.0
-"""Smallest speed, in standard errors, for which its direction counts as known; wrong in 6e-5 of the rows."""
+"""Smallest speed, in standard errors, at which the direction is known. It is wrong in 6e-5 of the rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s].
+    """One log: name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
-    ``edge`` is the declared row, counted from 0, of a step from rest; ``wall`` contains the damping and stiffness of
-    the recorded wall.
+    ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
+    wall.
     """
 
     name: str
@@ -36,9 +36,9 @@ class Recording:
 
     @cached_property
     def rank(self) -> tuple[float, float, bytes, bytes]:
-        """Sort key: wall first, then samples if walls are equal.
+        """Sort key: the wall, then hashes of the samples for equal walls.
 
-        Neighbours are left out together, so that unmodelled effects at similar walls widen the intervals.
+        Neighbours are left out together, so that effects that are not modelled at similar walls widen the intervals.
         """
         samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
         of_command, of_position = samples
@@ -59,21 +59,21 @@ class Recording:
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of a reading's error."""
+        """Standard deviation of the error of a reading."""
         return reading_noise(self.position)
 
     @cached_property
     def rounding(self) -> float:
-        """Standard deviation of a reading's rounding, 0 if none is visible."""
+        """Standard deviation of the rounding of a reading; 0 if no rounding is visible."""
         return rounding(self.position)
 
 
 @dataclass(frozen=True)
 class LogUnits:
-    """Units of the estimator: sampling period [s], position from its origin [m, rad] and command [N, Nm].
+    """Units of the estimator: sampling period [s], position relative to an origin [m, rad], and command [N, Nm].
 
-    The origin is the position at which a spring is relaxed: where most logs begin, or None for the beginning of each
-    log, e.g. if a hand grips the device there. Any further offset is a constant force.
+    The origin is the position at which a spring is relaxed: the initial position of most logs. If it is None, it is the
+    initial position of each log, e.g. if a hand grips the device there. A further offset acts like a constant force.
     """
 
     period: float
@@ -83,7 +83,7 @@ class LogUnits:
 
     @classmethod
     def of(cls, recordings: list[Recording]) -> LogUnits:
-        """Return the units in which readings and commands of recordings are near 1."""
+        """Return units in which the readings and commands of the recordings are near 1."""
         spread = max((float(np.ptp(each.position)) for each in recordings), default=0.0)
         force = max((float(np.abs(each.command).max()) for each in recordings), default=0.0)
         period = float(np.median([each.period for each in recordings]))
@@ -93,7 +93,7 @@ class LogUnits:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of a recording: velocity smoothed over ``half`` rows to each side, its error, known directions."""
+    """Motion of a recording: velocity, smoothed over ``half`` rows on each side, its error, and known directions."""
 
     velocity: Floats
     error: float
@@ -102,7 +102,7 @@ class Motion:
 
 
 def motion_of(recording: Recording) -> Motion:
-    """Return the smoothed motion, from a parabola over enough rows for an error of a thirtieth of the top speed."""
+    """Return the smoothed motion, from parabolas over enough rows for an error of a thirtieth of the top speed."""
     x, rows = recording.position, len(recording.position)
     noise = recording.noise
     half, velocity, error = 1, np.gradient(x), np.inf
@@ -115,22 +115,19 @@ def motion_of(recording: Recording) -> Motion:
         if error * 30 <= np.abs(velocity).max(initial=0.0):
             break
         half = max(half + 1, int(half * 1.5))
-    # at both ends half of the rows are reflections: the error is that of half as many rows, and counts twice
+    # near both ends, half of the rows are reflections of the others: the error is larger, and 3 is a safe factor
     near = np.minimum(np.arange(rows), np.arange(rows)[::-1]) < half
     seen = np.abs(velocity) > SURE * error * np.where(near, 3.0, 1.0)
     return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))
 
 
 def reading_noise(position: Floats) -> float:
-    """Return the standard deviation of a reading's error from third differences or rounding to the quantum."""
+    """Return the standard deviation of a reading's error, from third differences or the rounding of the sensor."""
     third = np.diff(position, 3)
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
     return float(max(noise, rounding(position), 1e-12 * float(np.ptp(position))))
 
 
 def rounding(position: Floats) -> float:
-    """Return the standard deviation of a reading's rounding to the sensor resolution, 0 if none is visible.
-
-    A fast motion may change by several steps of the sensor in every row, a steady one by a whole number of them.
-    """
+    """Return the standard deviation of a reading's rounding to the sensor resolution; 0 if none is visible."""
     return position_quantum(position) / float(np.sqrt(12.0))

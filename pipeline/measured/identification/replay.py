@@ -1,4 +1,4 @@
-"""Free runs of the identified device over windows of logs that were not used for its fit, judged in velocity."""
+"""Test the identified device by free runs over windows of logs that were not used in its fit, in terms of velocity."""
 
 from __future__ import annotations
 
@@ -17,31 +17,30 @@ from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Floats
 
 STILL = 3.0
-"""Largest standard deviation of a velocity, relative to its error, of a log without motion."""
+"""Largest standard deviation of the velocity of a log without motion, relative to the error of the velocity."""
 
 TIME_CONSTANTS = 6.0
-"""Length of a window in the device's longest time constant: about one period of a spring, and long enough for a motor
-to reach its speed. Over a longer one a small constant force drifts away; over a shorter one any device fits."""
+"""Length of a window in the device's longest time constant. It is about one period of a spring, and long enough for a
+motor to reach its speed. In a longer window, a small constant force causes drift; in a shorter one, any device fits."""
 
 INTEGRATOR = 1e-6
-"""Largest rate [1/sample] of an eigenvalue that counts as an integrator."""
+"""Largest magnitude [1/sample] of an eigenvalue that is treated as an integrator."""
 
 SMOOTHED = 4
-"""Smallest number of rows of a window, in rows over which the velocity is smoothed to each side."""
+"""Smallest length of a window, as a multiple of the rows on each side over which the velocity is smoothed."""
 
 NOISES = 2.0
-"""Mean square of an error of the velocity, in squares of that of the readings, that is attributed to the readings."""
+"""Mean squared velocity error that is attributed to the readings, relative to the variance due to their noise."""
 
 MOST_REPLAYED = 40
 """Largest number of logs that are replayed, spread evenly over all."""
 
 HALVED = 0.5
-"""Largest error of a device that follows, relative to that of a motion that knows nothing of the command."""
+"""Largest error of a device that follows its command, relative to the error of a motion without the command."""
 
 
 class Replay(NamedTuple):
-    """Fit of free runs to a log [%], and that of a motion at constant speed in each window, or at the log's mean
-    acceleration."""
+    """Fit of free runs to a log, and fit of a naive motion that does not follow the command [%] (`_naive_errors`)."""
 
     log: str
     fit_percent: float
@@ -49,20 +48,20 @@ class Replay(NamedTuple):
 
 
 def follows(fit_percent: float | None, naive_percent: float | None) -> bool:
-    """Return whether free runs have at most `HALVED` of the error of a motion that knows nothing of the command."""
+    """Return whether the error of free runs is at most `HALVED` of the error of a motion without the command."""
     if fit_percent is None or naive_percent is None:
         return False
     return 100 - fit_percent <= HALVED * (100 - naive_percent)
 
 
 def medians(replay: Sequence[Replay]) -> tuple[float | None, float | None]:
-    """Return the median fits of the device and without the command; None if no log moves."""
+    """Return the median fits of the device and of a motion without the command; None if no log contains motion."""
     fits = np.array([each[1:] for each in replay if np.isfinite(each.fit_percent)])
     return (float(np.median(fits[:, 0])), float(np.median(fits[:, 1]))) if len(fits) else (None, None)
 
 
 def window_rows(device: Device) -> float:
-    """Return the length of a window [samples]: infinite for a device without damping and spring."""
+    """Return the length of a window [samples]; infinite for a device without damping and spring."""
     matrices, sensors = matrices_of(device.shape, ())
     rates = np.abs(np.linalg.eigvals(matrices[0, : sensors.shape[1], : sensors.shape[1]]))
     rates = rates[rates > INTEGRATOR]
@@ -70,10 +69,10 @@ def window_rows(device: Device) -> float:
 
 
 def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device: Device) -> list[Replay]:
-    """Return the fit of free runs of a device to each log, over windows from their best initial states.
+    """Return the fit of free runs to each log, over windows from their best initial states.
 
-    With the error e of the velocity and the velocity v, both smoothed as in `Recording.motion`, the fit is
-    100 (1 - |e|/|v - mean v|); NaN for a log without motion, or with one at constant acceleration.
+    e is the error of the velocity, and v is the velocity, both smoothed as in `Recording.motion`. The fit is
+    100 (1 - |e|/|v - mean v|). It is NaN for a log without motion or with constant acceleration.
     """
     whole = segments_of(list(recordings), units, lead, False, whole=True)
     halves = np.array([each.motion.half for each in recordings])
@@ -94,9 +93,9 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
         )
         size = float(np.linalg.norm(velocity - velocity.mean())) if len(velocity) else 0.0
         noise = recordings[trial].motion.error / units.position * np.sqrt(max(len(velocity), 1))
-        # the error of the smoothed readings themselves, and that of an initial state from them, is no error of a device
+        # the errors of the smoothed readings and of an initial state from them are not errors of the device
         lefts = [max(float(each @ each) - NOISES * noise**2, 0.0) ** 0.5 for each in (of_device, *of_naive)]
-        # nor does a log judge a device if its readings hide how the motion changes
+        # a log cannot test a device if its readings hide the changes of the motion
         moves = size > max(STILL * noise, 1e-9) and min(lefts[1:]) > 0
         fits = [100 * (1 - left / size) if moves else np.nan for left in (lefts[0], min(lefts[1:]))]
         result.append(Replay(recordings[trial].name, *fits))
@@ -126,7 +125,7 @@ def replays_left_out(
 
 
 def _errors(windows: Segments, device: Device) -> Floats:
-    """Return the error of the position in free runs of a device from their best initial states."""
+    """Return the position errors of free runs from their best initial states."""
     if device.numbers.get("coulomb") or device.numbers.get("load_coulomb"):
         motion, _, _ = free_motion(windows, device, windows.white, windows.largest)
         return np.asarray(windows.position[windows.places] - motion)
@@ -135,9 +134,10 @@ def _errors(windows: Segments, device: Device) -> Floats:
 
 
 def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Floats], list[Floats]]:
-    """Return the errors of the position in the windows of a log, of motions that do not follow the command.
+    """Return the position errors of two naive motions in the windows of a log.
 
-    These are a constant speed in each window, and in addition the mean acceleration of the log: one for all windows.
+    The first motion has a constant speed in each window. The second one also has the mean acceleration of the log, which
+    is the same in all windows.
     """
     moved, bent = [], []
     for time, position in zip(times, readings, strict=True):
@@ -152,7 +152,7 @@ def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Flo
 
 
 def _velocity(windows: list[Floats], half: int) -> Floats:
-    """Return the smoothed velocity [per row] of all windows, by a parabola over ``half`` rows to each side."""
+    """Return the smoothed velocity [1/row] of all windows, from parabolas over ``half`` rows on each side."""
     about = np.arange(half, -half - 1, -1.0)
     return np.concatenate(
         [np.convolve(each, about / (about @ about), mode="valid") for each in windows if len(each) > 2 * half]

@@ -1,7 +1,7 @@
-"""Joint likelihood of all trials: common numbers, their scatter from trial to trial, and outlying trials.
+"""Joint likelihood of all trials: common numbers, their scatter from trial to trial, and outliers among trials.
 
-Each trial is a linear regression represented by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i
-of unknown variances. Restricted maximum likelihood estimates these; a noisier trial weighs less.
+Each trial is a linear regression with whitened errors e_i = X_i (theta + b_i) + noise, represented by its moments. The
+unknown variances of b_i are estimated by restricted maximum likelihood. A noisier trial has less weight.
 """
 
 from __future__ import annotations
@@ -15,28 +15,27 @@ from pipeline.measured.identification.mixed_loops import OWN_ROWS, RIDGE, SPACE,
 from pipeline.records.trials import Floats, Integers
 
 FEWEST = 8
-"""Smallest number of trials for which scatter between them is estimated; fewer give a variance to a factor of three at
-best."""
+"""Smallest number of trials for which the scatter between them is estimated. A variance from fewer trials is uncertain
+by more than a factor of three."""
 
 FOLDS = 5
-"""Number of folds of units, each of which is left out once."""
+"""Number of folds of units. Each fold is left out once."""
 
 ROUNDED = 1e-16
-"""Share of the motion below which a residual is a rounding error."""
+"""Residual, relative to the motion, below which it is a rounding error."""
 
 LEAST_NOISE = 1e-100
-"""Noise assigned to logs without any motion, with which everything is identified."""
+"""Noise that is assumed for logs without any motion or residual."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1); its degrees of freedom (T,).
+    """Triangular factors R of each trial's whitened columns and errors (T, p + 1, p + 1), and degrees of freedom (T,).
 
-    R'R are the sums of their products; R avoids the loss of digits by squaring.
-
-    ``least`` is the variance of an error due to rounding of the readings alone, ``log_spread`` the sum of the
-    logarithms of the filter's standard deviations over all rows, and of the information of the readings on the unknown
-    initial states. ``before`` (2, p) is the prior of each number: information, and the slope of its likelihood.
+    R'R contains the sums of products. R avoids the loss of digits by squaring. ``least`` is the variance of an error
+    due to rounding of the readings only. ``log_spread`` is the sum of the logarithms of the filter's standard
+    deviations and of the information on the unknown initial states. ``before`` (2, p) is the prior of each number, as
+    information and slope of its likelihood.
     """
 
     factors: Floats
@@ -51,7 +50,7 @@ class Moments:
         return np.asarray(self.factors.transpose(0, 2, 1) @ self.factors)
 
     def some(self, places: Sequence[int]) -> Moments:
-        """Return the moments of the numbers at some places only."""
+        """Return the moments for the numbers at the given places only."""
         factors: Floats = np.linalg.qr(self.factors[:, :, [*places, -1]]).R
         return replace(self, factors=factors, before=self.before[:, list(places)])
 
@@ -60,11 +59,27 @@ class Moments:
 class Solved:
     """Estimate of the common numbers as a step from the point of linearisation.
 
-    ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
-    variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
-    ``weight`` (T,) of each trial; ``likelihood`` the restricted log-likelihood, without constants, as predicted by the
-    columns after the step, and ``here`` before it, for the likeliest initial states; ``total`` (p, p) is the
-    information of all trials and of the prior.
+    Parameters
+    ----------
+    step : float64, shape (p,)
+    information : float64, shape (T, p, p)
+        Information of each trial at the solution.
+    score : float64, shape (T, p)
+        Score of each trial at the solution.
+    scatter : float64, shape (p,)
+        Variances between trials.
+    effects : float64, shape (T, p)
+        Deviations of each trial.
+    noise : float
+        Variance of a whitened error.
+    weight : float64, shape (T,)
+        Weight of each trial.
+    likelihood : float
+        Restricted log-likelihood without constants after the step, as predicted by the columns.
+    here : float
+        Restricted log-likelihood before the step, for the maximum-likelihood initial states.
+    total : float64, shape (p, p)
+        Information of all trials and of the prior.
     """
 
     step: Floats
@@ -79,9 +94,9 @@ class Solved:
     total: Floats
 
     def folds(self, trials: Integers | None = None) -> Iterator[tuple[Floats, Floats, Floats]]:
-        """Yield information and score of each fold of units, and the Newton step to the numbers from the other folds.
+        """Yield information and score of each fold of units, and the Newton step to the fit of the other folds.
 
-        ``trials`` are those of the units, if these are not trials.
+        ``trials`` contains the trial of each unit, if units are not trials.
         """
         trials = np.arange(len(self.score)) if trials is None else trials
         for fold in range(FOLDS):
@@ -91,7 +106,7 @@ class Solved:
 
 
 def inverse(information: Floats) -> Floats:
-    """Return the inverse of information matrices (..., p, p), 0 along directions without information."""
+    """Return the inverse of information matrices (..., p, p). It is 0 along directions without information."""
     scale, values, vectors = _scaled(information)
     known = np.where(values > RIDGE, 1 / np.maximum(values, RIDGE), 0.0)
     whole = (vectors * known[..., None, :]) @ vectors.swapaxes(-1, -2)
@@ -99,25 +114,25 @@ def inverse(information: Floats) -> Floats:
 
 
 def unidentified(information: Floats) -> Floats:
-    """Return the directions in which an information matrix has no information, shape (k, p)."""
+    """Return the directions along which an information matrix is zero, shape (k, p)."""
     scale, values, vectors = _scaled(information)
     return np.asarray(vectors[:, values <= RIDGE].T * scale)
 
 
 def _scaled(information: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the scaling of information matrices to a unit diagonal, and eigenvalues and vectors of these."""
+    """Return the scaling of information matrices to a unit diagonal, and their eigenvalues and eigenvectors."""
     known = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1 / np.sqrt(np.where(known > 0, known, 1.0))
     return scale, *np.linalg.eigh(information * scale[..., :, None] * scale[..., None, :])
 
 
 def solve(moments: Moments, random: Integers) -> Solved:
-    """Return the estimate, with scatter of the numbers at some places.
+    """Return the estimate of the numbers. Those at the places ``random`` vary between trials.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If it cannot be computed in double precision.
+        If the estimate cannot be computed in double precision.
     """
     from scipy.special import gammaln
 
@@ -126,9 +141,9 @@ def solve(moments: Moments, random: Integers) -> Solved:
     scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     factors, rows = moments.factors * np.append(scale, 1.0), np.maximum(moments.rows, 1.0)
     known = moments.before * np.stack([scale**2, scale])
-    # rounding errors of the numbers; readings that never change have no residual
+    # smallest residual: rounding errors of the numbers, since readings that never change have no residual
     least = max(float((factors[:, :, p] ** 2).sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE, moments.least)
-    # initial value: the residual of each unit at its own best numbers
+    # initial noise: the residual of each unit with its separate optimum
     noise = max(float(np.median(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows)), least)
     space = np.empty((T, p, p + 1)), np.empty((T, p, p + 1)), np.empty(T), np.empty((SPACE, p + 1, p + 1))
     vectors = np.empty(p), np.empty(p), *np.empty((3, T)), np.empty((p, p)), np.empty(3)

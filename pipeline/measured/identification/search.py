@@ -1,4 +1,4 @@
-"""Maximum-likelihood device near a starting value, by Newton steps on the likelihood of all trials, and its noise."""
+"""Find the maximum-likelihood device near a starting value by Newton steps, together with its noise."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 FIXED_STEPS = 2
-"""Number of initial steps without scatter between trials, before each search for noise."""
+"""Number of initial steps without scatter between trials, before each search for the noise."""
 
 STEPS = 18
-"""Largest number of Newton steps; seven are usual, a mode may take all."""
+"""Largest number of Newton steps. Seven are usual; a mode may need all."""
 
 LAST_STEPS = 3
-"""Number of steps on all logs from the result of a subset: the last one is below rounding."""
+"""Number of steps on all logs from the result of a subset. The last step is below rounding."""
 
 CUTS = (1.0, 0.3, 0.1)
-"""Fractions of a step that are tried."""
+"""Fractions of a step that are tried, in this order."""
 
 STEP_SHARE = 0.03
-"""Share of the remaining search that a step completes: about thirty steps are usual."""
+"""Share of the remaining search that each step reports as progress. About thirty steps are usual."""
 
 NOISE_ROUNDS = 4
-"""Largest number of searches for the noise after the steps: with a mode the random force decreased to between a third
-and a tenth in each."""
+"""Largest number of searches for the noise after the steps. With a mode, each search reduced the random force to a
+tenth to a third."""
 
 
 def refined(
@@ -61,9 +61,9 @@ def refined(
     steps : int
         Largest number of steps.
     far : bool
-        Whether the search starts far from the solution, where scatter between trials would explain everything.
+        Whether the search starts far from the solution, so that scatter between trials could explain everything.
     noisy : bool
-        Whether the noise is estimated, too; otherwise it is unchanged.
+        Whether the noise is estimated; otherwise it is not changed.
     jitters : bool
         Whether the noise may include a jitter of the delay.
     """
@@ -78,10 +78,10 @@ def refined(
     start = fitted(segments, device, places)
     found = _climbed(start, segments, steps)
     for number in range(NOISE_ROUNDS if noisy else 0):
-        # noise is estimated with the current numbers, some of which are wrong far from the solution
+        # noise is estimated with the current numbers, which may be wrong far from the solution
         if found.likelihood - start.likelihood < WORTH and not (far and number == 0):
             break
-        # noise at the start of the search may be motion at its end
+        # motion may be mistaken for noise at the start of the search
         device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
         start = fitted(segments, device, places)
         again = _climbed(start, segments, steps)
@@ -90,7 +90,7 @@ def refined(
         found = again
     if noisy and found.device.noise != WHITE:
         plain = fitted(segments, replace(found.device, noise=WHITE), places)
-        # the prediction of a step far from the solution is too optimistic
+        # a step predicted far from the solution is too optimistic
         if plain.likelihood > found.likelihood - WORTH:
             plain = _climbed(plain, segments, steps)
             found = plain if plain.likelihood > found.likelihood else found
@@ -98,14 +98,14 @@ def refined(
 
 
 def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
-    """Return the local optimum of the likelihood near a device, with its noise fixed and no scatter between trials."""
+    """Return the local optimum of the likelihood near a device, with fixed noise and no scatter between trials."""
     return _climbed(fitted(segments, device, np.empty(0, dtype=np.int64)), segments, steps)
 
 
 def ended(segments: Segments, device: Device) -> Fit:
-    """Return the maximum-likelihood fit, starting from a nearby device, with the uncertainty due to its jitter."""
+    """Return the final maximum-likelihood fit near a device, with the uncertainty due to its jitter."""
     fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
-    # a number at its limit, such as a delay of 0, shifts the others: the search without limits ends elsewhere
+    # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is another one
     beyond = [fit.solved.step] if (_inner_step(fit) != fit.solved.step).any() else []
     optima = np.stack([np.zeros(len(fit.device.names)), *beyond])
     fit = replace(fit, phases=phases_of(segments, fit), optima=optima)
@@ -118,7 +118,7 @@ def ended(segments: Segments, device: Device) -> Fit:
 
 
 def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
-    """Return the fit after Newton steps, each shortened until the likelihood does not fall."""
+    """Return the fit after Newton steps. Each step is shortened until the likelihood increases."""
     for _ in range(steps):
         approach(STEP_SHARE)
         step = _inner_step(fit)
@@ -140,7 +140,7 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
 
 
 def _inner_step(fit: Fit) -> Floats:
-    """Return the Newton step along the numbers that are not at a limit beyond which the likelihood rises."""
+    """Return the Newton step without the numbers at a limit beyond which the likelihood would increase."""
     step, total = fit.solved.step, fit.solved.total
     values = np.array(list(fit.device.numbers.values()))
     low, high = np.array([LIMITS.get(name, (-np.inf, np.inf)) for name in fit.device.names]).T

@@ -1,4 +1,4 @@
-"""Segments of logs: rows in motion with unknown initial state, as ranges of the rows of all trials."""
+"""Divide logs into segments: rows in motion with an unknown initial state, as ranges of the rows of all trials."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from pipeline.measured.identification.recordings import SHORTEST, SURE, LogUnits
 from pipeline.records.trials import Booleans, Floats, Integers
 
 EARLIER = 50
-"""Number of rows at rest before a start that are kept: they give the initial position to a seventh of the noise."""
+"""Number of rows at rest before a start that are kept. They reduce the error of the initial position to a seventh."""
 
 EXACT = 1e-9
-"""Relative numerical error of a reading, in the largest displacement: smaller residuals do not justify a part."""
+"""Relative numerical error of a reading, as a share of the largest displacement. Smaller residuals do not justify a
+part."""
 
 LONGEST = 1000
-"""Largest number of rows of a segment: a longer log is cut, so that a slowly changing force is not part of its
-motion."""
+"""Largest number of rows of a segment. Longer logs are cut, so that a slowly changing force does not affect the motion
+within a segment."""
 
 GAP = 1.5
-"""Smallest pause, in sampling periods, at which a command is missing between two rows if it differs after them."""
+"""Smallest pause between two rows, in sampling periods, in which a command is missing if the command changes there."""
 
 REGULAR = 0.05
-"""Largest distance of a row from an even grid, in samples, for which the rows count as even and the time stamps as
-scattered by the clock; logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
+"""Largest distance of a row from an even grid, in samples, at which the rows are even and the clock scatters the time
+stamps. It is below 0.01 for real-time controllers and up to 0.3 for polling loops."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Part of a recording: first row, row after the last one, and row of the command that starts it from rest."""
+    """Part of a recording: its first row, the row after its last one, and the row of a command edge at its start."""
 
     trial: int
     first: int
@@ -43,7 +44,7 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """S segments, in the units of `LogUnits`: ranges of R rows of T trials.
+    """S segments in the units of `LogUnits`, as ranges of the R rows of T trials.
 
     Parameters
     ----------
@@ -54,20 +55,19 @@ class Segments:
         Rows of each segment.
     trial : int64, shape (S,)
     edge : int64, shape (S,)
-        First row in which forces act on a device kept at rest by friction before; `ALWAYS` for a segment that does not
+        First row in which forces act. Friction keeps the device at rest before it. `ALWAYS` for a segment that does not
         start at rest.
     direction : float64, shape (S,)
-        Direction of motion; 0 if it is not required.
+        Direction of motion; 0 if it is not needed.
     distinct, least : float64, shape (S,)
-        Number of readings with information that is not in the previous one, and variance of a reading due to rounding
-        alone.
+        Number of readings that contain new information, and variance of a reading due to rounding only.
     lead : int
-        Number of rows of commands before a segment on which its motion depends.
+        Number of rows before a segment whose commands affect its motion.
     even : bool
-        Whether all rows of segments, and those before them, are one sample apart.
+        Whether all rows of the segments, and the rows before them that affect them, are one sample apart.
     free : tuple of float
-        Coefficients 1, a_1, a_2 ... of the filter that whitens the errors of free runs, in which friction acts against
-        the direction of the run; empty if it acts against that of the readings.
+        Coefficients 1, a_1, a_2 ... of the filter that whitens the errors of free runs. In a free run, friction acts
+        against the simulated motion. Empty if friction acts against the measured motion instead.
     """
 
     offsets: Integers
@@ -90,7 +90,7 @@ class Segments:
 
     @property
     def trials(self) -> int:
-        """Number of trials T, some of which may have no segment."""
+        """Number of trials T. Some trials may have no segment."""
         return len(self.offsets) - 1
 
     @cached_property
@@ -105,7 +105,7 @@ class Segments:
 
     @cached_property
     def rests(self) -> Booleans:
-        """Which segments start at rest, shape (S,)."""
+        """Whether each segment starts at rest, shape (S,)."""
         return np.asarray(self.edge > ALWAYS)
 
     @cached_property
@@ -116,12 +116,12 @@ class Segments:
 
     @cached_property
     def segment(self) -> Integers:
-        """Segment of each of these rows."""
+        """Segment of each row in `places`."""
         return np.repeat(np.arange(len(self)), self.rows)
 
     @cached_property
     def spans(self) -> tuple[Floats, Integers]:
-        """Distinct lengths of intervals [samples], and the one after each row; one value if rows are even."""
+        """Distinct lengths of intervals [samples], and index of the one after each row; one value if rows are even."""
         if self.even:
             return np.ones(1), np.zeros(1, np.int64)
         span = np.append(np.diff(self.time), 1.0)
@@ -131,7 +131,7 @@ class Segments:
 
     @cached_property
     def between(self) -> Floats:
-        """Position in the middle of the interval after each row within segments, shape (R,)."""
+        """Position in the middle of the interval after each row, within segments, shape (R,)."""
         result = self.position.copy()
         inner = self.places[np.append(np.diff(self.segment) == 0, [False])[: len(self.places)]]
         result[inner] = 0.5 * (self.position[inner] + self.position[inner + 1])
@@ -139,7 +139,7 @@ class Segments:
 
     @cached_property
     def white(self) -> float:
-        """Variance of a reading from third differences, in which motion is negligible; at least that of rounding."""
+        """Variance of a reading from third differences, in which motion is negligible. Rounding is the lower bound."""
         third = np.diff(self.position[self.places], 3)[self.segment[3:] == self.segment[:-3]]
         of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
         return max(of_noise, float(np.median(self.least)), EXACT**2)
@@ -150,12 +150,12 @@ class Segments:
         return float(np.abs(self.position[self.places]).max(initial=0.0))
 
     def select(self, which: Integers | Booleans | slice) -> Segments:
-        """Return some of the segments."""
+        """Return the selected segments."""
         arrays = ("first", "behind", "trial", "edge", "direction", "distinct", "least")
         return replace(self, **{name: getattr(self, name)[which] for name in arrays})
 
     def split(self, most: int) -> Segments:
-        """Return the segments as parts of at most ``most`` rows, each with a separate initial state."""
+        """Split segments into parts of at most ``most`` rows. Each part has a separate initial state."""
         parts = -(-self.rows // most)
         size = np.repeat(-(-self.rows // parts), parts)
         number = np.arange(int(parts.sum())) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -179,7 +179,7 @@ def segments_of(
     *,
     whole: bool = False,
 ) -> Segments:
-    """Return the segments of recordings.
+    """Divide recordings into segments.
 
     Parameters
     ----------
@@ -188,8 +188,8 @@ def segments_of(
     lead : int
         Number of rows of commands needed before a reading: the delay, rounded up.
     moving : bool
-        Whether only rows with a known direction of motion are used, as required for friction, with one direction per
-        segment; a reversal is only known to a fraction of a row. Otherwise all rows are used.
+        Whether only rows with a known direction of motion are used, in segments of one direction. Friction requires
+        this, since the time of a reversal is uncertain by a fraction of a row. Otherwise all rows are used.
     free : tuple of float
         As in `Segments`; logs are then not cut, as the run goes through reversals.
     whole : bool
@@ -212,7 +212,7 @@ def segments_of(
 
 
 def _even(time: Floats) -> Floats:
-    """Return times [samples] on an even grid if they lie within `REGULAR` of one."""
+    """Return times [samples] on an even grid if they deviate by less than `REGULAR` from it; otherwise unchanged."""
     if len(time) < SHORTEST:
         return time
     index = np.arange(len(time))
@@ -225,7 +225,7 @@ def _even(time: Floats) -> Floats:
 
 
 def _starts_at_rest(recording: Recording) -> bool:
-    """Return whether position and command are constant in the first rows, so that earlier commands do not matter."""
+    """Return whether position and command are constant in the first rows, so that earlier commands have no effect."""
     few = min(5, len(recording.position) - 1)
     noise = recording.noise
     first = recording.position[: few + 1]
@@ -241,13 +241,13 @@ def _all(trial: int, first: int, behind: int, most: int) -> list[_Cut]:
 
 
 def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], lead: int) -> list[_Cut]:
-    """Return the parts of some rows in which the device moves in one direction."""
+    """Return the parts of a range of rows in which the device moves in one direction."""
     first, behind = rows
     sign = seen.direction[first:behind]
     edges = np.flatnonzero(np.diff(sign)) + 1
     found: list[_Cut] = []
     for a, b in pairwise([0, *edges.tolist(), len(sign)]):
-        # the smoothed velocity continues after a stop for as many rows as it uses from before it
+        # smoothing extends the velocity beyond a stop by half of its window
         stop = b - seen.half if b < len(sign) else b
         if not sign[a] or stop <= a:
             continue
@@ -265,9 +265,9 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
 
 
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
-    """Return the row at which a command jumps and sets the device in motion from rest, None if there is none."""
+    """Return the row of a command edge that sets the device in motion from rest; None if there is none."""
     if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
-        # after the first reversal it does not start from rest
+        # after a reversal, the device does not start from rest
         return None if seen.direction[each.edge : moves].any() else each.edge
     begin = max(first, moves - lead - EARLIER)
     resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
@@ -282,10 +282,10 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
 
 
 def _distinct(position: Floats, rounding: float) -> int:
-    """Return the number of readings with information that is not in the previous one.
+    """Return the number of readings that contain new information.
 
-    A reading that repeats the previous one has no new information. Neither has, for a sensor with steps, a reading that
-    changes by as many steps as in the previous row: its rounding error is the same.
+    A reading that equals the previous one contains no new information. With visible sensor steps, the same is true of a
+    reading that changes by as many steps as the previous one, because its rounding error is the same.
     """
     changes = np.diff(position)
     bends = np.abs(np.diff(changes)) > 0.1 * np.sqrt(12.0) * rounding if rounding > 0 else np.ones(len(changes))
@@ -293,7 +293,7 @@ def _distinct(position: Floats, rounding: float) -> int:
 
 
 def _joined(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], units: LogUnits, lead: int) -> Segments:
-    """Return segments with the rows of all recordings in units."""
+    """Return the segments with the rows of all recordings, in the given units."""
     offsets = np.concatenate([[0], np.cumsum([len(each.time) for each in recordings])]).astype(np.int64)
     origins = [each.position[0] if units.origin is None else units.origin for each in recordings]
     trial = np.array([cut.trial for cut in cuts], dtype=np.int64)
@@ -319,7 +319,7 @@ def _joined(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], u
 
 
 def _is_even(segments: Segments) -> bool:
-    """Return whether the rows of segments, and the commands before them, are one sample apart."""
+    """Return whether the rows of the segments and the commands before them are one sample apart."""
     uneven = np.concatenate([[0], np.cumsum(np.abs(np.diff(segments.time) - 1) > 1e-6)])
     first = np.maximum(segments.first - segments.lead, segments.begin)
     return bool((uneven[segments.behind - 1] == uneven[first]).all())

@@ -102,7 +102,7 @@ def test_rows_farther_apart_than_the_time_constant_give_the_speed_per_command(se
     position = np.round(log.position[rows], 4)
     found = identified([Recording("a", log.time[rows], fine[rows], position, 5.2e-3)])
     assert "mass" in found.unidentifiable
-    assert "farther apart" in found.reasons["mass"]
+    assert "longer than the time constant" in found.reasons["mass"]
     interval = found.parameters["damping"]
     assert interval.low <= damping <= interval.high
     assert interval.value == pytest.approx(damping, rel=0.02)
