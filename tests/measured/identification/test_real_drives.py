@@ -106,4 +106,4 @@ def test_friction_along_the_way_is_named_by_its_place():
     found = identified([rig.log(str(i), levels(rng, 1200, 60, 2.0), i) for i in range(2)])
     assert not any(found.parts.values())
     assert found.unidentifiable == set(found.parameters)
-    assert "place" in found.reasons["mass"]
+    assert "position" in found.reasons["mass"]
