@@ -1,4 +1,4 @@
-"""Factors of 95 % intervals: of a normal distribution, and of Student's t for few degrees of freedom."""
+"""Factors of 95 % intervals, for a normal distribution and for Student's t with few degrees of freedom."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from pipeline.records.trials import Floats
 
 CONFIDENCE = 0.95
-"""Coverage of every interval."""
+"""Coverage of all intervals."""
 
 SIGMAS = 3.0
-"""Number of standard deviations for a certain difference of two values: 0.3 % of normal values exceed it by chance."""
+"""Number of standard deviations for a significant difference of two values (0.3 % of normal values exceed it)."""
 
 NORMAL_95 = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
 """Half-width of the 95 % interval of a normal distribution in standard deviations."""
@@ -21,19 +21,19 @@ NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
 
 ROUNDING = 1e-12
-"""Relative rounding error between equal values in double precision; also the smallest standard error."""
+"""Relative rounding error between equal values in double precision. It is also the smallest standard error."""
 
 SMALLEST = float(np.sqrt(np.finfo(np.float64).tiny))
-"""Smallest standard error of a value that is zero: its square does not underflow."""
+"""Smallest standard error of a value that is zero. Its square does not underflow."""
 
 
 def student_95(freedom: object) -> Floats:
-    """Return the factor of a 95 % interval with few degrees of freedom (Student's t), NaN below one.
+    """Return the factor of a 95 % interval with few degrees of freedom (Student's t); NaN below one degree.
 
     Parameters
     ----------
     freedom : array_like, shape (...)
-        Degrees of freedom, also fractional and infinite.
+        Degrees of freedom, which may be fractional or infinite.
     """
     from scipy.special import stdtrit
 

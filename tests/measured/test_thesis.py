@@ -133,7 +133,7 @@ def test_a_position_that_counts_the_other_way_has_no_delay():
     assert sum(find_response(trial).has_edge for trial in trials) > 30
     found = changes(trials)
     assert set(found.delay_samples.tolist()) == {-1}
-    words = [text for text in found.reason if "against the step at first; check the signs of position" in text]
+    words = [text for text in found.reason if "first moves against the step; check the signs of position" in text]
     assert len(words) > 30
 
 

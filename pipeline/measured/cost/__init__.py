@@ -1,1 +1,1 @@
-"""Costs of a recorded response, with intervals."""
+"""Costs of recorded step responses, with 95 % intervals."""

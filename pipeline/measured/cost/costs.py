@@ -1,8 +1,7 @@
-"""Settling time, overshoot and rise time of recorded step responses, with intervals that cover the reading errors.
+"""Compute settling time, overshoot and rise time of recorded step responses, with intervals for the reading errors.
 
-Cost index 0 is sample k0 + d: the response starts at the command edge k0, and its first d samples pass before the
-command reaches the device. Each cost uses only the quantities it needs; its interval covers the effect of reading
-errors.
+Cost index 0 is the row k0 + d. The response starts at the command edge k0, and the command reaches the device after d
+samples. Each cost uses only the quantities that it needs.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ TAIL = 0.5 * (1 - CONFIDENCE)
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a trial with its 95 % interval; NaN, with a reason, if there is none.
+    """Cost of a trial with its 95 % interval. The value is NaN, with a reason, if the trial has no cost.
 
-    ``low`` and ``high`` are also NaN if the error of the readings was not given or is unknown.
+    ``low`` and ``high`` are also NaN if the reading errors are not given or unknown.
     """
 
     value: float = np.nan
@@ -40,12 +39,12 @@ class Cost:
 
 
 def joined(*reasons: str) -> str:
-    """Return the distinct reasons, joined; empty if there is none."""
+    """Join the distinct reasons. The result is empty if there are none."""
     return "; ".join(dict.fromkeys(text for text in reasons if text))
 
 
 def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples: int) -> tuple[int, str]:
-    """Return the row of cost index 0, and the reason why a trial has no cost (empty if it has one).
+    """Return the row of cost index 0, and the reason why a trial has no cost (empty if it has a cost).
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def cost_start(trial: Trial, response: Response, verdict: Verdict, delay_samples
 
 
 def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the smallest and largest integer delay factor; both equal the delay if no range is given.
+    """Return the smallest and largest integer delay factor. Both equal the delay if no range is given.
 
     Raises
     ------
@@ -91,7 +90,7 @@ def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tup
     if not 0 <= low <= delay_samples <= high:
         raise ParameterError(
             f"range of the delay {low} to {high} samples: expected 0 <= low <= {delay_samples} <= high, "
-            "the delay that the cost was computed with."
+            "where the number in the middle is the delay used for the cost."
         )
     return low, high
 
@@ -100,8 +99,8 @@ def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tup
 class _Readings:
     """Readings of a trial, starting at cost index 0, shape (rows,).
 
-    ``offset`` is their distance from the final position, ``deviation`` their standard error; None, possibly with a
-    reason, if it is unknown.
+    ``offset`` is the distance from the final position, and ``deviation`` its standard error. ``deviation`` is None if
+    it is unknown; ``reason`` then states why, if there is a reason.
     """
 
     first: int
@@ -115,7 +114,7 @@ class _Readings:
 def _readings(
     trial: Trial, response: Response, verdict: Verdict, delay_samples: int, error: ReadingError | None
 ) -> _Readings | Cost:
-    """Return the readings from which a cost is computed, or no cost and the reason."""
+    """Return the readings from which a cost is computed. If there is no cost, return a cost with the reason."""
     first, reason = cost_start(trial, response, verdict, delay_samples)
     if reason:
         return Cost(reason=reason)
@@ -134,34 +133,34 @@ def settling(
     delay_range: tuple[int, int] | None = None,
     bands: Mapping[str, float] = SETTLING_BANDS,
 ) -> dict[str, Cost]:
-    """Return the discrete settling time by criterion: the smallest k from which on all samples are inside the band.
+    """Return the discrete settling time by criterion: the smallest k from which all samples are inside the band.
 
     Parameters
     ----------
     trial : Trial
     response, verdict : Response, Verdict
-        Of this trial.
+        Response and verdict of this trial.
     delay_samples : int
         Integer delay factor d of the experiment.
     error : ReadingError, optional
-        Of this trial; without it there is no interval.
+        Reading errors of this trial. Without them, the costs have no interval.
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor compatible with the experiment.
     bands : mapping of str to float
-        Half-widths of the bands relative to the final displacement, by criterion.
+        Half-widths of the bands relative to the final displacement, with criteria as keys.
 
     Raises
     ------
     ParameterError
-        If the delay is negative, or not in its range.
+        If the delay is negative, or outside its range.
 
     Notes
     -----
-    The band is centred at x_0 + F_0/K, not at the last sample; there is no settling time for a band narrower than the
-    effect of quantum and noise alone. The ends of the interval are the settling times for a band that is wider or
-    narrower by the error of one reading, because a single reading, the last one outside, decides. A larger delay shifts
-    cost index 0 and thus shortens the settling time. There is no upper end if the motion can still leave the band after
-    the log (`reach`).
+    The band is centred at x_0 + F_0/K, not at the last sample. There is no settling time for a band narrower than the
+    effect of quantum and noise. The ends of the interval are the settling times for a band that is wider or narrower by
+    the error of one reading, because a single reading, the last one outside, decides. A larger delay shifts cost index
+    0 and thus shortens the settling time. There is no upper end if the motion may leave the band after the end of the
+    log (`reach`).
 
     Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
     """
@@ -192,19 +191,19 @@ def settling(
             settled,
             max(soonest - (high - delay_samples), 0),
             latest + (delay_samples - low) if stays else np.nan,
-            "" if stays else f"{name}: it may leave the band again after the end of the log",
+            "" if stays else f"{name}: the motion may leave the band again after the end of the log",
         )
     return costs
 
 
 def _settled(size: Floats, width: float | Floats) -> int:
-    """Return the index after the last one outside a band."""
+    """Return the index after the last reading outside a band."""
     outside = np.flatnonzero(size > width)
     return int(outside[-1]) + 1 if len(outside) else 0
 
 
 def overshoot_floor(trial: Trial, response: Response) -> float:
-    """Return the apparent overshoot due to quantum, noise and motion before the step; 0 without a wall or a step."""
+    """Return the apparent overshoot due to quantum, noise and motion before the step; 0 without wall or step."""
     if trial.stiffness <= 0 or trial.step == 0:
         return 0.0
     return (response.floor + response.baseline_motion) / abs(trial.step / trial.stiffness)
@@ -217,18 +216,18 @@ def overshoot(trial: Trial, response: Response, verdict: Verdict, error: Reading
     ----------
     trial : Trial
     response, verdict : Response, Verdict
-        Of this trial.
+        Response and verdict of this trial.
     error : ReadingError, optional
-        Of this trial; without it there is no interval.
+        Reading errors of this trial. Without them, the cost has no interval.
 
     Notes
     -----
-    Neither delay nor mass is needed. The largest of many noisy readings lies above the largest true position. The upper
-    bound follows from the error of this reading; the lower bound from the largest error of all readings within twice
-    that error of it, any of which may be the largest. Motion after the end of the log is bounded by `reach`. If the
-    interval begins at 0, there may be no overshoot.
+    Neither delay nor mass is needed. The largest of many noisy readings exceeds the largest true position. The upper
+    bound follows from the error of the largest reading. The lower bound follows from the largest error of all readings
+    that may be the largest, i.e. those closer to it than twice that error. Motion after the end of the log is bounded
+    by `reach`. If the interval begins at 0, there may be no overshoot.
 
-    Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
+    Source: Hulin 2017, sec. 5.1.1; the tolerance 1e-12 of "no overshoot" is from footnote 4 of 5.2.2.
     """
     readings = _readings(trial, response, verdict, 0, error)
     if isinstance(readings, Cost):
@@ -255,7 +254,7 @@ def _quantile(chance: float) -> float:
 
 
 def rise_time(trial: Trial, response: Response, verdict: Verdict, error: ReadingError | None = None) -> Cost:
-    """Return the time from 10 to 90 % of the final displacement, with linear interpolation of readings [samples]."""
+    """Return the rise time [samples] from 10 to 90 % of the final displacement, with interpolated readings."""
     readings = _readings(trial, response, verdict, 0, error)
     if isinstance(readings, Cost):
         return readings
@@ -276,12 +275,12 @@ def rise_time(trial: Trial, response: Response, verdict: Verdict, error: Reading
     )
     shortest = end - begin - np.hypot(end - soonest_end, latest_begin - begin)
     longest = end - begin + np.hypot(latest_end - end, begin - soonest_begin)
-    late = f"rise_time: with the error of the sensor it may not reach {high:.0%} by the end of the log"
+    late = f"rise_time: within the reading error, {high:.0%} may not be reached by the end of the log"
     return Cost(end - begin, float(np.fmax(shortest, 0.0)), float(longest), late if np.isnan(longest) else "")
 
 
 def _reached(share: Floats, level: float) -> float:
-    """Return the index at which a share is first reached, linearly interpolated; NaN if it is never reached."""
+    """Return the interpolated index at which a share is first reached; NaN if it is never reached."""
     index = int(np.argmax(share >= level))
     if share[index] < level:
         return np.nan
@@ -293,14 +292,14 @@ def _reached(share: Floats, level: float) -> float:
 
 @dataclass(frozen=True)
 class ReadingInputs:
-    """Inputs of the reading errors of a trial that are common to the experiment.
+    """Inputs of the reading errors of a trial that are common to all trials of the experiment.
 
     Parameters
     ----------
     delay : int
         Number of samples before any feedback takes effect.
     sensor : float, optional
-        Standard deviation of the error of one reading [m, rad], None if it is unknown.
+        Standard deviation of the error of one reading [m, rad]; None if unknown.
     gain : float
         `usual_gain` of the trials.
     spring : float
@@ -318,7 +317,7 @@ class ReadingInputs:
 
 @dataclass(frozen=True)
 class CostInputs:
-    """Inputs of the costs of a trial that are common to the experiment.
+    """Inputs of the costs of a trial that are common to all trials of the experiment.
 
     Parameters
     ----------
@@ -336,11 +335,11 @@ class CostInputs:
 
 
 Measure = Callable[[Trial, Response, Verdict, ReadingError, CostInputs], CostRow]
-"""Measurement of a trial's stored costs of one family, from its response, verdict and reading error."""
+"""Function that computes the stored costs of one family from a trial's response, verdict and reading error."""
 
 
 def _columns(costs: Mapping[str, Cost]) -> dict[str, float]:
-    """Return the stored columns of costs by column name."""
+    """Return the stored columns of costs, with column names as keys."""
     return {
         f"{name}{end}": value
         for name, cost in costs.items()
@@ -365,7 +364,7 @@ def other_settling(
     *,
     criterion: Criterion,
 ) -> OtherCostRow:
-    """Return the settling time of a trial for a band that no column stores."""
+    """Return the settling time of a trial for a band without a stored column."""
     bands, d = {criterion.name: criterion.band or 0.0}, inputs.readings.delay
     (cost,) = settling(trial, response, verdict, d, error, delay_range=inputs.delay_range, bands=bands).values()
     return OtherCostRow(cost.value, cost.low, cost.high, cost.reason)

@@ -1,4 +1,4 @@
-"""Energy cost of measured responses, with an interval due to noise, quantum, mass, delay and the end of the log."""
+"""Compute the energy cost of measured responses, with an interval for noise, quantum, mass, delay and truncation."""
 
 from __future__ import annotations
 
@@ -22,32 +22,33 @@ from pipeline.records.stage_records import EnergyRow, OtherCostRow
 from pipeline.records.trials import Floats, Trial
 
 WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
-"""Exponents w of the time weighting."""
+"""Exponents w of the time weight k^w."""
 
 LEVEL_SIGMAS = 4.5
-"""Distance from the final position, in standard errors of a reading, above which the response is not at rest; noise
-alone exceeds it in 0.3 % of 400 samples. The bias of the sum is corrected, so that the level can be lower than for a
-plain sum."""
+"""Distance from the final position, in standard errors of a reading, above which the response is not at rest. Noise
+alone exceeds it in 0.3 % of logs with 400 samples. The bias of the sum is corrected, so the level can be lower than for
+a plain sum."""
 
 LARGEST_LEVEL = 0.1
-"""Largest level of the horizon, relative to the final displacement, for which the first-order error propagation is
-valid; above it the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
+"""Largest level of the horizon, relative to the final displacement, for which first-order error propagation is valid.
+Above it, the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
 
 LARGEST_HALF_WIDTH = 0.5
-"""Half-width of the interval, relative to the value, above which only the order of magnitude is known."""
+"""Half-width of the interval, relative to the value, above which the cost is not reported."""
 
 GROWTH_ERROR, MEAN_ERROR = 0.2, 0.5
-"""Relative error of a decay beyond the horizon: of a growth rate from the modes of the whole motion (95 % of noisy
-Falcon logs stay within it), and of the mean decay since the peak of the energy if there is no growth rate."""
+"""Relative errors of the decay beyond the horizon. The first is for a growth rate from the modes of the motion (95 % of
+noisy Falcon logs are within it), the second for the mean decay since the peak of the energy."""
 
 LARGEST_TAIL = 0.25
-"""Largest part of the cost beyond the horizon; above it, the cost depends more on the extrapolation than on the log."""
+"""Largest share of the cost beyond the horizon. Above it, the cost depends too much on the extrapolation."""
 
 SHORTEST_HORIZON = 40
-"""Smallest number of samples of a horizon that shows a decay: half of them contain a swing of the fastest walls."""
+"""Smallest number of samples of a horizon that shows a decay. Half of them contain an oscillation of the fastest
+walls."""
 
 FIRST_TERMS = 4096
-"""Number of terms that are summed individually for a decay with a non-integer exponent; later terms are smooth."""
+"""Number of terms that are summed individually for a non-integer exponent. Later terms are smooth."""
 
 LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
 """Half of the largest exponent for which exp does not overflow."""
@@ -55,21 +56,21 @@ LARGEST_EXPONENT = 0.5 * float(np.log(np.finfo(np.float64).max))
 
 @dataclass(frozen=True, eq=False)
 class EnergyTerms:
-    """Distances and changes of the samples from cost index 0 to the horizon, and their energies E_k/E_0.
+    """Distances and changes of the samples from cost index 0 to the horizon, for their energies E_k/E_0.
 
     E_0 = F_0^2/(2 K) is the energy that the step stores in the wall.
 
     Parameters
     ----------
     first, stop : int
-        Row of cost index 0, and first row after the horizon; equal if there is no cost.
+        Row of cost index 0, and first row after the horizon. They are equal if there is no cost.
     error : float64, shape (stop - first,)
         Distance from x_0 + F_0/K [m, rad].
     change : float64, shape (stop - first,)
         Change since the previous sample [m, rad]; 0 at cost index 0.
     spring, inertia : float
-        Potential energy at a distance of 1 m (rad) [1/m^2, 1/rad^2], and kinetic energy of a mass of 1 kg (kg m^2) that
-        moves by 1 m (rad) in a sample.
+        Normalised potential energy per squared distance [1/m^2, 1/rad^2], and normalised kinetic energy per squared
+        change in a sample and per mass.
     reason : str
         Reason why there is no cost.
     """
@@ -83,7 +84,7 @@ class EnergyTerms:
     reason: str = ""
 
     def summed(self, mass: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
-        """Return the plain sums of k^w E_k/E_0 up to the horizon by w; NaN if there is no cost."""
+        """Return the plain sums of k^w E_k/E_0 up to the horizon for each w; NaN if there is no cost."""
         if self.reason:
             return np.full(len(weights), np.nan)
         energy = self.spring * self.error**2 + mass * self.inertia * self.change**2
@@ -93,13 +94,13 @@ class EnergyTerms:
 def energy_terms(
     trial: Trial, response: Response, verdict: Verdict, delay_samples: int, level: float | None = None
 ) -> EnergyTerms:
-    """Return the energies of each sample up to the horizon.
+    """Return the energy terms of each sample up to the horizon.
 
     Parameters
     ----------
     trial : Trial
     response, verdict : Response, Verdict
-        Of this trial.
+        Response and verdict of this trial.
     delay_samples : int
         Integer delay factor d of the experiment.
     level : float, optional
@@ -113,9 +114,9 @@ def energy_terms(
 
     Notes
     -----
-    E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2 with x_{-1} = x_0. The horizon is where the response finally
-    falls below the level, since the floor times k^2 over a long log would dominate the sum; ideal logs are used up to
-    their end.
+    E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2 with x_{-1} = x_0. The horizon is the row in which the
+    response finally falls below the level. Without a horizon, the sensor floor times k^2 would dominate the sum over a
+    long log. Ideal logs are used up to their end.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
@@ -127,7 +128,7 @@ def energy_terms(
     if response.floor > 0:
         above = np.flatnonzero(np.abs(error) > (AT_REST * response.floor if level is None else level))
         error = error[: above[-1] + 1] if len(above) else error[:0]
-    # chi_{-1} = chi_0: the response is at rest at its index 0
+    # x_{-1} = x_0: the response is at rest at cost index 0
     position = trial.position[first : first + len(error)]
     change = np.diff(position, prepend=position[:1])
     per_step = trial.stiffness / trial.step
@@ -137,7 +138,7 @@ def energy_terms(
 
 @dataclass(frozen=True, eq=False)
 class EnergyInterval:
-    """Discrete energy cost by exponent w with its 95 % interval; NaN if there is no value.
+    """Discrete energy cost with its 95 % interval for each exponent w; NaN if there is no value.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ class EnergyInterval:
     horizon_samples : int
         Number of samples summed.
     reason : str
-        Reasons for missing values, with their exponents.
+        Reasons for missing values, with the exponents concerned.
     """
 
     value: Floats
@@ -170,13 +171,13 @@ def energy_interval(
     inputs: CostInputs,
     weights: tuple[float, ...] = WEIGHTS,
 ) -> EnergyInterval:
-    """Return the discrete energy cost with its interval.
+    """Return the discrete energy cost with its 95 % interval.
 
     Parameters
     ----------
     trial : Trial
     response, verdict, error : Response, Verdict, ReadingError
-        Of this trial.
+        Response, verdict and reading errors of this trial.
     inputs : CostInputs
     weights : tuple of float
         Exponents w.
@@ -184,20 +185,20 @@ def energy_interval(
     Raises
     ------
     ParameterError
-        If the mass is not positive, its error negative, or the range of the delay does not contain the delay.
+        If the mass is not positive, its error is negative, or the range of the delay does not contain the delay.
 
     Notes
     -----
     The cost is `EnergyTerms.summed`, corrected for bias and truncation: noise adds its variance times k^w to the sum,
     and the sum ends at the horizon. The error due to noise is propagated to first order, including the response of the
-    wall to each error. Independent parts (noise, mass, tail) are added in quadrature, separately for each side. The
-    range of the delay is added linearly: another delay removes or adds samples, and shifts all indices. The energies of
-    a response that rests off its final position, which lie after the horizon, are also added linearly.
+    wall to each reading error. Independent parts (noise, mass, tail) are added in quadrature, separately for each side.
+    The range of the delay is added linearly, since another delay removes or adds samples and shifts all indices. If a
+    response does not rest at its final position, its energy after the horizon is also added linearly.
 
     There is no value if the interval is wider than `LARGEST_HALF_WIDTH`, or if noise and quantum are not small compared
     with the final displacement. For the shipped devices, 94 to 97 % of the intervals contain the cost of the ideal
-    loop, and 90 to 97 % with a quantum and no noise, where errors of slow readings are correlated. The effect of jitter
-    itself on the cost, and a wrong final position, are not in the interval.
+    loop. With a quantum and no noise, errors of slow readings are correlated, and 90 to 97 % of the intervals contain
+    it. The interval does not include the effect of jitter on the cost, or a wrong final position.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
@@ -232,15 +233,15 @@ def energy_interval(
     size, reason = abs(trial.step) / trial.stiffness, ""
     if level > LARGEST_LEVEL * size:
         trusted[:] = False
-        reason = f"noise and quantum leave {level:.3g} open, too much for a final displacement of {size:.3g}"
+        reason = f"noise and quantum of {level:.3g} are too large for a final displacement of {size:.3g}"
     elif not trusted.all():
         between = zip(low, high, strict=True)
-        ends = [f": {a:.3g} to {b:.3g}" if np.isfinite(b) else " without an end" for a, b in between]
+        ends = [f": {a:.3g} to {b:.3g}" if np.isfinite(b) else " without upper end" for a, b in between]
         both = zip(weights, ends, trusted.tolist(), strict=True)
         open_ = ", ".join(f"w = {w:g}{end}" for w, end, known in both if not known)
-        away = "; it comes to rest away from its final position"
+        away = "; the device does not rest at the final position"
         remedy = away if rest.any() else "; record longer" if horizon else ""
-        reason = f"noise, mass, delay and what follows {horizon} samples leave open {open_}{remedy}"
+        reason = f"noise, mass, delay and the motion after {horizon} samples are too uncertain for {open_}{remedy}"
     value, low, high, bias, tail = (np.where(trusted, part, np.nan) for part in (value, low, high, bias, tail))
     return EnergyInterval(value, low, high, bias, tail, horizon, reason)
 
@@ -248,7 +249,7 @@ def energy_interval(
 def energy_row(
     trial: Trial, response: Response, verdict: Verdict, error: ReadingError, inputs: CostInputs
 ) -> EnergyRow:
-    """Return the energies of a trial with their intervals in stored form."""
+    """Return the energy costs of a trial with their intervals in stored form."""
     cost = energy_interval(trial, response, verdict, error, inputs)
     parts = {"": cost.value, "_low": cost.low, "_high": cost.high, "_bias": cost.bias, "_tail": cost.tail}
     return EnergyRow(
@@ -269,18 +270,19 @@ def other_energy(
     *,
     criterion: Criterion,
 ) -> OtherCostRow:
-    """Return the energy of a trial for an exponent that no column stores."""
+    """Return the energy cost of a trial for an exponent without a stored column."""
     cost = energy_interval(trial, response, verdict, error, inputs, (criterion.weight,))
     return OtherCostRow(float(cost.value[0]), float(cost.low[0]), float(cost.high[0]), cost.reason)
 
 
 @compiled("Tuple((f8[:, ::1], f8[:, ::1], f8[:, ::1]))(f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])")
 def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the gradient of sum k^w E_k, shape (w, h), sums over k, shape (4, w), and those at the end, (2, 3).
+    """Return the gradient of sum k^w E_k, shape (w, h), sums over k, shape (4, w), and values at the end, (2, 3).
 
     E_k = a x_k^2 + c v_k^2, where v_k = x_k - x_{k-1} and v_0 = 0. Standard errors s_k of x_k and z_k of v_k add
-    n_k = a s_k^2 + c z_k^2 to it on average. Rows of the sums: k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2 for each w.
-    At the end: E_k - n_k in both halves of the last half, and n_k in the second; n_k^2 in the last half, the largest
+    n_k = a s_k^2 + c z_k^2 to E_k on average. The rows of the sums are k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2. The
+    first row at the end contains the sums of E_k - n_k in both quarters of the last half and of n_k in the last
+    quarter. The second row contains the sum of n_k^2 in the last half, the largest E_k, and its k.
     E_k and its k.
 
     Parameters
@@ -288,7 +290,7 @@ def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Fl
     x, v, s, z : float64, shape (h,)
         Positions, changes and their standard errors [m, rad].
     given : float64, shape (2 + w,)
-        a and c [1/m^2, 1/rad^2], and the exponents.
+        The factors a and c [1/m^2, 1/rad^2], and the exponents.
     """
     h, a, c, w = len(x), given[0], given[1], given[2:]
     slopes, sums, half = np.zeros((len(w), h)), np.zeros((4, len(w))), max(h // 2, 1)
@@ -323,12 +325,12 @@ def _tail(
 ) -> tuple[Floats, Floats, Floats]:
     """Return the energies beyond the horizon, sum k^w E_k/E_0, and the ends of their interval, shape (w,) each.
 
-    ``at_end`` is that of `_sums`, ``beyond`` contains the horizon and the exponents.
+    ``at_end`` is a result of `_sums`, and ``beyond`` contains the horizon and the exponents.
 
-    Beyond the horizon a stable response consists of its slowest mode, whose energy falls by a constant factor per
-    sample. The factor is given by the growth rate, else by the two halves of the last half of the horizon, else, below
-    the noise, by the mean decay since the peak of the energy. The energy is extrapolated from the sum over that last
-    half.
+    Beyond the horizon, a stable response consists of its slowest mode, whose energy falls by a constant factor in each
+    sample. The factor is given by the growth rate. If that is unknown, it is given by the decay within the last half of
+    the horizon, or, below the noise, by the mean decay since the peak of the energy. The energy is extrapolated from
+    the sum over the last half.
     """
     horizon, weights = beyond
     nothing, endless = np.zeros(len(weights)), np.full(len(weights), np.inf)
@@ -343,20 +345,21 @@ def _tail(
     if by_growth := growth < 0 and long and (clear or not above):
         decay = -growth
     else:
-        # only rounding remains of an ideal response that has decayed
+        # an ideal response that has decayed contains only rounding errors
         rest = max(total + unsure, ROUNDING**2 * peak) / width
         since = 2 * max(horizon - width // 2 - int(at), 1)
         mean = math.log(peak / rest) / since if peak > rest and (sunk or rest < ROUNDING * peak) else 0.0
         decay = by_halves if clear else mean
     doubt = (GROWTH_ERROR if by_growth or clear else MEAN_ERROR) * decay
     if by_growth and clear:
-        # one deviation shows the size of others within a factor of two
+        # one deviation indicates the size of the others within a factor of two
         departure = 2 * abs(by_halves - decay)
         doubt = min(doubt, 0.25 * doubt + departure + its_error)
     else:
         doubt += its_error
     doubt = min(max(doubt, departure - its_error), decay - (1 - GROWTH_ERROR) * min(by_halves, decay))
-    # the energy of both halves oscillates about the decay by as much, and so does the tail, from at most its mean
+    # the energy of both parts oscillates about the decay by this factor, and so does the tail, from at most the mean of
+    # the last quarter
     swing = math.exp(min(max(departure - its_error, 0.0) * width, LARGEST_EXPONENT))
     most = 2 * (max(after, 0.0) + 2 * unsure) / width
     ends = []
@@ -378,7 +381,7 @@ def _tail(
 
 
 def _moments(horizon: int, decay: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
-    """Return the sum over j >= 0 of (h + j)^w exp(-2 decay j), by w."""
+    """Return the sum over j >= 0 of (h + j)^w exp(-2 decay j) for each w."""
     if weights != WEIGHTS:
         return np.array([_moment(horizon, 2 * decay, w) for w in weights])
     h, ratio, rest = float(horizon), math.exp(-2 * decay), -math.expm1(-2 * decay)
@@ -402,10 +405,10 @@ def _moment(horizon: int, rate: float, w: float) -> float:
 
 
 def _at_rest(trial: Trial, response: Response, terms: EnergyTerms, weights: tuple[float, ...]) -> Floats:
-    """Return the energies after the horizon of a response that rests off its final position, shape (w,).
+    """Return the energies after the horizon of a response that does not rest at its final position, shape (w,).
 
-    Friction keeps it there: these energies make the plain sum grow with the length of the log. An offset below the
-    sensor floor is ignored.
+    Friction keeps the device there, and the plain sum grows with the length of the log. An offset below the sensor
+    floor is ignored.
     """
     first, stop = terms.first, terms.stop
     offset = float((trial.position[stop:] - response.position_final_expected).sum()) / max(trial.rows - stop, 1)
@@ -420,8 +423,8 @@ def _sensor_variance(
 ) -> Floats:
     """Return the variance of the sum due to noise and quantum, shape (w,).
 
-    The gradient with respect to each error is the gradient with respect to each reading, correlated with the response
-    of the wall to an error.
+    The gradient along each error is the gradient along each reading, correlated with the response of the wall to an
+    error.
     """
     rows, first = len(error.weight), terms.first
     length = 1 << (2 * rows - 1).bit_length()
@@ -434,12 +437,12 @@ def _sensor_variance(
     start = max(first, 1)
     resting, moved = slopes[:, 1:start], slopes[:, start:rows]
     at_rest, in_motion = resting.sum(axis=1), moved.sum(axis=1)
-    # the first reading is the reference of all others, which share its lasting error until the device moves;
+    # the first reading is the reference of all others, which share its persistent error until the device moves;
     # the wall pulls the device towards the first reading
     alone = _squares(resting) + (at_rest + in_motion) ** 2
     variance = error.sensor**2 * (_squares(moved) + error.wandering * alone + error.lasting * in_motion**2)
-    # slopes that errors made steeper count their squares twice over: of 4 (x + e)^2 s^2 the mean is 4 x^2 s^2 + 4 s^4,
-    # but (x + e)^2 has the variance 4 x^2 s^2 + 2 s^4; what the wall answers to errors that do not last depends on them
+    # errors enter their own slopes: the mean of 4 (x + e)^2 s^2 is 4 x^2 s^2 + 4 s^4, and the variance of (x + e)^2 is
+    # 4 x^2 s^2 + 2 s^4; the responses of the wall to errors that are not persistent depend on each other
     spectrum = (answer.real**2 + answer.imag**2) * (terms.spring + inertia * _difference_gain(len(answer)))
     # sum of the squared covariances relative to those of each sample alone, by Parseval's theorem
     depends = len(answer) * (spectrum @ spectrum) / spectrum.sum() ** 2
@@ -456,15 +459,15 @@ def _squares(values: Floats) -> Floats:
 
 @cache
 def _difference_gain(frequencies: int) -> Floats:
-    """Return the squared gain of a difference of two samples, from rest to half the sampling frequency."""
+    """Return the squared gain of a first difference, from frequency 0 to half the sampling frequency."""
     result: Floats = (2 * np.sin(np.linspace(0.0, 0.5 * np.pi, frequencies))) ** 2
     return result
 
 
 def _shifted(value: Floats, shift: int) -> Floats:
-    """Return the sum for a delay that is larger by a shift: before the device moves, each sample has the energy E_0."""
+    """Return the sum for a delay that is longer by a shift. Each sample before the motion has the energy E_0."""
     s0, s1, s2 = value.tolist()
     steps = range(1, abs(shift) + 1)
-    # samples removed by a larger delay had negative indices, those added by a smaller one have indices from 0
+    # a longer delay removes samples with negative indices; a shorter one adds samples from index 0
     e0, e1, e2 = (-sum((-k) ** w for k in steps) if shift > 0 else sum((k - 1) ** w for k in steps) for w in WEIGHTS)
     return np.array([s0 + e0, s1 - shift * s0 + e1, s2 - 2 * shift * s1 + shift**2 * s0 + e2])

@@ -1,8 +1,8 @@
-"""Error of each reading relative to that of an ideal sensor in the same trial.
+"""Estimate the error of each reading, compared with the same trial with an ideal sensor.
 
 A sensor error has two effects: it shifts its own reading, and the wall responds with a force that moves the device.
-Both can be estimated from the log alone: the wall force due to an error acts at the same point as the external force,
-so that the step response itself is the response of the loop to it.
+Both can be estimated from the log alone. The wall force due to an error acts at the same point as the external force,
+so the response of the loop to an error follows from its step response.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial
 
 NOISES = np.linspace(1e-3, 1.0, 200)
-"""Noise relative to the quantum; above 1, rounding errors are independent from reading to reading."""
+"""Noise relative to the quantum. Above 1, the rounding errors of readings are independent."""
 
 HARMONICS = np.arange(1, 201)[:, None]
-"""Harmonics of the sawtooth of rounding; those omitted contain 0.3 % of its variance."""
+"""Harmonics of the sawtooth of rounding. The omitted harmonics contain 0.3 % of its variance."""
 
 READING = NOISES**2 + 1 / 12
 """Variance of the error of a rounded reading [squared quanta], for `NOISES`."""
 
 LASTING = np.sum(np.exp(-((2 * np.pi * HARMONICS * NOISES) ** 2)) / HARMONICS**2, axis=0) / (2 * np.pi**2)
-"""Persistent part of this variance while a device rests, averaged over all positions on the grid; it is invisible at
-rest."""
+"""Persistent part of this variance while a device rests, averaged over all positions relative to the grid. It is not
+visible at rest."""
 
 LASTING_PART = LASTING / READING
 """Persistent part relative to the variance of the error."""
@@ -39,33 +39,33 @@ WANDERING = READING - LASTING
 """Variance of the readings of a device that rests anywhere on the grid [squared quanta]."""
 
 PULLED_ROWS = 25
-"""Number of rows within which a wall has pulled half of the devices at rest away from the edge of a quantum, where they
-chatter: simulated baselines of the shipped devices, 20 to 200 rows long."""
+"""Number of rows after which a wall has pulled half of the chattering devices away from the edge of a quantum, from
+simulated baselines of the shipped devices (20 to 200 rows)."""
 
 BLURRED = 0.25
-"""Noise relative to the quantum at which it nevertheless moves most devices over the next edge (as `PULLED_ROWS`)."""
+"""Noise relative to the quantum that moves most devices over the next edge in spite of the wall (as `PULLED_ROWS`)."""
 
 HELD = np.exp(-((NOISES / BLURRED) ** 2))
-"""Part of `WANDERING` that is removed when a wall has pulled the device away from an edge, for `NOISES`."""
+"""Share of `WANDERING` that vanishes when a wall has pulled the device away from an edge, for `NOISES`."""
 
 POOLED = 4.0
-"""Largest noise of a baseline, relative to the median or to the quantum, that is attributed to the sensor; an estimate
+"""Largest noise of a baseline, relative to the median or the quantum, that is attributed to the sensor. An estimate
 from ten rows scatters by a quarter."""
 
 LAST_PART = 5
-"""Divisor of the response (a fifth) for its end, in which its motion at rest is evaluated, and for the part before."""
+"""Number of parts of a response. The motion at rest is evaluated in the last part (a fifth) and in two parts before."""
 
 STAYS = 0.7
-"""Smallest motion of the last fifth, relative to the fifth before, for which it does not decay; if it exceeds
-`REST_FLOORS` sensor floors, also relative to the fifth before that, since a slow mode may retain 0.7 per fifth (LWR, d
-= 7)."""
+"""Smallest motion in the last fifth, relative to the fifth before, for which the motion does not decay. Above
+`REST_FLOORS` sensor floors, the same limit is required relative to the fifth before that, since a slow mode may decay
+by only 0.7 per fifth (LWR, d = 7)."""
 
 EXCESS = 2.0
-"""Smallest motion at rest, relative to that due to sensor and weights, for which the loop amplifies errors further;
-without jitter a slow response, with two independent values in a fifth, exceeds it by chance in 2 % of the trials."""
+"""Smallest motion at rest, relative to that due to sensor and weights, for which the loop amplifies errors further.
+Without jitter, a slow response with two independent values in a fifth exceeds it by chance in 2 % of the trials."""
 
 LARGEST_REST = max(SETTLING_BANDS.values())
-"""Largest motion, relative to the final displacement, that may be rest: the widest settling band."""
+"""Largest motion, relative to the final displacement, that is treated as rest: the widest settling band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,20 +75,20 @@ class ReadingError:
     Parameters
     ----------
     sensor : float
-        Standard deviation of the error of one reading [m, rad], noise and quantum; the same for all trials.
+        Standard deviation of the error of one reading due to noise and quantum [m, rad]; the same for all trials.
     lasting, wandering : float
-        Parts of its variance while a device rests: that of the rounding, which all readings share, and the remainder of
-        each reading after the wall has pulled the device away from the edge of a quantum.
+        Shares of this variance while a device rests: the rounding error that all readings share, and the rest of the
+        error of each reading after the wall has pulled the device away from the edge of a quantum.
     gain : float
-        Variance of the loop's response to earlier errors, relative to that predicted by the weights.
+        Variance of the loop's response to earlier errors, relative to the variance predicted by the weights.
     weight : float64, shape (rows,)
-        Response of a reading to an error of 1 m (1 rad) j samples before, fed back by the wall: 1 for j = 0, 0 after
+        Response of a reading to an error of 1 m (1 rad) j samples earlier, through the wall; 1 for j = 0, and 0 after
         the end of the log.
     deviation, change : float64, shape (rows,)
         Standard error of each reading relative to the first one [m, rad], and of its change since the previous sample,
         both compared with the same trial with an ideal sensor.
     reason : str
-        Reason why there is no value.
+        Reason why there are no values.
     """
 
     sensor: float
@@ -107,16 +107,16 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     Parameters
     ----------
     noise, quantum : float64, shape (n,)
-        Noise and quantum of each trial [m, rad]; NaN if unknown. Pooling many short baselines is far more accurate than
-        any one of them. The median of different quanta is used, because a trial that hardly moves does not show the
+        Noise and quantum of each trial [m, rad]; NaN if unknown. Pooled short baselines are far more accurate than a
+        single one. The median of different quanta is used, because a trial with little motion does not show the
         quantum.
     rows : int64, shape (n,)
-        Number of rows of each baseline: the longer it is, the more of the rounding error the wall has hidden.
+        Number of rows of each baseline. In a longer baseline, the wall hides more of the rounding error.
     """
     seen = np.isfinite(noise) & np.isfinite(quantum)
     if not seen.any():
         return float("nan")
-    # pool the noise without baselines moved by a push or chatter; a baseline within one quantum shows no noise
+    # pool the noise, except for baselines moved by a push or chatter; a baseline within one quantum shows no noise
     square, step = noise[seen] ** 2, float(np.median(quantum[seen])) ** 2
     scatter = float(np.mean(square[square <= POOLED**2 * max(float(np.median(square)), step)]))
     if step > 0:
@@ -128,7 +128,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
 
 
 def usual_gain(gain: Floats) -> float:
-    """Return the gain for trials whose gain is unknown: the median of the others; 1 without any."""
+    """Return the gain for trials with an unknown gain: the median of the others, or 1 if there are none."""
     finite = gain[np.isfinite(gain)]
     return as_known(float(np.median(finite))) if len(finite) else 1.0
 
@@ -136,8 +136,8 @@ def usual_gain(gain: Floats) -> float:
 def as_known(value: float, error: float | None = None) -> float:
     """Return a value rounded to three digits more than its error has, or a spread rounded to three digits.
 
-    Values on which all trials depend are rounded in this way: one more log changes them by far less than their error,
-    and so does not change the results of the other trials.
+    Values on which all trials depend are rounded. An additional log changes such a value by far less than its error, so
+    that the results of the other trials do not change.
     """
     scale = value if error is None else error
     if not np.isfinite(scale) or scale <= 0:
@@ -146,14 +146,14 @@ def as_known(value: float, error: float | None = None) -> float:
 
 
 def gain_at_rest(trial: Trial, response: Response, delay_samples: int, sensor: float) -> float:
-    """Return the gain derived from the motion at the end of a trial, NaN if it is not at rest.
+    """Return the gain from the motion at the end of a trial; NaN if the trial is not at rest there.
 
     Parameters
     ----------
     trial, response, delay_samples
         As in `reading_error`.
     sensor : float
-        Standard deviation of the error of one reading [m, rad], see `sensor_error`.
+        Standard deviation of the error of one reading [m, rad] (see `sensor_error`).
     """
     if response.edge_row < 0 or trial.step == 0 or not np.isfinite(sensor):
         return float("nan")
@@ -163,16 +163,16 @@ def gain_at_rest(trial: Trial, response: Response, delay_samples: int, sensor: f
 def reading_error(
     trial: Trial, response: Response, delay_samples: int = 0, *, sensor: float, gain: float = 1.0
 ) -> ReadingError:
-    """Return the standard error of each reading compared with the same trial with an ideal sensor.
+    """Return the standard error of each reading, compared with the same trial with an ideal sensor.
 
     Parameters
     ----------
     trial : Trial
     response : Response
-        Of this trial.
+        Response of this trial.
     delay_samples : int
-        Integer delay factor, before which no feedback is possible. A smaller one (0 if unknown) only has the effect
-        that the noise of a few more samples counts as a response.
+        Integer delay factor, before which no feedback is possible. If it is too small (0 if unknown), the noise of a
+        few more samples is treated as a response.
     sensor, gain : float
         `sensor_error` and `usual_gain` of the experiment.
 
@@ -188,27 +188,27 @@ def reading_error(
     Notes
     -----
     Let h_j be the response of the position to a force of 1 N for one sample, i.e. the differences of the step response
-    in the log divided by F_0. An error e_i of reading i shifts reading i + j by c_j e_i, c_0 = 1, c_j = -(K h_j + B
-    (h_j - h_{j-1})/T); the error of the first reading, the rest position of the wall, shifts all later ones as a
-    constant error. The variance is the sum of squares. The weights are noisy as well, which adds a known variance to
-    each square; it is subtracted.
+    in the log divided by F_0. An error e_i of reading i shifts reading i + j by c_j e_i, with c_0 = 1 and
+    c_j = -(K h_j + B (h_j - h_{j-1})/T). The first reading is the rest position of the wall. Its error shifts all later
+    readings by a constant. The variance is the sum of squares. The weights are also noisy, which adds a known variance
+    to each square; it is subtracted.
 
-    All trials of an experiment are assumed to have the same sensor error: the pooled variance of their baselines, plus
-    the part of noise and rounding that is invisible at rest. Errors are assumed to be independent from reading to
-    reading; a motion of less than a quantum per sample makes them dependent. If the quantum is a tenth of the final
-    displacement, the weights are mostly noise.
+    All trials of an experiment are assumed to have the same sensor error. It is the pooled variance of their baselines
+    plus the part of noise and rounding that is invisible at rest. Errors are assumed to be independent between
+    readings. They are dependent if the device moves by less than a quantum per sample. If the quantum is a tenth of the
+    final displacement, the weights are mostly noise.
 
-    The loop may respond more strongly than its step response shows: if the delay jitters, the forces of two successive
+    The loop may respond more strongly than its step response shows. If the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). This is visible in the motion at rest
-    at the end of the log, which neither decays (`STAYS`) nor reaches `LARGEST_REST`; the fed back part is scaled to it
-    if it exceeds the expected motion by `EXCESS`. Trials that have not come to rest use the median gain of the others.
-    Two standard errors then cover 94 to 99 % of the readings of simulated Falcon trials (2 and 10 um quantum, noise of
-    0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
+    at the end of the log, which neither decays (`STAYS`) nor reaches `LARGEST_REST`. If this motion exceeds the
+    expected one by `EXCESS`, the part of the error through the wall is scaled to it. Trials that have not come to rest
+    use the median gain of the others. Two standard errors then cover 94 to 99 % of the readings of simulated Falcon
+    trials (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
 
-    Direct effects of jitter, friction and force limits on the response are not included: the reference is the same
-    trial.
+    Direct effects of jitter, friction and force limits on the response are not included, since the reference is the
+    same trial.
 
-    Source: Hulin 2017, eq. 3.18 (the wall force, here driven by the error of the sensor).
+    Source: Hulin 2017, eq. 3.18 (wall force, here due to the error of the sensor).
     """
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
@@ -216,7 +216,7 @@ def reading_error(
     if edge < 0 or trial.step == 0 or not np.isfinite(sensor):
         reason = f"no start of the response: {response.edge_reason or 'the step is 0'}"
         if edge >= 0 and trial.step != 0:
-            reason = "noise of the sensor not known: too few rows before the step in all trials"
+            reason = "the sensor noise is unknown: all trials have too few rows before the step"
         return ReadingError(np.nan, np.nan, np.nan, np.nan, nothing, nothing, nothing, reason)
     (weight, kept, answered, change), at_end = _answers_of(trial, response, delay_samples, sensor)
     at_rest = _gain_at_rest(trial, response, sensor, at_end)
@@ -224,7 +224,7 @@ def reading_error(
     # slow motion hardly contributes to the changes from reading to reading
     deviation = sensor * np.sqrt(kept + gain * answered)
     change = sensor * np.sqrt(change)
-    # the first reading is its own reference
+    # the first reading is its own reference, so that its error is 0
     deviation[0] = change[0] = 0.0
     quanta = sensor / quantum if quantum > 0 else 1.0
     lasting, hidden = (float(np.interp(quanta * quanta, READING, part)) for part in (LASTING_PART, HELD))
@@ -243,24 +243,24 @@ def _answers_of(trial: Trial, response: Response, delay_samples: int, sensor: fl
 def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> tuple[Floats, Floats]:
     """Return the effects of reading errors through the wall, shape (4, rows), and means at the end, shape (5,).
 
-    ``x`` (rows,) are the positions relative to the final one, divided by the step [m/N, 1/Nm], ``K`` and ``B``
-    stiffness and damping per sample [N/m, Nm/rad], ``d`` the delay [samples], ``sigma`` the error of a reading over the
-    step. Row 0 of the first result are the weights: with h_j = x_{e+j} - x_{e+j-1} for j > d, else 0, e the row of the
-    command edge,
+    ``x`` (rows,) are the positions relative to the final one, divided by the step [m/N, 1/Nm]. ``K`` and ``B`` are
+    stiffness and damping per sample [N/m, Nm/rad], ``d`` is the delay [samples], and ``sigma`` is the error of a
+    reading divided by the step. Row 0 of the first result contains the weights. With h_j = x_{e+j} - x_{e+j-1} for j >
+    d, else 0, and the row e of the command edge,
 
         c_0 = 1,    c_j = -(K h_j + B (h_j - h_{j-1})).
 
-    The others are variances of reading k in squared errors of a reading: its own error and that of the first reading,
-    which lasts, 1 + (sum_{j<k} c_j)^2; the responses to the errors in between, sum_{0<j<k} c_j^2; and the change of the
-    reading, 1 + c_{k-1}^2 + sum_{0<j<k} (c_j - c_{j-1})^2. The contribution of noise to the squares is subtracted. The
-    means are those of x^2 in the last fifth of the response and in two more before it, then those of the first two
-    variances in the last.
+    Rows 1 to 3 contain variances of reading k, relative to the variance of a reading error. Row 1 is due to its own
+    error and the persistent error of the first reading, 1 + (sum_{j<k} c_j)^2. Row 2 is due to the responses to the
+    errors in between, sum_{0<j<k} c_j^2. Row 3 is the variance of the change of the reading,
+    1 + c_{k-1}^2 + sum_{0<j<k} (c_j - c_{j-1})^2. The contribution of noise to the squares is subtracted. The means are
+    those of x^2 in the last, second to last and third to last fifth, then those of rows 1 and 2 in the last fifth.
 
-    Source: Hulin 2017, eq. 3.18 (the wall force, here driven by the error of the sensor).
+    Source: Hulin 2017, eq. 3.18 (wall force, here due to the error of the sensor).
     """
     rows = len(x)
     result, means = np.empty((4, rows)), np.zeros(5)
-    # coefficients of three, and four, neighbouring readings in one weight, and in one change of it
+    # coefficients of the neighbouring readings in a weight (three) and in the change of a weight (four)
     of_weight = sigma**2 * ((K + B) ** 2 + (K + 2 * B) ** 2 + B**2)
     of_change = sigma**2 * ((K + B) ** 2 + (2 * K + 3 * B) ** 2 + (K + 3 * B) ** 2 + B**2)
     part = max((rows - edge) // LAST_PART, 1)
@@ -287,11 +287,11 @@ def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> 
 
 
 def _gain_at_rest(trial: Trial, response: Response, sensor: float, at_end: Floats) -> float:
-    """Return the gain that explains the motion at rest, NaN if it is not at rest; ``at_end`` is that of `_answers`."""
+    """Return the gain that explains the motion at rest; NaN if not at rest. ``at_end`` is a result of `_answers`."""
     last, before, first = (float(mean) * trial.step**2 for mean in at_end[:3])
     kept, fed_back = (float(mean) * sensor**2 for mean in at_end[3:])
     travel = abs(response.position_final_expected - response.position_start)
-    # NaN, and so false, if K <= 0
+    # comparisons with NaN are false, so that there is no rest if K <= 0
     rests = last <= (LARGEST_REST * travel) ** 2 and fed_back > 0 and last >= STAYS**2 * before
     if not rests or (last > (REST_FLOORS * response.floor) ** 2 and last < STAYS**2 * first):
         return float("nan")

@@ -1,1 +1,1 @@
-"""Joint evaluation of an experiment's trials: values with intervals, boundary, optima, and stages that store them."""
+"""Joint evaluation of the trials of an experiment: estimates with intervals, boundary, optima, and stored stages."""

@@ -1,4 +1,4 @@
-"""Selection of the best trial of an experiment by a criterion."""
+"""Select the best trial of an experiment by a criterion."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from pipeline.records.findings import Optimum
 from pipeline.records.trials import Booleans, Floats
 
 LARGEST_OVERSHOOT_FLOOR = 0.01
-"""Largest uncertainty of the overshoot for which a trial can count as free of overshoot: a tenth of the distance
+"""Largest uncertainty of the overshoot for which a trial can be free of overshoot. It is a tenth of the distance
 between contour lines in the published maps (10 percentage points)."""
 
 
 def without_overshoot(overshoot: Floats, floor: Floats) -> Booleans:
-    """Return which trials are free of overshoot within their sensor's resolution, if that is below 1 %.
+    """Return whether each trial is free of overshoot within the sensor resolution, if the resolution is below 1 %.
 
     Parameters
     ----------
     overshoot, floor : float64, shape (n,)
-        Overshoot, and the apparent one due to the sensor alone, as fractions of the final displacement.
+        Overshoot, and apparent overshoot due to the sensor, as fractions of the final displacement.
     """
     free: Booleans = (floor <= LARGEST_OVERSHOOT_FLOOR) & (overshoot <= np.maximum(OVERSHOOT.none, floor))
     return free
@@ -35,27 +35,28 @@ def choose_optimum(
     unstable: Booleans,
     floor: Floats | None = None,
 ) -> Optimum | None:
-    """Return the trial with the smallest cost, or None if no trial has a cost.
+    """Return the trial with the smallest cost; None if no trial has a cost.
 
     Parameters
     ----------
     cost : float64, shape (n,)
-        Cost of each trial; NaN if there is none.
+        Cost of each trial; NaN if it has none.
     stiffness, damping : float64, shape (n,)
         K [N/m, Nm/rad] and B [Ns/m, Nms/rad].
     trial_id : tuple of str
     unstable : bool, shape (n,)
-        Unstable trials, which are also part of the tested range.
+        Whether each trial is unstable. Unstable trials are part of the tested range.
     floor : float64, shape (n,), optional
-        Only for the overshoot: apparent overshoot due to sensor and chatter. The stiffest trial without overshoot is
-        chosen, or the one with the smallest overshoot if there is none. A trial whose floor exceeds
-        `LARGEST_OVERSHOOT_FLOOR` does not count as free of overshoot.
+        Apparent overshoot due to sensor and chatter, for the overshoot only. The stiffest trial without overshoot is
+        then chosen, or the trial with the smallest overshoot if there is none. A trial whose floor exceeds
+        `LARGEST_OVERSHOOT_FLOOR` is not treated as free of overshoot.
 
     Notes
     -----
-    Of tied trials the one nearest to the centre of their bounding box is chosen, with distances relative to the tested
-    ranges. The optimum is censored if it lies at the smallest or largest tested damping (except a smallest damping of
-    0, which is the end of the useful range), or if no stiffer trial was tested at its damping.
+    Of several trials with equal cost, the one closest to the centre of their bounding box is chosen. Distances are
+    relative to the tested ranges. The optimum is censored if no stiffer trial was tested at its damping, or if its
+    damping is the smallest or largest tested one. A smallest damping of 0 is an exception: it is the end of the useful
+    range.
 
     Source: Hulin 2017, sec. 6.1.4 (maximum stiffness without overshoot) and Tables D.1 to D.6.
     """

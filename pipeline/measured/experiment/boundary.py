@@ -1,7 +1,7 @@
-"""Measured stability boundary: verdicts at each damping, the limit with its 95 % interval, and the area below.
+"""Estimate the measured stability boundary: the limit at each damping with its 95 % interval, and the area below it.
 
-The growth rate of a trial passes smoothly through zero at the limit. It locates the limit between the last stable and
-the first unstable trial, with an interval; the verdicts bound it.
+The growth rate of a trial passes smoothly through zero at the limit. A fit of the growth rates locates the limit
+between the last stable and the first unstable trial. The verdicts bound it.
 """
 
 from __future__ import annotations
@@ -20,50 +20,50 @@ from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAREST = 10
-"""Largest number of trials next to the limit that are fitted: two coarse and the fine steps of the sweep (6.1.1), and a
-few more."""
+"""Largest number of trials near the limit that are fitted: two coarse steps and the fine steps of the sweep (6.1.1),
+and a few more."""
 
 FEWEST_FOR_CURVATURE = 6
-"""Smallest number of trials for a parabola: its three coefficients and as many again to estimate its error."""
+"""Smallest number of trials for a parabola: three for its coefficients and three for the error."""
 
 SEEN = 8.0
-"""Growth rate at which a mode is certainly detected, relative to the slowest detected growth: a mode that begins a
-thousand times smaller must grow by another factor exp(7)."""
+"""Growth rate at which a mode is certainly detected, relative to the slowest detected growth. A mode that begins a
+thousand times smaller must grow by a further factor of exp(7)."""
 
 TYPICAL_BEND = 1 / float(NORMAL_QUARTILE * np.sqrt(NOISE_GAIN))
-"""Standard deviation of growth rates, relative to the median size of their second difference."""
+"""Standard deviation of growth rates, relative to the median absolute second difference."""
 
 FARTHEST = 0.25
-"""Largest distance of a fitted trial from the limit, relative to it; beyond it another mode may grow fastest."""
+"""Largest distance of a fitted trial from the limit, relative to the limit. Beyond it, another mode may dominate."""
 
 NEIGHBOURS = 2
-"""Number of dampings on either side whose scatter of the growth rates is also used."""
+"""Number of dampings on either side whose scatter of the growth rates is used."""
 
 SHARED = 0.7
-"""Part of the error of a single growth rate that is common to all rates of a damping. In simulations 80 % of the limits
-are covered without it instead of 95 %, and 97.7 % with it (93 to 100 % by device, sensor and steps; 1,344 limits)."""
+"""Share of the error of a single growth rate that is common to all rates at one damping. In simulations, 97.7 % of the
+limits are covered with it (93 to 100 % by device, sensor and steps; 1,344 limits), and 80 % without it."""
 
 ROUNDS = 3
-"""Number of fits of the growth rate, each around the zero of the previous one; the bracket of the verdicts, where the
-first one starts, can miss the limit by more than its width."""
+"""Number of fits of the growth rate. The first is centred in the bracket of the verdicts, which can miss the limit by
+more than its width. Each further fit is centred at the zero of the previous one."""
 
 LINE_REACH = 3.0
-"""Largest distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, for a
-line through few rates."""
+"""Largest distance of the zero of a line from the middle of the bracket, relative to the distance of the farthest
+trial."""
 
 BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K (up to 0.6 in
-simulations). Multiplied by the distances of its trials from the zero, it gives the error of a line through few
-rates."""
+simulations). This factor times the distances of the trials from the zero is the error of a line through few rates."""
 
 WITNESSES = 2
-"""Number of trials with the same verdict, at a stiffness or beyond, that makes it reliable although each may err: with
-jitter one decided verdict in 100 differs in the next run. As many stable ones overrule an undecided one below."""
+"""Number of trials with the same verdict, at a stiffness or beyond, that makes the verdict reliable. With jitter, one
+decided verdict in 100 differs in a repeated run. The same number of stable trials overrules an undecided trial
+below."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Columns:
-    """Trials of each damping side by side, shape (dampings, trials), padded with NaN and False."""
+    """Trials arranged by damping, shape (dampings, trials), padded with NaN and False."""
 
     stiffness: Floats
     growth: Floats
@@ -73,10 +73,10 @@ class _Columns:
 
 @dataclass(frozen=True, eq=False)
 class _Crossing:
-    """Zero of the growth rate over K of each damping, shape (dampings,), NaN if it is unknown.
+    """Zero of the growth rate over K at each damping, shape (dampings,); NaN if unknown.
 
-    ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K, ``bend`` the
-    error of a line due to the curvature of the rate [N/m, Nm/rad].
+    ``scatter`` is the standard deviation of a single rate at the zero [1/s], and ``slope`` is the slope of the rate
+    over K. ``bend`` is the error of a line due to the curvature of the rate [N/m, Nm/rad].
     """
 
     zero: Floats
@@ -90,7 +90,7 @@ class _Crossing:
 def boundary_band(
     stiffness: Floats, damping: Floats, verdict: Sequence[str] | ArrayLike, growth_per_s: Floats
 ) -> tuple[BoundaryPoint, ...]:
-    """Return the measured boundary with the limit of each damping as a value and its 95 % interval.
+    """Return the measured boundary: the limit at each damping with its 95 % interval.
 
     Parameters
     ----------
@@ -99,14 +99,14 @@ def boundary_band(
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float64, shape (n,)
-        Growth rate of each trial as returned by `verdict.judge` [1/s]; NaN if it is unknown.
+        Growth rate of each trial from `verdict.judge` [1/s]; NaN if unknown.
 
     Returns
     -------
     tuple of BoundaryPoint
-        As `boundary.measured_boundary`, with ``estimate``, ``low``, ``high`` and ``trials`` (K > 0 at that damping). A
-        point that is censored, or without a conclusive unstable trial, has only ``low``: the stiffest certainly stable
-        trial, or 0. A point without a certainly stable trial has ``low`` 0 and ``high``, and no ``estimate``.
+        Points of `measured_boundary` with ``estimate``, ``low``, ``high`` and ``trials`` (number of trials with K > 0).
+        A point that is censored or has no conclusive unstable trial has only ``low``: the stiffest certainly stable
+        trial, or 0. A point without a certainly stable trial has ``low`` = 0, ``high``, and no ``estimate``.
 
     Raises
     ------
@@ -115,27 +115,27 @@ def boundary_band(
 
     Notes
     -----
-    The growth rate of up to `NEAREST` trials is fitted over K by a parabola (a line with fewer than
-    `FEWEST_FOR_CURVATURE`); its zero is the value. Three errors are added in quadrature: that of the fit, with
-    Student's factor; the part `SHARED` of that of a single rate, since the sensor shifts the rates of one damping
-    together, which does not average out over trials; and the error of a straight line due to curvature.
+    The growth rate of up to `NEAREST` trials is fitted over K by a parabola, or by a line for fewer than
+    `FEWEST_FOR_CURVATURE` trials. The zero of the fit is the estimate. Three errors are added in quadrature: the error
+    of the fit, with Student's factor; the share `SHARED` of the error of a single rate; and the error of a line due to
+    curvature. The second one accounts for sensor errors that shift all rates at one damping together.
 
     The interval is restricted to the range allowed by the verdicts: from the stiffest stable trial below all unstable
-    ones to the softest unstable one above all stable ones. Repeated trials that disagree widen it, and so do undecided
-    ones unless `WITNESSES` stiffer trials overrule them. Verdicts within `SIGMAS` standard errors of zero growth that
-    fewer than `WITNESSES` share, and those contradicted by the sign of the growth, are not counted. If the scatter of
-    the rates is unknown, as for two rates, the interval is the allowed range, and the value is the interpolation of two
-    rates or the middle of the verdicts' bracket; a zero outside the range widens it. The limit can therefore lie
-    outside ``stable`` and ``unstable``, which are plain counts of verdicts.
+    ones to the softest unstable trial above all stable ones. Repeated trials that disagree widen it. Undecided trials
+    also widen it, unless `WITNESSES` stiffer trials overrule them. A verdict is not counted if the sign of the growth
+    contradicts it, or if the growth is within `SIGMAS` standard errors of zero and fewer than `WITNESSES` trials share
+    the verdict. If the scatter of the rates is unknown, as for two rates, the interval is the allowed range. The
+    estimate is then the interpolation of two rates or the middle of the bracket, and a zero outside the range widens
+    it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
-    The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
-    not that of its mean delay.
+    The limit is valid for walls with K >= 0. If the delay jitters, it is the limit of the loop with jitter, which
+    differs from the limit for the mean delay.
 
-    Source: Hulin 2017, secs. 6.1.1 and 6.1.3; interval ours.
+    Source: Hulin 2017, secs. 6.1.1 and 6.1.3; the interval is an addition.
     """
     if len(growth_per_s) != len(stiffness):
         raise ParameterError(
-            f"boundary of {len(stiffness)} trials with {len(growth_per_s)} growth rates: expected one each per trial."
+            f"boundary of {len(stiffness)} trials with {len(growth_per_s)} growth rates: expected one rate per trial."
         )
     verdicts = np.asarray(verdict, dtype=np.str_)
     points = measured_boundary(stiffness, damping, verdicts)
@@ -151,16 +151,16 @@ def boundary_band(
     scatter = _pooled(found.scatter)
     low, high = _allowed(columns, np.where(np.isnan(found.zero), nothing, scatter))
     single = NORMAL_95 * scatter / found.slope
-    # two rates leave no degree of freedom for an error: then only the verdicts count (error is NaN)
+    # two rates leave no degree of freedom for an error (NaN): only the verdicts are then used
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     decided = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
-    # growth below the zero is that of another mode than the one that crosses zero
+    # a mode that grows below the zero is not the mode that crosses zero
     decided &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     between = np.isfinite(columns.growth) & (columns.stiffness >= low[:, None]) & (columns.stiffness <= high[:, None])
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
-    # an interpolation is ambiguous for more than two rates; a range that begins at 0 has no middle
+    # an interpolation of more than two rates is ambiguous; a range that begins at 0 has no meaningful middle
     interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
-    # rates that contradict the verdicts: a mode that grows below the sensor's floor next to one that decays
+    # rates contradict the verdicts if a mode that grows is below the sensor floor and another mode decays
     apart = ~decided & ~interpolated
     low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
     value = np.where(decided | interpolated, np.clip(found.zero, low, high), _middle(columns, low, high))
@@ -169,7 +169,7 @@ def boundary_band(
         np.where(decided, np.fmin(found.zero + reach, high), high),
     )
     limited = np.isfinite(high)
-    # without a certainly stable trial the middle between 0 and the first unstable one is not a limit
+    # without a certainly stable trial, the middle between 0 and the first unstable trial is not an estimate
     located = limited & (decided | interpolated | (low > 0))
     counts = np.isfinite(columns.stiffness).sum(axis=1)
     return tuple(
@@ -186,7 +186,7 @@ def boundary_band(
 
 
 def _middle(c: _Columns, low: Floats, high: Floats) -> Floats:
-    """Return the middle of the bracket of all verdicts, or of the allowed range if verdicts contradict each other."""
+    """Return the middle of the bracket of all verdicts; that of the allowed range if verdicts contradict each other."""
     stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)
     softest = np.where(c.unstable, c.stiffness, np.inf).min(axis=1)
     agree = (stiffest > 0) & (stiffest < softest) & np.isfinite(softest)
@@ -195,7 +195,7 @@ def _middle(c: _Columns, low: Floats, high: Floats) -> Floats:
 
 
 def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_], growth: Floats) -> _Columns:
-    """Return the trials with K > 0 by damping, padded with NaN."""
+    """Arrange the trials with K > 0 by damping, padded with NaN."""
     tried = stiffness > 0
     levels, row = np.unique(damping[tried], return_inverse=True)
     order = np.argsort(row, kind="stable")
@@ -217,11 +217,11 @@ def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_],
 
 
 def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
-    """Return the range of the limit allowed by conclusive verdicts; 0 and infinity where it is open.
+    """Return the range of the limit allowed by conclusive verdicts; 0 and infinity for open ends.
 
     If the scatter of the growth rates is unknown (NaN), a verdict counts unless the sign of the growth contradicts it.
-    If it is known, or if an undecided trial tends to grow, a verdict without a growth rate does not count: its motion
-    may have been too small for growth to be detected.
+    If the scatter is known, or if an undecided trial tends to grow, a verdict without a growth rate does not count. Its
+    motion may have been too small to detect growth.
     """
     doubt = np.nan_to_num(SIGMAS * scatter)[:, None]
     grows = _may_grow(c, scatter)
@@ -236,20 +236,20 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
 
 
 def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
-    """Return undecided trials that tend to grow, unless overruled, and stable ones beyond a peak of the growth rate.
+    """Return whether each trial may grow: undecided trials that are not overruled, and stable ones beyond a rate peak.
 
-    With increasing K, the slowest mode of a rigid loop first decays faster and then slower. If the rate falls again,
-    the mode whose rate was rising may continue to rise below the floor of another one.
+    With increasing K, the slowest mode of a rigid loop first decays faster and then more slowly. If the growth rate
+    falls again, the mode with the rising rate may continue to rise below the noise of another mode.
     """
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], SIGMAS * scatter[:, None]
-    # with jitter, rates scatter more where the loop is fast than at the limit, as their curvature shows
+    # with jitter, rates scatter more for fast loops than at the limit; their curvature shows this
     bends = np.abs(np.diff(g, n=2, axis=1))
     sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
-    # a rate that rises twice and then falls to twice itself at least, below where it was before: behind a single rate
-    # that is off the others go on rising; NaN compares as false
+    # a peak rises twice and then falls to at most twice its rate, below the rate before; after a single outlier, the
+    # other rates continue to rise; comparisons with NaN are false
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
     peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     peak[:, 2:-1] &= _went_unseen(c, K, g)
@@ -262,10 +262,10 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
 
 
 def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
-    """Return for each rate, third to last but one, whether its rising mode may continue below the floor.
+    """Return whether the rising mode of each rate may continue unseen; for the third to the second to last rate.
 
-    By its last two rises it would grow at the stiffest stable trial no faster than `SEEN` times the slowest growth that
-    was seen; with a faster one the peak is a rate that is off.
+    Extrapolated from its last two rises to the stiffest stable trial, the mode must grow at most `SEEN` times as fast
+    as the slowest growth that was detected. A faster mode would have been detected; the peak is then an outlier.
     """
     slope = (growth[:, 2:-1] - growth[:, :-3]) / np.maximum(K[:, 2:-1] - K[:, :-3], SMALLEST)
     stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)[:, None]
@@ -275,22 +275,23 @@ def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
 
 
 def _outvoted(c: _Columns, sure: Booleans) -> Floats:
-    """Return the stiffness of each damping above which fewer than `WITNESSES` trials are certainly stable."""
+    """Return the stiffness at each damping above which fewer than `WITNESSES` trials are certainly stable."""
     found: Floats = np.sort(np.where(sure, c.stiffness, 0.0), axis=1)[:, -WITNESSES:]
     return found[:, 0] if found.shape[1] == WITNESSES else np.zeros(len(found))
 
 
-def _witnessed(stiffness: Floats, said: Booleans) -> Booleans:
-    """Return for each trial whether `WITNESSES` trials, including itself, share its verdict at least as far out."""
-    far = np.sort(np.where(said, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
-    found: Booleans = said & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
+def _witnessed(stiffness: Floats, agrees: Booleans) -> Booleans:
+    """Return whether at least `WITNESSES` trials with the same verdict are as stiff as each trial, including itself."""
+    far = np.sort(np.where(agrees, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
+    found: Booleans = agrees & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
     return found
 
 
 def _pooled(scatter: Floats) -> Floats:
-    """Return the scatter of single rates, at least the median of neighbouring dampings: few trials estimate it badly.
+    """Return the scatter of single rates, with the median of neighbouring dampings as a lower bound.
 
-    The median of all dampings is not suitable: with jitter, rates scatter a hundred times more where the loop is fast.
+    Few trials estimate the scatter badly. The median of all dampings is not suitable: with jitter, rates of fast loops
+    scatter a hundred times more.
     """
     if not np.isfinite(scatter).any():
         return scatter
@@ -302,7 +303,7 @@ def _pooled(scatter: Floats) -> Floats:
 
 
 def _medians(rows: Floats) -> Floats:
-    """Return the median of the known values in each row, NaN if there are none."""
+    """Return the median of the finite values in each row; NaN if there are none."""
     if rows.shape[1] == 0:
         return np.full(len(rows), np.nan)
     known = np.isfinite(rows).sum(axis=1)
@@ -312,7 +313,7 @@ def _medians(rows: Floats) -> Floats:
 
 
 def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
-    """Fit the growth rate over K of the trials next to ``centre`` [N/m, Nm/rad] and find its zero."""
+    """Fit the growth rate over K of the trials closest to ``centre`` [N/m, Nm/rad], and find its zero."""
     middle = centre[:, None]
     distance = np.abs(c.stiffness - middle)
     known = np.isfinite(c.growth) & (distance <= FARTHEST * middle)
@@ -340,24 +341,24 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     root, step = np.zeros(len(g)), np.zeros(len(g))
     farthest = np.where(curved, 1.0, LINE_REACH)
-    for _ in range(20):  # Newton's method; an almost straight parabola takes three or four steps
+    for _ in range(20):  # Newton's method: three or four steps suffice for an almost straight parabola
         slope = a[:, 1] + 2 * a[:, 2] * root
         step = (a[:, 0] + a[:, 1] * root + a[:, 2] * root**2) / np.where(slope > 0, slope, np.inf)
         root = np.clip(root - step, -farthest, farthest)
     slope = a[:, 1] + 2 * a[:, 2] * root
-    crosses = usable & (slope > 0) & (np.abs(step) < 1e-9)  # of the width: far below any interval
+    crosses = usable & (slope > 0) & (np.abs(step) < 1e-9)  # relative to the width, far below any interval
     at = np.stack([np.ones_like(root), root, root**2 * curved], axis=1)
     slope = np.where(crosses, slope, np.nan) / width
     error = scatter * np.sqrt(np.einsum("li,lij,lj->l", at, inverse, at)) / slope
     zero = np.where(crosses, centre + root * width, np.nan)
-    apart = np.abs(u - root[:, None])  # of the width
+    apart = np.abs(u - root[:, None])  # relative to the width
     bend = np.where(use, apart, 1 + LINE_REACH).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
     bend = np.where(curved == 0, BEND * bend * width**2, 0.0) / np.where(crosses, zero, np.inf)
     return _Crossing(zero, error, np.where(crosses, scatter, np.nan), slope, freedom, bend)
 
 
 def _steadiness(growth: Floats, use: Booleans) -> Floats:
-    """Return the weight of each growth rate, 1 near zero: fast growth or decay is visible in fewer samples."""
+    """Return the weight of each growth rate (1 near zero): fast growth or decay is visible in fewer samples."""
     size = np.sort(np.where(use, np.abs(growth), np.inf), axis=1)
     typical = np.take_along_axis(size, np.maximum(use.sum(axis=1, keepdims=True) - 1, 0) // 2, axis=1)
     typical = np.where(np.isfinite(typical) & (typical > 0), typical, 1.0)
@@ -375,13 +376,13 @@ def measured_boundary(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad] of the trials.
     verdict : array of str, shape (n,)
-        ``stable``, ``unstable`` or ``undecided``; the last is not evidence for either, and is counted below a stable
-        one.
+        ``stable``, ``unstable`` or ``undecided``. An undecided trial is not evidence; it is counted if it is below a
+        stable trial.
 
     Returns
     -------
     tuple of BoundaryPoint
-        One for each damping with trials at K > 0; censored if none of them is unstable.
+        One point for each damping with trials at K > 0. A point is censored if none of its trials is unstable.
 
     Raises
     ------
@@ -390,8 +391,8 @@ def measured_boundary(
 
     Notes
     -----
-    A pair (K, B) that was tried several times is unstable if it was unstable once. Trials at K <= 0 are not boundary
-    points: K = 0 shows the damping of the device. Neither delay nor mass is needed.
+    A pair (K, B) that was tested several times is unstable if it was unstable once. Trials at K <= 0 are not boundary
+    points, since a trial at K = 0 shows the damping of the device. Neither delay nor mass is needed.
 
     Source: Hulin 2017, secs. 6.1.1 (procedure) and 6.1.3.
     """
@@ -399,17 +400,17 @@ def measured_boundary(
     if not len(stiffness) == len(damping) == len(verdicts):
         raise ParameterError(
             f"boundary of {len(stiffness)} stiffness values, {len(damping)} damping values and "
-            f"{len(verdicts)} verdicts: expected one of each per trial."
+            f"{len(verdicts)} verdicts: expected one of each for every trial."
         )
     tried = stiffness > 0
     levels, column = np.unique(damping[tried], return_inverse=True)
-    k, said = stiffness[tried], verdicts[tried]
+    k, tested = stiffness[tried], verdicts[tried]
     unstable = np.full(len(levels), np.inf)
-    np.minimum.at(unstable, column[said == "unstable"], k[said == "unstable"])
-    below = (said == "stable") & (k < unstable[column])
+    np.minimum.at(unstable, column[tested == "unstable"], k[tested == "unstable"])
+    below = (tested == "stable") & (k < unstable[column])
     stable = np.full(len(levels), -np.inf)
     np.maximum.at(stable, column[below], k[below])
-    undecided = np.bincount(column[(said == "undecided") & (k < stable[column])], minlength=len(levels))
+    undecided = np.bincount(column[(tested == "undecided") & (k < stable[column])], minlength=len(levels))
     return tuple(
         BoundaryPoint(
             damping=float(b),
@@ -423,7 +424,7 @@ def measured_boundary(
 
 
 def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most: int) -> Integers:
-    """Return the indices of at most ``most`` usable trials, evenly spaced in the order of damping and stiffness."""
+    """Return the indices of at most ``most`` usable trials, spread evenly in the order of damping and stiffness."""
     index = np.flatnonzero(usable)
     order = index[np.lexsort((stiffness[index], damping[index]))]
     if len(order) <= most:
@@ -432,15 +433,15 @@ def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most
 
 
 LARGEST_UNLOCATED = 0.1
-"""Largest part of the area, at dampings without a stable trial or a certainly growing one, for which the area is
-reported, including the range that they leave open."""
+"""Largest share of the area at dampings without an estimate of the limit for which the area is reported. It includes
+the range that these dampings leave open."""
 
 FAR = 2.0
 """Upper bound of a limit, relative to the stiffness of the softest trial that seems to grow."""
 
 
 def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> Estimate:
-    """Return the area under the measured boundary, K over B, with its 95 % interval.
+    """Return the area under the measured boundary K(B) with its 95 % interval.
 
     Parameters
     ----------
@@ -452,21 +453,21 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     Returns
     -------
     Estimate
-        Its standard error is (high - low)/(2 `NORMAL_95`). If a point has no upper end, there is no value but a lower
-        bound in ``low``; if points without an estimate make up more than `LARGEST_UNLOCATED` of the area, there is an
-        upper bound in ``high``. ``trials`` is the number of dampings.
+        The standard error is (high - low)/(2 `NORMAL_95`). If points without an upper end matter, there is only a lower
+        bound in ``low``. If points without an estimate make up more than `LARGEST_UNLOCATED` of the area, there is only
+        an upper bound in ``high``. ``trials`` is the number of dampings.
 
     Notes
     -----
-    Trapezoids between the tested dampings, from the first to the last of them. An interval of width w counts as a
-    standard error of w/sqrt(12), that of a uniform distribution, which is larger than that of a normal one; errors of
+    Trapezoids are used between the tested dampings, from the first to the last. An interval of width w is treated as a
+    uniform distribution with the standard error w/sqrt(12), which is larger than that of a normal one. Errors at
     different dampings are assumed to be independent. The error does not include the shape of the boundary between the
     dampings.
     """
     method = "trapezoids between the limits at the tested dampings"
     used = [p for p in points if p.low is not None]
     if len(used) < 2:
-        reason = f"limits at {counted(len(used), 'damping')}; an area needs two"
+        reason = f"limits at {counted(len(used), 'damping')}; an area requires two"
         return Estimate(value=None, unit=unit, method=method, reason=reason, trials=len(used))
     B, low = np.array([p.damping for p in used]), np.array([p.low for p in used], dtype=np.float64)
     share = 0.5 * (np.diff(B, prepend=B[0]) + np.diff(B, append=B[-1]))
@@ -479,13 +480,13 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             unit=unit,
             method=method,
             reason=f"at {int(open_ended.sum())} of {len(used)} dampings the tested range ended before an unstable "
-            "trial: a lower bound only",
+            "trial, so that the value is only a lower bound",
             trials=len(used),
         )
     limit = np.array([p.estimate for p in used], dtype=np.float64)
     lost = np.isnan(limit)
     unlocated = int(lost.sum())
-    # a limit anywhere between two ends counts as their middle, as long as that does not affect the result
+    # a limit anywhere between two ends is set to their middle, as long as that hardly affects the result
     limit = np.where(lost, 0.5 * (low + high), limit)
     if float(share[lost] @ high[lost]) > LARGEST_UNLOCATED * float(share @ limit):
         return Estimate(
@@ -493,7 +494,8 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             high=float(share @ high),
             unit=unit,
             method=method,
-            reason=f"at {unlocated} of {len(used)} dampings no trial is surely stable: an upper bound only",
+            reason=f"at {unlocated} of {len(used)} dampings no trial is certainly stable, so that the value is only an "
+            "upper bound",
             trials=len(used),
         )
     area = float(share @ limit)
@@ -503,7 +505,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
 
 
 def _far_end(point: BoundaryPoint) -> float:
-    """Return the upper bound of the stiffness limit: its end, or `FAR` times the stiffness of a trial that may grow."""
+    """Return the upper bound of a limit: its upper end, or `FAR` times the stiffness of a trial that may grow."""
     if point.high is not None:
         return point.high
     return np.inf if point.censored or point.unstable is None else FAR * point.unstable

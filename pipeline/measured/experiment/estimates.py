@@ -1,4 +1,4 @@
-"""Recommended estimates of an experiment: from the maximum-likelihood device, and with the methods of the thesis."""
+"""Estimate the parameters of an experiment, from the maximum-likelihood device and with the methods of the thesis."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
 from pipeline.records.findings import MATTERS, Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05
-"""Distance [samples] from a whole number above which a delay is not whole, however wide its interval: 2 % of the
-limit."""
+"""Distance [samples] from a whole number above which a delay is not whole, even with a wide interval. It changes the
+limit by 2 %."""
 
 LEAST_OFFSET = 0.01
-"""Distance [samples] from a whole number up to which a delay is whole: the bias of a fit may be as large."""
+"""Distance [samples] from a whole number up to which a delay is whole, since the bias of a fit may be as large."""
 
 MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over the second half of that"}
-"""Windows of the momentum balance by column suffix, with their description: later ones are irregular (6.1.2)."""
+"""Windows of the momentum balance with their descriptions. Keys are column suffixes. Later windows are irregular
+(6.1.2)."""
 
 BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "model_delay"}
-"""Parameters that are identified for each trial, and their columns."""
+"""Parameters that are identified for each trial, and the names of their columns."""
 
 
 def whole_delay(estimate: Estimate, at: float | None = None) -> float:
-    """Return the value of a delay, or the nearest whole number of samples if its interval contains that.
+    """Return the value of a delay, rounded to a whole number of samples if its interval contains that number.
 
-    Another number inside the interval may be given instead.
+    ``at`` is another number inside the interval to be used instead of the value.
 
     >>> whole_delay(Estimate(value=3.97, low=3.93, high=4.01, unit="samples", method="model"))
     4.0
@@ -49,9 +50,9 @@ def whole_delay(estimate: Estimate, at: float | None = None) -> float:
 
 
 def by_model(of: Experiment, name: str) -> Estimate:
-    """Return a parameter of the identified loop, with the scatter of single trials and the drift with the wall.
+    """Return a parameter of the identified loop, with the scatter of single trials and the drift over the wall.
 
-    ``name`` is one of `PARAMETERS`.
+    ``name`` is a key of `PARAMETERS`.
     """
     unit, device = PARAMETERS[name].unit(of.motion), of.once(identified_loop)
     if device is None:
@@ -70,7 +71,7 @@ def by_model(of: Experiment, name: str) -> Estimate:
     spread = float(np.sqrt(max(excess, 0.0)))
     trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
-    # a relative threshold fails for a value that may be 0: there, a drift within the error of one trial is small
+    # near a value of 0, a relative threshold fails; a drift within the error of one trial is then small
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]
@@ -82,7 +83,7 @@ def by_model(of: Experiment, name: str) -> Estimate:
 
 
 def with_sign_warning(estimate: Estimate) -> Estimate:
-    """Return the estimate of a nonnegative quantity with a warning if it is negative, or if it may be 0."""
+    """Add a warning to the estimate of a nonnegative quantity if it is negative or may be 0."""
     value, low, high = estimate.value, estimate.low, estimate.high
     if value is None or low is None or high is None or low > 0:
         return estimate
@@ -101,11 +102,11 @@ def first_change(of: Experiment) -> Estimate:
 
 
 def delay_factor(of: Experiment) -> tuple[int, int, int] | None:
-    """Return the smallest, most likely and largest integer delay factor, from which costs count; None without one.
+    """Return the smallest, most likely and largest integer delay factor for the start of costs; None without a delay.
 
-    The delay of the model is rounded down, except that a delay just below a whole number counts as that number, within
-    the accuracy of a fit. If the delay jitters, its mean is rounded, and the first changes give the range. Without a
-    model, the first changes are used.
+    The delay of the model is rounded down. A delay just below a whole number, within the accuracy of a fit, is rounded
+    to that number. If the delay jitters, its mean is rounded, and the first position changes give the range. Without a
+    model, the first position changes are used.
     """
     plain, model = of.once(first_change), by_model(of, "delay_samples")
     device = of.once(identified_loop)
@@ -122,23 +123,23 @@ def delay_factor(of: Experiment) -> tuple[int, int, int] | None:
 
 
 def delay_estimate(of: Experiment) -> Estimate:
-    """Return the integer delay factor of an experiment; ``by_method`` has the delay of the model, not rounded.
+    """Return the integer delay factor of an experiment. ``by_method`` contains the delay of the model, not rounded.
 
-    Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer.
+    Cost indices are counted from the command edge plus this factor (6.1.4), so it must be an integer.
     """
     plain, model, factor = of.once(first_change), by_model(of, "delay_samples"), of.once(delay_factor)
     methods = {"model": model, "first_change": plain}
     if factor is None or model.value is None:
-        # with a coarse sensor or friction the first change is late: alone it is an upper bound
+        # with a coarse sensor or friction, the first change is late, so that it is only an upper bound
         return plain.model_copy(update={"low": None if plain.value is None else 0.0, "by_method": methods})
     first, value, last = (float(whole) for whole in factor)
-    # (6.3) leaves the position within the period open
+    # eq. 6.3 does not determine the position within the period
     ends: dict[str, Any] = {"value": value, "low": first, "high": last + 1, "method": f"{METHOD}, in whole samples"}
     return model.model_copy(update={**ends, "by_method": methods})
 
 
 def mass_estimate(of: Experiment) -> Estimate:
-    """Return the mass of an experiment, and that from the thesis's momentum balance (6.4)."""
+    """Return the mass of an experiment. ``by_method`` contains that of the thesis's momentum balance (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
     methods = {"model": model}
@@ -152,7 +153,7 @@ def mass_estimate(of: Experiment) -> Estimate:
 
 
 def damping_estimate(of: Experiment) -> Estimate:
-    """Return the viscous damping of an experiment, and that from the limit at K = 0 (3.25, 6.1.2)."""
+    """Return the damping of an experiment. ``by_method`` contains that from the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
     model = by_model(of, "damping")

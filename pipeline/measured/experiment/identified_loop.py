@@ -1,4 +1,4 @@
-"""Loop identified from all trials of an experiment, as stored by the stage `device`."""
+"""Read the identified loop of an experiment from the stage `device`, which stores it."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ NOMINAL = (
     *("mode.frequency_hz", "mode.damping_ratio", "mode.mass", "mode.load_damping", "friction.coulomb"),
     "constant_force",
 )
-"""Parameters that a nominal loop has, i.e. the loop of a file."""
+"""Parameters of a nominal loop, i.e. the loop of a file."""
 
 ABSENT = ("actuator_lag_s", "constant_force")
-"""Those of them that belong to optional parts: a loop in which they are 0 does not have the part."""
+"""Parameters of `NOMINAL` that belong to optional parts. A loop in which they are 0 does not have these parts."""
 
 NOT_IDENTIFIABLE = "not identifiable: {}. Record {}"
-"""Reason why the logs do not identify a parameter, with the remedy."""
+"""Reason why the logs do not identify a parameter, followed by the remedy."""
 
 ANY_FORCE = "its 95 % interval is wider than the largest {}, {:.3g}, since other parts have the same effect"
-ANY_SPRING = "any spring that is too soft to be seen in these motions explains them as well"
-OPEN = "other parts of the device explain these logs as well"
+ANY_SPRING = "any spring that is too soft to be visible in these motions explains them equally well"
+OPEN = "other parts of the device explain these logs equally well"
 
 MORE = "more logs of several sizes and directions"
-"""Default remedy if no better one is known."""
+"""Remedy if no specific one is known."""
 
 FEWEST_LOGS = 3
-"""Smallest number of logs whose common property is not attributed to chance."""
+"""Smallest number of logs with a common property that is not attributed to chance."""
 
-NOT_NEEDED = "the logs are explained as well without it"
+NOT_NEEDED = "the logs are explained equally well without it"
 """Reason for a parameter that the logs do not require."""
 
 MOST = 0.5
-"""Smallest share of the logs of an experiment whose common property is that of the experiment: its device, its filter,
-the reason why it is not identified."""
+"""Smallest share of the logs of an experiment whose common property is attributed to the experiment: its device, its
+filter, or the reason why it is not identified."""
 
 SMALLEST = 1e-3
-"""Smallest share of the mass on a side of a mode, of a positive parameter at the end of an interval, and of a sample
-for a lag; less changes no limit by a thousandth."""
+"""Smallest value of three ratios: mass on one side of a mode to total mass, positive parameter at an end of its
+interval to its value, and lag to sampling period. A smaller ratio changes no limit by a thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class IdentifiedLoop:
     values : dict of str to float
         Parameters in SI by name, in the order of `PARAMETERS`.
     covariance : float64, shape (P, P)
-        Covariance of the parameters, which includes the effect of unmodelled behaviour.
+        Covariance of the parameters, including the effect of unmodelled behaviour.
     sampling_period_s : float
         T [s].
     motion : {"translation", "rotation"}
@@ -77,35 +77,38 @@ class IdentifiedLoop:
         Parts in addition to mass, damper and delay: ``friction``, ``spring``, ``saturation``, ``lag``, ``mode``,
         ``load damping``.
     mode_sensor : {"motor", "load"}
-        Side of a mode at which the position is read.
+        Side of a mode whose position is measured.
     velocity : VelocityFilter, optional
         Velocity filter of the controller.
-    explained, trials : int, tuple of str
-        Number of trials explained by the loop and its noise; ids of the fitted trials, in the order of the folds.
+    explained : int
+        Number of trials explained by the loop and its noise.
+    trials : tuple of str
+        Ids of the fitted trials, in the order of the folds.
     saturated : float
         Share of the stable trials that command more force than the device can produce.
     unidentifiable : tuple of str
-        Names of parameters whose value cannot be identified.
+        Names of parameters whose values are not identifiable.
     combinations : tuple of IdentifiableCombination
         Identifiable combinations of these parameters.
     scatter : dict of str to float
-        Standard deviations from run to run by name.
+        Standard deviations of parameters from run to run.
     folds : tuple of dict of str to float
-        Values without every fifth trial, starting at the first, the second ...; empty if unknown.
+        Values if one fold of the trials is left out (every fifth trial, starting at the first, the second and so on);
+        empty if unknown.
     bounds : dict of str to float
-        Upper ends of parameters that it does not have, and the other end of a delay that may be part of a lag below one
-        sample, or include such a lag.
+        Upper ends of parameters that the loop does not have. If the delay cannot be separated from a lag below one
+        sample, also the other end of the delay.
     jitter : tuple of float
         Standard deviation of the delay within a trial [samples], and its error.
     fit_percent : float or None
-        Median fit of its free runs to logs that were not used for the fit.
+        Median fit of free runs to logs that were not used in the fit.
     command, step, travel : float
-        Largest command and largest step [N, Nm], and range of the positions [m, rad] of its logs; infinite and 0 if
+        Largest command and largest step [N, Nm], and range of the positions [m, rad] of the logs; infinite and 0 if
         unknown.
     remedy : str
         What to record to separate parts with the same effect.
     directions : int
-        Number of directions of motion in its logs, 1 or 2.
+        Number of directions of motion in the logs, 1 or 2.
 
     Examples
     --------
@@ -144,7 +147,7 @@ class IdentifiedLoop:
         return self.at(self.values)
 
     def at(self, values: Mapping[str, float]) -> Loop:
-        """Return the loop with other parameter values; a damping, stiffness or delay below 0 counts as 0."""
+        """Return the loop with other parameter values. A negative damping, stiffness or delay is set to 0."""
         mass, damping, mode = values["mass"], max(values["damping"], 0.0), None
         if "mode.mass" in values:
             mode = Mode(
@@ -172,8 +175,8 @@ class IdentifiedLoop:
 
     @cached_property
     def ends(self) -> tuple[tuple[Loop, Loop], ...]:
-        """Loops at both ends of each principal axis of the 95 % region of the parameters, and that with the longest lag
-        that the delay may include; none if the parameters are exact."""
+        """Loops at both ends of each principal axis of the 95 % region, and a pair with the longest lag that the delay
+        may include; empty if the parameters are exact."""
         if not self.covariance.any():
             return ()
         ends = [(self.shifted(-axis), self.shifted(axis)) for axis in self.axes]
@@ -184,14 +187,14 @@ class IdentifiedLoop:
 
     @cached_property
     def axes(self) -> Floats:
-        """Half-axes of the 95 % region of the parameters, one per row, shape (P, P)."""
+        """Semi-axes of the 95 % region of the parameters in rows, shape (P, P)."""
         scale = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         size = np.where(scale > 0, scale, 1.0)
         variance, axes = np.linalg.eigh(self.covariance / np.outer(size, size))
         return np.asarray(NORMAL_95 * np.sqrt(np.maximum(variance, 0.0))[:, None] * axes.T * size)
 
     def shifted(self, step: Floats) -> Loop:
-        """Return the loop with its parameters changed by a step, shape (P,); mass and frequency stay positive."""
+        """Return the loop after a step of its parameters, shape (P,). Mass and mode frequency stay positive."""
         now = np.array(list(self.values.values()))
         positive = np.isin(list(self.values), ("mass", "mode.frequency_hz"))
         moved = np.where(positive, np.maximum(now + step, SMALLEST * now), now + step)
@@ -204,7 +207,7 @@ class IdentifiedLoop:
 
     @property
     def may_have_friction(self) -> bool:
-        """Whether it has friction, or friction cannot be excluded."""
+        """Whether the loop has friction, or friction cannot be excluded."""
         unseen = self.bounds.get("friction.coulomb", 0.0)
         return "friction.coulomb" in self.values or unseen > UNSEEN_FRICTION * self.step
 
@@ -213,7 +216,7 @@ class IdentifiedLoop:
         value = self.values[name]
         reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
         end = self.bounds.get(name, value)
-        if self.trials:  # a fitted parameter is not known better than its numerical accuracy
+        if self.trials:  # the numerical accuracy is a lower bound for a fitted parameter
             reach = max(reach, ROUNDING * abs(value))
         low, high = min(value, end) - reach, max(value, end) + reach
         if not PARAMETERS[name].may_seem_negative and value >= 0:
@@ -221,11 +224,11 @@ class IdentifiedLoop:
         return Interval(value, low, high)
 
     def why_unknown(self, name: str) -> str:
-        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy; otherwise ''."""
+        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy; '' if meaningful."""
         number = self.interval(name) if name in self.values else None
         wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if PARAMETERS[name].dimension == "force":
-            # compare with the largest force in the logs: a force with a larger error is unknown
+            # a force whose error exceeds the largest force in the logs is unknown
             by, most = ("command", self.command) if name == "force_limit" else ("step", self.step)
             if not wide <= most:
                 return NOT_IDENTIFIABLE.format(ANY_FORCE.format(by, most), self.remedy)
@@ -234,7 +237,7 @@ class IdentifiedLoop:
         return ""
 
     def estimate(self, name: str, unit: str) -> Estimate:
-        """Return a parameter as an estimate; at most a bound if the loop does not have it."""
+        """Return a parameter as an estimate. If the loop does not have it, the estimate contains at most a bound."""
         number, count = self.interval(name) if name in self.values else None, len(self.trials)
         if why := self.why_unknown(name):
             return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)
@@ -251,20 +254,20 @@ class IdentifiedLoop:
 
 
 def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["motor", "load"]]:
-    """Return the parts of a loop, and the side at which its mode is measured, from the gains of the model's parts."""
+    """Return the parts of a loop and the side at which its mode is measured, from the gains of the model's parts."""
     names = [name for name, gain in gains.items() if gain > 0]
     parts = tuple({"stiffness": "spring", "mode at the load": "mode"}.get(name, name) for name in names)
     return parts, "load" if "mode at the load" in names else "motor"
 
 
 def identified_loop(of: Experiment) -> IdentifiedLoop | None:
-    """Return the loop of an experiment from its stage `device`, None if its mass is not identified."""
+    """Return the identified loop of an experiment from its stage `device`; None if its mass is not identified."""
     (row,) = of.table("device").to_pylist()
     return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)
 
 
 def loop_from_row(row: Mapping[str, Any], sampling_period_s: float, motion: Motion = "translation") -> IdentifiedLoop:
-    """Return the loop of a row of the stage `device`."""
+    """Return the identified loop from a row of the stage `device`."""
     names = row["parameter_names"]
     return IdentifiedLoop(
         dict(zip(names, row["parameter_values"], strict=True)),
@@ -304,7 +307,7 @@ def loop_from_row(row: Mapping[str, Any], sampling_period_s: float, motion: Moti
 
 
 def nominal_loop(loop: Loop) -> IdentifiedLoop:
-    """Return the effective loop of a file at the wall: operator and gain are included in its exact parameters.
+    """Return the loop of a file as a loop with exact parameters, which include operator and force gain.
 
     >>> loop = Loop(mass=0.5, damping=3.0, sampling_period_s=0.001, delay_samples=4, operator={"mass": 0.1})
     >>> nominal_loop(loop).values["mass"], nominal_loop(loop).ends

@@ -1,4 +1,4 @@
-"""Uncertainty of the location of an optimum: walls that are nearly as good, and the scatter of the cost map."""
+"""Estimate the uncertainty of the location of an optimum: nearly optimal walls, and the scatter of the cost map."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pipeline.records.findings import NearOptimum
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAR = 0.05
-"""Largest relative difference of the cost, or of the stiffness without overshoot, of a wall that is nearly as good as
-the best."""
+"""Largest relative difference to the best wall, in cost or in stiffness without overshoot, for a wall that is nearly as
+good."""
 
 NEIGHBOURS = 20
-"""Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three times as many as terms."""
+"""Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three times the coefficients."""
 
 _TO_DEVIATION = 1.482602218505602
 """Ratio of standard deviation to median absolute deviation of a normal distribution."""
 
 
 def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float, free: Booleans) -> Booleans:
-    """Return which trials are nearly as good as the best one.
+    """Return whether each trial is nearly as good as the best one.
 
     Parameters
     ----------
@@ -28,9 +28,9 @@ def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float
     best : float
         Cost of the best trial.
     stiffest : float
-        Its stiffness [N/m, Nm/rad].
+        Stiffness of the best trial [N/m, Nm/rad].
     free : bool, shape (n,)
-        Trials without overshoot; if there are any, the stiffest of them is best.
+        Trials without overshoot. If there are any, the stiffest of them is the best trial.
     """
     if free.any():
         return free & (stiffness >= (1 - NEAR) * stiffest)
@@ -38,7 +38,7 @@ def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float
 
 
 def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOptimum:
-    """Return the bounding box of the walls that are nearly as good as the best; there is at least one."""
+    """Return the bounding box of the walls that are nearly as good as the best wall. There must be at least one."""
     K, B = stiffness[near], damping[near]
     return NearOptimum(
         stiffness_low=float(K.min()),
@@ -50,25 +50,25 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:
-    """Return the scatter of a cost map in percent of the cost: the deviation of a trial from its neighbours.
+    """Return the scatter of a cost map in percent of the cost: the deviation of trials from their neighbours.
 
     Parameters
     ----------
     cost : float64, shape (n,)
-        NaN if a trial has none; zeros are left out.
+        NaN if a trial has no cost. Zeros are left out.
     stiffness, damping : float64, shape (n,)
 
     Returns
     -------
     float or None
-        Robust standard deviation (1.48 times the median) of the relative residual, corrected for the degrees of freedom
-        of the fit; None for fewer trials than `NEIGHBOURS`.
+        Robust standard deviation (1.48 times the median) of the relative residuals, corrected for the degrees of
+        freedom of the fit; None for fewer trials than `NEIGHBOURS`.
 
     Notes
     -----
     For each trial and its nearest neighbours (distances in units of the tested steps), a parabola in K and B is fitted
-    to the logarithm of the cost. A smooth map has small residuals, a noisy one (6.1.4) those of the noise of single
-    trials.
+    to the logarithm of the cost. The residuals of a smooth map are small. In a noisy map (6.1.4), they are the noise of
+    single trials.
     """
     some = np.isfinite(cost) & (cost > 0)
     if some.sum() < NEIGHBOURS:
@@ -88,9 +88,9 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
 
 
 def _neighbours(place: Floats) -> Integers:
-    """Return the nearest `NEIGHBOURS` of each place (n, 2), including itself, shape (n, `NEIGHBOURS`).
+    """Return the nearest `NEIGHBOURS` of each point (n, 2), including itself, shape (n, `NEIGHBOURS`).
 
-    Ties are resolved by place, independently of the order of the trials.
+    Ties are resolved by location, independently of the order of the trials.
     """
     from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""Rest positions of settled devices: x_0 + F_0/K, or displaced by a force or by a spring on the device."""
+"""Find forces or a spring that keep settled devices away from the expected rest position x_0 + F_0/K."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ RESTS = 3.0
 """Smallest distance from x_0 + F_0/K, in sensor floors, for which a device rests elsewhere."""
 
 SLIGHT = 0.1 * MATTERS
-"""Displacing force, relative to the step, below which it is negligible; it is larger than the remaining motion."""
+"""Displacing force, relative to the step, below which it is negligible. It exceeds the effect of residual motion."""
 
 OFTEN = 0.2
-"""Smallest share of logs that rest elsewhere that is not accidental (trials that still move)."""
+"""Smallest share of logs with a displaced rest position that is not accidental (due to trials that still move)."""
 
 ALIKE = 0.5
-"""Largest relative difference of the displacing forces from their median for which they are one force, sensor error
-included."""
+"""Largest relative difference of the displacing forces from their median for which they are the same force, including
+the sensor error."""
 
 LASTING = 12.0
-"""Decay, in time constants over the log, after which the mean of its last tenth contains no motion."""
+"""Length of a log, in time constants of its decay, after which the mean of its last tenth contains no motion."""
 
 
 @dataclass(frozen=True)
 class RestForces:
-    """Forces K (x_end - x_0) - F_0 that displace a device from the rest position of the wall.
+    """Forces K (x_end - x_0) - F_0 that displace a device from the expected rest position.
 
-    ``typical`` is their median [N, Nm], ``off`` the number of logs out of ``of`` whose displacement exceeds the sensor
-    resolution; ``constant`` means that they are one force along the step, not friction. ``spring`` is the stiffness k
-    [N/m, Nm/rad] of a device whose logs all rest at x_0 + F_0/(K + k), 0 if they do not.
+    ``typical`` is their median [N, Nm]. ``off`` of ``of`` logs have a displacement above the sensor resolution.
+    ``constant`` is whether they are the same force along the step, and not friction. ``spring`` is the stiffness k
+    [N/m, Nm/rad] of a device that rests at x_0 + F_0/(K + k) in all logs; 0 otherwise.
     """
 
     typical: float
@@ -52,12 +52,12 @@ class RestForces:
 
 
 def rest_forces(of: Experiment) -> RestForces:
-    """Return the forces that displace settled devices from x_0 + F_0/K, and the spring that explains all of them.
+    """Return the forces that displace settled devices from x_0 + F_0/K, and the spring that explains them, if any.
 
     Notes
     -----
-    A spring exerts -k (x_end - x_0), which decreases with the stiffness of the wall; a constant force and friction do
-    not depend on the wall. A spring is reported if it explains the forces and a constant force does not.
+    A spring exerts the force -k (x_end - x_0), which decreases with the stiffness of the wall. A constant force and
+    friction do not depend on the wall. A spring is reported if it explains the forces and a constant force does not.
     """
     settled = _settled(of)
     stiffness = of.column("response", "stiffness")[settled]
@@ -77,7 +77,7 @@ def rest_forces(of: Experiment) -> RestForces:
 
 
 def rest_spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad] of the device, as declared or else from its rest positions; 0 for none."""
+    """Return the stiffness k [N/m, Nm/rad] of the device: the declared one, else from rest positions; 0 without one."""
     return of.spring or of.once(rest_forces).spring
 
 
@@ -86,17 +86,17 @@ def _are_many(off: int, of: int) -> bool:
 
 
 def _spring(force: Floats, moved: Floats, reach: Floats) -> float:
-    """Return k of force = -k moved if it explains the forces and a constant common to all logs does not."""
+    """Return k of force = -k moved if it explains the forces, and a constant force common to all logs does not."""
     weight = 1 / np.maximum(reach, SMALLEST) ** 2
     k = -float((weight * moved) @ force) / float((weight * moved) @ moved)
-    # soft walls decide; at a single stiffness friction looks like a spring, so the constant is theirs, too
+    # soft walls decide, also for the constant: at a single stiffness, friction looks like a spring
     constant = float(weight @ force) / float(weight.sum())
     left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - constant))
     return k if k > 0 and not _are_many(left, len(force)) and _are_many(same, len(force)) else 0.0
 
 
 def _settled(of: Experiment) -> Booleans:
-    """Return the trials whose motion has reached a final position: stable ones that decayed within their log."""
+    """Return whether each trial has reached a final position, i.e. is stable and has decayed within its log."""
     rows = dict(zip(*(of.trials.column(name).to_pylist() for name in ("trial_id", "rows")), strict=True))
     duration = np.array([rows[name] for name in of.texts("response", "trial_id")], dtype=np.float64)
     decay = np.nan_to_num(of.column("response", "growth_per_s")) * duration * of.sampling_period_s

@@ -1,4 +1,4 @@
-"""Values of an experiment from the stored columns of its stages."""
+"""Interface to an experiment: its samples and the stored columns of its stages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Verdicts:
-    """Verdict of each trial of an experiment as stored, shape (n,); fields as those of `signal.verdict.Verdict`."""
+    """Stored verdict of each trial of an experiment, shape (n,), with the fields of `signal.verdict.Verdict`."""
 
     verdict: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
     growth_per_s: Floats
@@ -26,7 +26,7 @@ class Verdicts:
 
 
 class Experiment(Protocol):
-    """Contents of an experiment: its samples and the results of its stages."""
+    """Samples of an experiment and the results of its stages."""
 
     @property
     def sampling_period_s(self) -> float:
@@ -34,20 +34,20 @@ class Experiment(Protocol):
 
     @property
     def step_sizes(self) -> Floats:
-        """Step F_0 of each trial by its header [N, Nm]."""
+        """Step F_0 of each trial from its header [N, Nm]."""
 
     @property
     def motion(self) -> Motion:
-        """Kind of motion, which decides the units."""
+        """Kind of motion, which determines the units."""
 
     def table(self, stage: str) -> pa.Table:
-        """Result of a stage."""
+        """Return the result of a stage."""
 
     def column(self, stage: str, name: str) -> Floats:
-        """Numeric column of a stage, null as NaN."""
+        """Return a numeric column of a stage, with NaN for null."""
 
     def texts(self, stage: str, name: str) -> list[str]:
-        """Text column of a stage, null as an empty string."""
+        """Return a text column of a stage, with an empty string for null."""
 
     def once(self, function: Callable[[Any], Result]) -> Result:
         """Return the result of a function of the experiment, which is called only once."""
@@ -58,7 +58,7 @@ class Experiment(Protocol):
 
     @property
     def spring(self) -> float:
-        """Stiffness k of the device declared in its file [N/m, Nm/rad], 0 for none."""
+        """Stiffness k of the device as declared in its file [N/m, Nm/rad]; 0 if none is declared."""
 
     @property
     def measuring(self) -> Measuring:
@@ -73,4 +73,4 @@ class Experiment(Protocol):
         """Verdict of each trial."""
 
     def map_trials(self, function: Callable[[Any], Result], places: Sequence[int] | None = None) -> list[Result]:
-        """Return the results of a function of each `MeasuredTrial`, or of those at given places, in this order."""
+        """Return the results of a function for each `MeasuredTrial`, or for those at the given places, in order."""

@@ -1,6 +1,6 @@
-"""Drift of an estimate over the tested stiffness or damping.
+"""Test whether an estimate drifts over the tested stiffness or damping.
 
-A parameter of the device must not depend on the wall parameters: if its estimates do, the model is wrong.
+A parameter of the device must not depend on the wall. If its estimates depend on the wall, the model is wrong.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ MOST_RELATIVE = 10.0
 """Largest change, relative to the value, that is reported in percent."""
 
 FEWEST_FOR_TREND = 8
-"""Smallest number of trials for a trend: three coefficients and five more to estimate their error."""
+"""Smallest number of trials for a trend: three for the coefficients and five for their errors."""
 
 HUBER = 1.345
-"""Residual, in standard deviations, above which the weight of a trial is reduced: 95 % efficient (Huber)."""
+"""Residual, in standard deviations, above which the weight of a trial is reduced (95 % efficiency, Huber)."""
 
 _ROUNDS = 50
-"""Largest number of reweighted fits; five to fifteen are sufficient."""
+"""Largest number of reweighted fits. Five to fifteen are usual."""
 
 _SETTLED = 1e-6
-"""Change of the weights below which the fit has converged: far below any standard error."""
+"""Change of the weights below which the fit has converged. Its effect is far below a standard error."""
 
 _LEAST_FREE = 1e-6
-"""Smallest value of 1 - leverage of a trial, to avoid a division by zero if a trial alone determines the line."""
+"""Smallest value of 1 - leverage of a trial. It avoids a division by zero if a single trial determines the line."""
 
 Axis = Literal["stiffness", "damping"]
 
@@ -39,14 +39,14 @@ Axis = Literal["stiffness", "damping"]
 def find_trends(
     v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, motion: Motion = "translation"
 ) -> tuple[Trend, ...]:
-    """Return the slopes of the trials' values over stiffness and damping, fitted jointly.
+    """Return the slopes of the trials' values over stiffness and damping from a joint fit.
 
     Parameters
     ----------
     v, sigma : float64, shape (n,)
         Value of each trial and the standard deviation of its scatter, in ``unit``.
     conditions : dict of float64, shape (n,)
-        K [N/m, Nm/rad] as ``stiffness``, B [Ns/m, Nms/rad] as ``damping``, or one of them.
+        K [N/m, Nm/rad] with the key ``stiffness``, B [Ns/m, Nms/rad] with the key ``damping``, or one of them.
     unit : str
     motion : Motion
         Kind of motion, which determines the units.
@@ -54,14 +54,14 @@ def find_trends(
     Returns
     -------
     tuple of Trend
-        One for each condition that was varied; none with fewer than `FEWEST_FOR_TREND` trials, or where stiffness
+        One trend for each condition that was varied. Empty for fewer than `FEWEST_FOR_TREND` trials, or if stiffness
         and damping were varied together, so that their effects cannot be separated.
 
     Notes
     -----
-    Weighted least squares in which the influence of a residual is limited to `HUBER` standard deviations. The interval
-    is based on the residuals and not on ``sigma``, so that it is valid even if the errors of the trials are wrong; the
-    false-positive rate of a trend is 5 % for each of the two slopes.
+    The fit is weighted least squares in which the influence of a residual is limited to `HUBER` standard deviations.
+    The interval is based on the residuals instead of ``sigma``, so that it is valid even if the errors of the trials
+    are wrong. The false-positive rate is 5 % for each of the two slopes.
 
     Source: Huber 1981, Robust Statistics; MacKinnon and White 1985 (HC3).
     """
@@ -85,8 +85,8 @@ def find_trends(
         if np.abs(now - pull).max() < _SETTLED:
             break
         pull = now
-    # HC3: residuals, each enlarged by its leverage; a trial with limited influence does not
-    # respond to a change of the slope
+    # HC3: residuals are enlarged by their leverage; a trial with limited influence does not respond to a change of
+    # the slope
     answers = np.where(pull == 1, w, 0.0)
     normal = (x * answers) @ x.T
     if np.linalg.matrix_rank(normal, hermitian=True) < len(x):
@@ -125,7 +125,7 @@ def drift_warning(
     x : float64, shape (n,)
         Stiffness or damping of the trials of the trend.
     value, least : float
-        Value of the experiment, and smallest change over the tested range worth a warning, in ``unit``.
+        Value of the experiment, and smallest change over the tested range that deserves a warning, in ``unit``.
     unit : str
     motion : Motion
     """

@@ -1,1 +1,1 @@
-"""What one log shows: response, modes, verdict, outcome, events."""
+"""Evaluation of a single log: response, modes, verdict, outcome, and events."""

@@ -1,4 +1,4 @@
-"""Features visible in a recorded column without any knowledge of it: jumps, rests, and gaps in time."""
+"""Find jumps, rests and time gaps in a recorded column, without knowledge of its meaning."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from pipeline.measured.wall_command.stamps import ODD
 from pipeline.records.trials import Floats, Integers
 
 JUMP = 0.2
-"""Smallest change from one row to the next, relative to the range of the column, that counts as a jump."""
+"""Smallest change between two rows that counts as a jump, relative to the range of the column."""
 
 MOST_JUMPS = 12
-"""Largest number of jumps listed for a column; of a chattering column only the largest jumps are listed."""
+"""Largest number of jumps that are listed for a column. For a chattering column, only the largest jumps are listed."""
 
 STILL = 0.005
-"""Largest range of a segment at rest, relative to that of the column."""
+"""Largest range of a segment at rest, relative to the range of the column."""
 
 SHORTEST_REST = 0.05
-"""Smallest length of a rest, relative to that of the column; it is also at least `FEWEST_ROWS`."""
+"""Smallest length of a rest, relative to the length of the column. `FEWEST_ROWS` is a further limit."""
 
 FEWEST_ROWS = 8
 
 
 def jumps(values: Floats) -> Integers:
-    """Return the rows at which a column jumps, in order: the first row of each new level.
+    """Return the rows at which a column jumps, in order, as the first row of each new level.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def jumps(values: Floats) -> Integers:
 
 
 def rests(values: Floats) -> list[tuple[int, int]]:
-    """Return the segments in which a column rests or creeps: the first row, and the row after the last one."""
+    """Return the segments in which a column rests or creeps, as first row and row after the last one."""
     rows, reach = len(values), _reach(values)
     least = max(FEWEST_ROWS, int(SHORTEST_REST * rows))
     if rows < least:
@@ -52,7 +52,7 @@ def rests(values: Floats) -> list[tuple[int, int]]:
 
 
 def gaps(time: Floats) -> Integers:
-    """Return the rows preceded by missing rows, according to the time stamps; NaN is not a gap."""
+    """Return the rows after a gap in the time stamps. NaN is not a gap."""
     step = np.diff(time)
     usual = float(np.nanmedian(step)) if len(step) else 0.0
     return np.flatnonzero(step > (1 + ODD) * usual) + 1 if usual > 0 else np.zeros(0, dtype=np.int64)

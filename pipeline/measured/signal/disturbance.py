@@ -1,8 +1,7 @@
-"""Forces that the command does not explain (a push, a second load, a drift), from the force balance alone.
+"""Detect forces that the command does not explain (a push, a second load, a drift) from the force balance.
 
 The device of an experiment obeys m a = F(t - t_d) - b v - k x, with the logged command F. Mass, damping, stiffness and
-delay are set to the values that fit the experiment's trials best; the residual force of a trial is an external
-disturbance.
+delay are fitted to the trials of the experiment. The residual force of a trial is an external disturbance.
 """
 
 from __future__ import annotations
@@ -18,44 +17,44 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial, Trials
 
 LONGEST_DELAY = 12
-"""Largest delay that is tried [samples], the largest for which the window of `modes` is long enough."""
+"""Largest delay that is tried [samples]. It is the largest one for which the window of `modes` is long enough."""
 
 FITTED_TRIALS = 64
-"""Largest number of trials to which the device is fitted; more do not improve its three parameters. Those with the
-smallest hash of their samples are used, so that an additional log rarely changes them, and with them the results of the
-others."""
+"""Largest number of trials to which the device is fitted. More trials do not improve its three parameters. The trials
+with the smallest hashes of their samples are used. An additional log therefore rarely changes the selection, or the
+results of other logs."""
 
 FITTED_ROWS = 4096
-"""Largest number of rows of a log to which the device is fitted, counted from the step; a long rest would outweigh the
+"""Largest number of rows of a log to which the device is fitted, counted from the step. A long rest would outweigh the
 other logs."""
 
 SHORTEST_SPAN, LONGEST_SPAN = 8, 40
-"""Smallest and largest lag of second differences [samples]: long for little sensor noise, short for a push of 20
+"""Smallest and largest lag of second differences [samples]: long for low sensor noise, and short for a push of 20
 samples."""
 
 SENSOR_FLOORS = 2.3
 """Largest second difference attributed to the sensor, in sensor floors: two quanta and six standard deviations."""
 
 SMALLEST_FORCE = max(SETTLING_BANDS.values())
-"""Smallest reported disturbance, relative to the step, and assumed relative error of the command and the device's
-forces: an effect that even the widest settling band hardly shows."""
+"""Smallest reported disturbance relative to the step, and assumed relative error of the command and the forces of the
+device. Such a force is hardly visible even in the widest settling band."""
 
 TYPICAL = 3.0
-"""Smallest ratio of a force to that of the median trial for an event. A force in all trials belongs to the device
-(friction, jitter). Used for eight trials or more."""
+"""Smallest ratio of a force to the force in the median trial for an event, for eight trials or more. A force in all
+trials belongs to the device (friction, jitter)."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """Force in addition to the command in a trial.
+    """Force that acts on the device in a trial in addition to the command.
 
     Parameters
     ----------
     first_row, largest_row : int
-        First row about which the force balance is violated, and row about which that force is largest; -1 if it is not
+        First row at which the force balance is violated, and row at which the force is largest; -1 if it is not
         violated, or unknown.
     force : float
-        Largest such force, with its sign, averaged over some samples [N, Nm]; 0 if there is none.
+        Largest disturbance with its sign, averaged over some samples [N, Nm]; 0 if there is none.
     """
 
     first_row: int = NO_ROW
@@ -65,10 +64,10 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class PushResponse:
-    """Device fitted to an experiment for the detection of disturbances: m, b, k and delay [samples].
+    """Device fitted to an experiment to detect disturbances: m, b, k and delay [samples].
 
-    The mass is 0 if the trials show no motion. ``span`` is the number of rows before and after a row that determine its
-    force; ``least`` is the smallest force of an event, in units of the smallest reported one; smaller forces are
+    The mass is 0 if the trials show no motion. ``span`` is the number of rows on each side of a row that determine its
+    force. ``least`` is the smallest force of an event, relative to the smallest reported one. Smaller forces are
     attributed to the device.
     """
 
@@ -81,22 +80,22 @@ class PushResponse:
 
 
 def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> Disturbance:
-    """Find the force that acts in addition to the command.
+    """Find a force that acts in addition to the command.
 
     Parameters
     ----------
     trial : Trial
     response : Response
     device : PushResponse
-        Fit to all trials of the experiment (`fit_push_response`), which share device and delay. It is less accurate for
-        few or disturbed trials.
+        Fit to all trials of the experiment (`fit_push_response`), which have the same device and delay. It is less
+        accurate for few or disturbed trials.
 
     Notes
     -----
-    x_{k+w} - 2 x_k + x_{k-w} is the acceleration in this interval with triangular weights: the effect of sensor noise
-    falls with w^2. If the delay jitters, the previous or next command may have been applied. Forces below 5 % of the
-    step, and those in the first and last w samples of a log, are not detected. Valid for a device that is a single mass
-    in the bandwidth of the loop.
+    x_{k+w} - 2 x_k + x_{k-w} is the acceleration in this interval with triangular weights, so that the effect of sensor
+    noise falls with w^2. If the delay jitters, the previous or the next command may have been applied. Forces below 5 %
+    of the step, and forces in the first and last w samples of a log, are not detected. The device must be a single mass
+    within the bandwidth of the loop.
     """
     if not (device.mass > 0 and trial.rows > 2 * device.span):
         return Disturbance()
@@ -109,14 +108,14 @@ def find_disturbance(trial: Trial, response: Response, device: PushResponse) -> 
 
 
 def fit_push_response(trials: Trials, edge_row: Integers, floor: Floats) -> PushResponse:
-    """Fit the device to trials of an experiment by least absolute errors, which is robust to disturbed trials.
+    """Fit the device to the trials of an experiment by least absolute errors, which is robust to disturbed trials.
 
     Parameters
     ----------
     trials : Trials
         All trials of the experiment.
     edge_row, floor : shape (n,)
-        Command edge (-1 for none) and sensor floor [m, rad] of each trial.
+        Command edge (-1 if there is none) and sensor floor [m, rad] of each trial.
     """
     rows = trials.rows
     usable = np.flatnonzero((edge_row >= 0) & (rows > edge_row + 2 * SHORTEST_SPAN))
@@ -145,7 +144,7 @@ def fit_push_response(trials: Trials, edge_row: Integers, floor: Floats) -> Push
 
 
 def _fit(trials: Sequence[tuple[Trial, int]]) -> PushResponse:
-    """Fit mass, damping, stiffness and delay to trials of an experiment, each with its edge row."""
+    """Fit mass, damping, stiffness and delay to trials with their edge rows."""
     span = SHORTEST_SPAN
     behind = [slice(max(edge + 1 - span, 0), None) for _, edge in trials]
     forces = [_triangle(_held(trial.command), span)[rows] for (trial, _), rows in zip(trials, behind, strict=True)]
@@ -172,9 +171,9 @@ def _late_force(trial: Trial, delay: int) -> Floats:
 
 
 def _ratio(trial: Trial, edge: int, floor: float, device: PushResponse) -> tuple[Floats, Floats]:
-    """Return forces beyond all commands that may be applied, in units of the smallest reported one, and in [N, Nm].
+    """Return forces that no applicable command explains, relative to the smallest reported force, and in [N, Nm].
 
-    Shape (rows - 2 span,) each, starting at row span [1], [N, Nm]; the former are 0 up to the step.
+    Both arrays have the shape (rows - 2 span,) and start at row ``span``. The ratios are 0 up to the step.
     """
     span, period = device.span, trial.sampling_period_s
     weight, displacement = float(span * span), trial.displacement
@@ -221,7 +220,7 @@ def _late(command: Floats, delay: int) -> Floats:
 
 
 def _held(command: Floats) -> Floats:
-    """Return the mean command of both intervals at each row: its second difference is exact for a zero-order hold."""
+    """Return the mean command of both intervals at each row. Its second difference is exact for a zero-order hold."""
     mean = command.copy()
     mean[1:] += command[:-1]
     return 0.5 * mean

@@ -1,8 +1,8 @@
-"""Detection of the single step of the external force in a log, from one level to the next.
+"""Detect the single step of the external force in a log, from one level to another.
 
-The external force is reconstructed from the log itself: command plus wall force. It is a step for any delay, mass and
-sensor, because the controller computed the wall force from the positions in the log. It begins at 0, or at the level of
-an operating point; the step of a log is the change.
+The external force is reconstructed from the log as the command plus the wall force. It is a step for any delay, mass
+and sensor, because the controller computed the wall force from the positions in the log. It begins at 0 or at the level
+of an operating point. The step of a log is the change of the level.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
 
 EDGE_SAMPLES = 3
-"""Smallest number of rows for which the external force must stay above half the step; fewer may be a glitch."""
+"""Smallest number of rows in which the external force must stay above half the step. Fewer rows may be a glitch."""
 
 LEVEL = 0.02
-"""Largest deviation from a level, relative to the step; sensors and printed digits cause less."""
+"""Largest deviation from a level, relative to the step. Sensors and printed digits cause smaller deviations."""
 
 LEVEL_ROWS = 20
-"""Number of rows before and after a jump that show two levels. A velocity over N rows leaves a plateau of N rows after
-each quantum; with as many rows it is too low to be a step."""
+"""Number of rows before and after a jump that show two levels. A velocity over N rows causes a plateau of N rows after
+each quantum. For this number of rows, the plateau is too low for a step."""
 
 JUMP = 0.1
-"""Smallest change that counts as a step or a motion, relative to the step of the log; quanta amplified by B jump by
-less. A wall force in another unit, or another signal, leaves as much only if command plus wall force deviates from its
-level by more than `LEVEL`; two steps that differ by less are equal."""
+"""Smallest change that counts as a step or a motion, relative to the step of the log. Quanta amplified by B jump by
+less. Two steps whose difference is smaller are treated as equal. A wall force in another unit, or another signal,
+leaves such a change only if command plus wall force deviates from its level by more than `LEVEL`."""
 
 UNDAMPED_JUMP = 0.04
-"""The same for a jump between two levels if no B amplifies quanta."""
+"""Smallest relative jump between two levels if B = 0, so that quanta are not amplified."""
 
 BENT = 1e-3
-"""Smallest deviation of a command from the wall law, relative to the step, at which the command counts as limited;
-rounding of a log with few digits causes less."""
+"""Smallest deviation of a command from the wall law, relative to the step, at which the command is limited. Rounding of
+a log with few digits causes smaller deviations."""
 
 LISTED_STEPS = 6
 """Largest number of steps that a reason lists."""
@@ -47,26 +47,26 @@ LISTED_STEPS = 6
 
 NEVER = (
     "no command edge: command plus wall force never stays above half the step ({step:g}) for {samples} rows; check "
-    "step, stiffness and damping in the log's header"
+    "step, stiffness and damping in the header of the log"
 )
 NO_BASELINE = (
-    "no baseline, the step is already there in row 0: the command edge is not identifiable; record at least one row "
-    "before the step"
+    "no baseline: the step has already occurred in row 0, so the command edge is not identifiable; record at least one "
+    "row before the step"
 )
 OTHER_COMMAND = (
-    "no command edge: command plus wall force reaches half the step ({step:g}) in row {row}, but the command itself "
-    "has not; check the units, the step, and that it is the total command"
+    "no command edge: command plus wall force reaches half the step ({step:g}) in row {row}, but the command does not; "
+    "check the units, the step, and whether the column contains the total command"
 )
 AGAINST = (
     "no command edge: command plus wall force first jumps against the step ({step:g}), in row {row}; check the sign of "
     "command, position and step"
 )
-"""Reason why a log has no edge."""
+"""Reasons why a log has no edge."""
 
 
 @dataclass(frozen=True)
 class Edge:
-    """Row of the command edge (-1 for none), level before it [N, Nm], number of steps, and reason if there is no
+    """Row of the command edge (-1 if none), level before it [N, Nm], number of steps, and the reason if there is no
     edge."""
 
     row: int
@@ -76,7 +76,7 @@ class Edge:
 
 
 def external_force(trial: Trial) -> Floats:
-    """Return command plus wall force, shape (rows,) [N, Nm]: the external step as the controller added it.
+    """Return command plus wall force, shape (rows,) [N, Nm], i.e. the external step that the controller added.
 
     The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
     """
@@ -85,7 +85,7 @@ def external_force(trial: Trial) -> Floats:
 
 
 def position_change(trial: Trial) -> Floats:
-    """Return the change of the position since the previous row, 0 in the first row, shape (rows,) [m, rad]."""
+    """Return the change of the position since the previous row, shape (rows,) [m, rad]; 0 in the first row."""
     change = np.zeros_like(trial.position)
     np.subtract(trial.position[1:], trial.position[:-1], out=change[1:])
     return change
@@ -100,9 +100,9 @@ def find_edge(trial: Trial) -> Edge:
 
     Notes
     -----
-    The edge is the first row from which on the external force stays above half the step. If it begins at a level other
-    than 0, as at an operating point, the edge is the first row in which it leaves this level by the step. Two or more
-    jumps between levels are several steps, which a single edge row cannot separate.
+    The edge is the first row from which the external force stays above half the step. If the force begins at a level
+    other than 0, e.g. at an operating point, the edge is the first row in which it leaves this level by the step. Two
+    or more jumps between levels are several steps, which a single edge row cannot represent.
     """
     step = trial.step
     if step == 0:
@@ -132,12 +132,11 @@ def find_edge(trial: Trial) -> Edge:
 
 
 def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
-    """Return whether the command contributes to the change of a force that reaches half the step.
+    """Return whether the command contributes to the change of an external force that reaches half the step.
 
-    If the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later.
-    Chatter before the step may be larger than the step, of either sign. With a slow ramp, the wall responds before the
-    ramp reaches half the step; a force that stays at its level while the command still moves is not a wall force
-    either.
+    If the command has a wrong unit or is another signal, the wall force alone crosses half the step, but later. Chatter
+    before the step may exceed the step with either sign. With a slow ramp, the wall responds before the ramp reaches
+    half the step. A force that stays at its level while the command still moves is not a wall force.
     """
     command = np.abs(trial.command)
     if (command[:until] > half).any():
@@ -148,16 +147,16 @@ def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
 
 
 def level_before(force: Floats, row: int, step: float) -> float:
-    """Return the level of a force in the rows before a row [N, Nm]; 0 if it has none, or one close to 0."""
+    """Return the level of a force before a row [N, Nm]; 0 if it has no level or one close to 0."""
     near = LEVEL * abs(step)
     level = middle(force[:row]) if row > 0 else 0.0
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
 
 
 def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
-    """Return edge, level before it, and the reason for no edge, for a force that jumps from one level to another.
+    """Return the edge, the level before it, and the reason for no edge, if the force jumps between two levels.
 
-    None if the force begins near 0 or does not jump.
+    The result is None if the force begins near 0 or does not jump.
     """
     start = level_before(force, EDGE_SAMPLES, step)
     if start == 0:
@@ -172,12 +171,12 @@ def _from_level(force: Floats, step: float) -> tuple[int, float, str] | None:
     return (
         *(NO_ROW, 0.0),
         f"no command edge: command plus wall force goes from {start:.4g} to {start + jump:.4g} in row {edge}, a change "
-        f"of {jump:.4g}, but the step is {step:g}; the step of a log is the change",
+        f"of {jump:.4g}, but the step is {step:g}; set the step of the log to this change",
     )
 
 
 def first_step_alone(trial: Trial) -> Trial:
-    """Return a trial with several steps, truncated before its second step."""
+    """Return a trial with several steps, truncated before the second step."""
     return trial.window(0, _steps(external_force(trial), trial.step, trial.damping)[1])
 
 
@@ -202,7 +201,7 @@ def _between_levels(force: Floats, rows: Integers, near: float, most: int, fewes
     near : float
         Largest range of a level [N, Nm].
     most, fewest : int
-        Number of rows examined on either side, and smallest number that must exist.
+        Number of rows that are examined on either side, and smallest number of existing rows.
     """
     result = np.ones(len(rows), dtype=np.bool_)
     for jump in range(len(rows)):
@@ -225,13 +224,13 @@ def _list_steps(force: Floats, steps: list[int]) -> str:
     listed = [f"row {row} ({a:.4g} to {b:.4g})" for row, (a, b) in zip(steps, pairwise(levels), strict=True)]
     more = f" and {len(listed) - LISTED_STEPS} more" if len(listed) > LISTED_STEPS else ""
     return (
-        f"several steps: {', '.join(listed[:LISTED_STEPS])}{more}; cut the log into one step each, by [[steps]] of a "
-        "profile or by recording them apart"
+        f"several steps: {', '.join(listed[:LISTED_STEPS])}{more}; divide the log into one step each with [[steps]] of "
+        "a profile, or record the steps separately"
     )
 
 
 def lasting(rows: Booleans, samples: int) -> Booleans:
-    """Return the rows from which on ``samples`` consecutive rows are true, shape (rows,)."""
+    """Return whether ``samples`` consecutive rows are true from each row on, shape (rows,)."""
     result = rows.copy()
     for ahead in range(1, samples):
         result[:-ahead] &= rows[ahead:]
@@ -240,7 +239,7 @@ def lasting(rows: Booleans, samples: int) -> Booleans:
 
 
 def first_run(rows: Booleans) -> int:
-    """Return the first row from which on `EDGE_SAMPLES` rows are true, -1 if there is none.
+    """Return the first row from which `EDGE_SAMPLES` consecutive rows are true; -1 if there is none.
 
     >>> first_run(np.array([True, False, True, True, True, True]))
     2

@@ -1,4 +1,4 @@
-"""Limits that end a log or distort it: the travel of the device, rigid stops, the largest command."""
+"""Detect limits that end or distort a log: the travel of the device, rigid stops, and the largest command."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response,
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 IMPACT = 6.0
-"""Smallest change before the position stops, in floors. A smooth reversal that stays within a floor and the rounding of
-a quantum for 5 rows arrives with 4 at most."""
+"""Smallest change before the position stops, in sensor floors. In a smooth reversal that stays within a floor and the
+rounding to a quantum for 5 rows, the change is at most 4."""
 
 ABRUPT, REBOUNDS, LOUD = 4.0, 3, 40.0
-"""Smallest distance travelled in the two samples before a reversal, relative to the two after it (2.2 at most for a
-smooth reversal), number of such reversals at one extreme that show a stop, and this distance in floors: if it is
-smaller, a smooth reversal stays for several samples."""
+"""Smallest ratio of the distance in the two samples before a reversal to that in the two samples after it (at most 2.2
+for a smooth reversal), number of such reversals at one extreme that indicate a stop, and smallest distance before a
+reversal in sensor floors. Below this distance, a smooth reversal stays for several samples."""
 
 BLOW = 2.0
-"""Smallest force of an impact relative to the step: hands push with less, and impacts at 0.2 m/s cause more."""
+"""Smallest force of an impact relative to the step. Hands push with less force; impacts at 0.2 m/s cause more."""
 
 UNMOVED_SAMPLES = LONGEST_DELAY + 2 * FEWEST_SAMPLES
-"""Number of samples after the step for which a device at rest may still be waiting for the command: twice the number
-that a verdict needs after the delay."""
+"""Number of samples after the step for which a device at rest may still be waiting for the command. It is the longest
+delay plus twice the number of samples that a verdict requires."""
 
 
 def usual_length(rows: Integers) -> int:
-    """Return the most frequent number of rows of the logs, the largest of equally frequent ones; 0 without logs."""
+    """Return the most frequent number of rows of the logs, the largest one if several are equally frequent; else 0."""
     lengths, counts = np.unique(rows, return_counts=True)
     return int(lengths[len(counts) - 1 - np.argmax(counts[::-1])]) if len(counts) else 0
 
 
 def left_travel(trial: Trial, response: Response, usual: int) -> int:
-    """Return the last row of a log that ended because the device left its travel, -1 for other logs.
+    """Return the last row of a log that ended because the device left its travel; -1 for other logs.
 
     Parameters
     ----------
     trial : Trial
     response : Response
     usual : int
-        Number of rows of most logs of the experiment; a shorter log ended early.
+        Usual number of rows of the logs of the experiment. A shorter log ended early.
 
     Notes
     -----
-    Such a log is short, and ends while moving outwards, at the largest distance from the final position (K > 0; larger
-    than that of the start, which is inside the travel) or from the start (K = 0). A growing oscillation whose recording
-    was stopped by hand at that moment looks the same. The question cannot be decided for a single log, or if all logs
-    of the experiment end early.
+    Such a log is short and ends while the device moves outwards. With K > 0, it ends at the largest distance from the
+    final position, beyond the distance of the start, which is inside the travel. With K = 0, it ends at the largest
+    distance from the start. A growing oscillation whose recording was stopped manually at that moment looks the same.
+    A single log, or an experiment in which all logs end early, does not show whether the travel was left.
     """
     if trial.rows >= usual:
         return NO_ROW
@@ -57,13 +57,13 @@ def left_travel(trial: Trial, response: Response, usual: int) -> int:
     distance = np.abs(trial.position - centre)
     end, before = float(distance[-1]), float(distance[max(trial.rows - 2, 0)])
     outwards = end > (abs(start - centre) if wall else 0.0) + response.floor and end - before > response.floor
-    # with K = 0 a device always moves outwards: only a sufficiently long log can have reached a limit
+    # with K = 0, a device always moves outwards: only a sufficiently long log can have reached a limit
     lasted = wall or free_samples(trial, response) >= FEWEST_SAMPLES
     return trial.rows - 1 if outwards and lasted and end >= distance.max() else NO_ROW
 
 
 def first_stop(trial: Trial, response: Response, outside: Disturbance, device: PushResponse) -> int:
-    """Return the first row at a rigid stop, -1 if there is none.
+    """Return the first row at a rigid stop; -1 if there is none.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ def first_stop(trial: Trial, response: Response, outside: Disturbance, device: P
 
     Notes
     -----
-    At a stop the device reaches its largest or smallest position at speed and rests there for some rows; or it is
-    stopped there by a force that the command does not explain and that is far larger than the step; or it reverses
-    there several times, each time faster before than after the reversal, while a free oscillation is equally fast. A
-    stop that is touched gently, or a soft one, is not detected.
+    There are three kinds of evidence for a stop. The device reaches its largest or smallest position at speed and rests
+    there for some rows. A force that the command does not explain, and that is far larger than the step, stops the
+    device there. The device reverses there several times, each time faster before than after the reversal, whereas a
+    free oscillation is equally fast. A soft stop, or a stop that is reached slowly, is not detected.
     """
     edge = max(response.edge_row, 0)
     after = trial.position[edge:]
@@ -84,15 +84,15 @@ def first_stop(trial: Trial, response: Response, outside: Disturbance, device: P
     blown = outside.first_row >= 0 and abs(outside.force) > BLOW * abs(trial.step)
     first = trial.rows
     for side, depth in ((-1, highest - after), (1, after - lowest)):
-        # twice the floor: a quiet baseline underestimates the noise of a coarse sensor
+        # twice the floor, since a quiet baseline underestimates the noise of a coarse sensor
         there = depth <= 2 * floor
-        # a device that rests at its extreme before it moves has not reached a stop
+        # a device that rests at its extreme before the motion has not reached a stop
         there[: int(there.argmin()) if not there.all() else None] = False
         rows = edge + np.flatnonzero(there)
-        # inward force at the extreme: take the first time that the device was there
+        # with an inward force at the extreme, use the first row in which the device was there
         about = (np.abs(rows - outside.largest_row) <= device.span).any()
         hits = rows[:1] if blown and np.sign(outside.force) == side and about else rows[:0]
-        # allow for rounding that moves a position to the next quantum
+        # allow for rounding of a position to the next quantum
         near = there & (depth <= 1.001 * floor)
         hits = np.concatenate((hits, _arrivals(trial.position, edge, near, floor)))
         first = min(first, int(hits.min(initial=first)))
@@ -100,21 +100,21 @@ def first_stop(trial: Trial, response: Response, outside: Disturbance, device: P
 
 
 def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
-    """Return the rows in which a device arrives at an extreme at speed, and stays or is thrown back.
+    """Return the rows in which a device arrives at an extreme at speed, and stays or rebounds.
 
     Parameters
     ----------
     x : float64, shape (rows,)
     edge : int
     near : bool, shape (rows - edge,)
-        Rows from the edge on in which the device is at the extreme.
+        Whether the device is at the extreme in each row from the edge on.
     floor : float
         Sensor floor [m, rad].
     """
     begins = np.flatnonzero(near[1:] & ~near[:-1]) + 1
     stays = lasting(near, SETTLED_SAMPLES)[begins]
     rows = edge + begins
-    # the device may arrive between two samples: the previous change then shows its speed
+    # the device may arrive between two samples; the change before then shows its speed
     speed = np.maximum(np.abs(x[rows] - x[rows - 1]), np.abs(x[rows - 1] - x[np.maximum(rows - 2, 0)]))
     before = np.where(rows > 1, np.abs(x[rows] - x[np.maximum(rows - 2, 0)]), 0.0)
     last = len(x) - 1
@@ -125,13 +125,13 @@ def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
 
 
 def first_clipped(trial: Trial) -> tuple[int, float]:
-    """Return the first row with a clipped command (-1: none) and the largest command [N, Nm].
+    """Return the first row with a clipped command (-1 if none) and the largest command [N, Nm].
 
     Notes
     -----
-    A clipped command equals the largest one of the log in two rows or more, and is closer to zero than the wall law
-    demands, by more than rounding. A velocity filter also causes deviations from the wall law, but its extremes are not
-    equal.
+    A clipped command equals the largest one of the log in two rows or more. It is closer to zero than the wall law
+    requires, by more than rounding. A velocity filter also causes deviations from the wall law, but its extremes differ
+    from each other.
     """
     size = np.abs(trial.command)
     largest = float(size.max())
@@ -139,7 +139,7 @@ def first_clipped(trial: Trial) -> tuple[int, float]:
     if len(rows) < 2:
         return NO_ROW, largest
     departure = external_force(trial)[rows]
-    # the external force is 0 before the edge and F_0 after it: compare with the nearer one
+    # the external force is 0 before the edge and F_0 after it: compare with the closer one
     departure = np.where(np.abs(departure) < np.abs(departure - trial.step), departure, departure - trial.step)
     rows = rows[-departure * np.sign(trial.command[rows]) > BENT * abs(trial.step)]
     return int(rows[0]) if len(rows) >= 2 else NO_ROW, largest
@@ -150,9 +150,9 @@ def free_samples(trial: Trial, response: Response) -> int:
 
     Notes
     -----
-    The first movement shows one delay; after a second one, commands from before the step no longer have an effect.
-    Sensor noise may move a soft device before the step does, so a hundredth of the motion does not count near the step.
-    A log without movement has no free samples.
+    The first movement shows one delay. After a second delay, commands from before the step have no effect. Sensor noise
+    may move a soft device before the step does, so motion below a hundredth of the largest one is ignored. A log
+    without movement has no free samples.
     """
     edge = max(response.edge_row, 0)
     size = np.abs(trial.displacement)

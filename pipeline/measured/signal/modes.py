@@ -1,7 +1,8 @@
-"""Growth rates of the modes of a free motion, from samples alone (matrix pencil).
+"""Estimate the growth rates of the modes of a free motion from samples (matrix pencil).
 
-A sum of modes z_m^k, seen through a window of samples, spans as many directions as there are modes. Shifting the window
-multiplies each direction by its mode, so that the z_m are eigenvalues, and neither plant nor controller need be known.
+A motion is a sum of modes z_m^k. Windows of its samples span as many directions as there are modes. If the windows are
+shifted by a sample, each direction is multiplied by its mode. The z_m are therefore eigenvalues of the shift. Neither
+plant nor controller need be known.
 """
 
 from __future__ import annotations
@@ -16,32 +17,33 @@ from pipeline.measured.student import SIGMAS
 from pipeline.records.trials import Floats
 
 WINDOW_POINTS = 16
-"""Number of points of a window, larger than the number of modes of a loop with 12 samples of delay; 2,300 trials take
+"""Number of points of a window. It exceeds the number of modes of a loop with 12 samples of delay. 2,300 trials take
 0.5 s."""
 
 SHORT_WINDOW_POINTS = WINDOW_POINTS // 2
 """Number of points of a window if the motion has too few samples for `WINDOW_POINTS`."""
 
 FEWEST_SAMPLES = 12
-"""Smallest number of samples of a motion: a pair of modes, a drift, and as many samples again to check them."""
+"""Smallest number of samples of a motion: for a pair of modes and a drift, and as many again to check them."""
 
 LARGEST_WINDOWS = 256
-"""Largest number of windows over a long motion, evenly spread; more cost time and add little information."""
+"""Largest number of windows of a long motion, spread evenly. More windows cost time and add little information."""
 
 DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
-"""Smallest singular value that is kept, relative to the largest one, as in `numpy.linalg.matrix_rank`."""
+"""Smallest singular value that is kept, relative to the largest one (as in `numpy.linalg.matrix_rank`)."""
 
 CLEAN_FRACTION = 1e-4
-"""Modes below this fraction of the motion at its end are rounding errors, in a signal explained by few modes."""
+"""Fraction of the motion at its end below which modes are rounding errors, in a signal explained by few modes."""
 
 NOISY_FRACTION = 0.3
-"""Modes below this fraction of the motion at its end carry no information in a noisy signal."""
+"""Fraction of the motion at its end below which modes contain no information, in a noisy signal."""
 
 WIDE, NARROW = 2, 3
-"""Divisors of the motion for the length of a window (a half, a third): two views of a noisy motion."""
+"""Divisors of the length of a motion for the length of its windows (a half, a third), as two views of a noisy
+motion."""
 
 NO_MODES = np.empty((0, 0))
-"""Directions of a window without modes."""
+"""Directions of a window without modes (none)."""
 
 UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
 """Mask of the factor R in the result of a Householder decomposition."""
@@ -49,16 +51,16 @@ UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
 
 @dataclass(frozen=True)
 class Growth:
-    """Fastest growing visible mode of a motion; NaN if no mode is visible.
+    """Fastest growing visible mode of a motion. The values are NaN if no mode is visible.
 
     Parameters
     ----------
     per_sample : float
-        ln|z| of that mode; negative if it decays.
+        ln|z| of the mode; negative if it decays.
     amplitude : float
-        Root mean square of that mode at the end of the fit.
+        Root mean square of the mode at the end of the fit.
     noise : float
-        Standard deviation of the residual of the modes, at least the given noise.
+        Standard deviation of the residual of all modes, with the given noise as a lower bound.
     clean : bool
         Whether few modes explain the signal up to rounding errors.
     """
@@ -77,11 +79,11 @@ class _Windows:
     ----------
     values : float64, shape (windows, points)
     late : float64, shape (windows at the end, points)
-        Windows at whose last point the rms gives the amplitude of a mode.
+        Windows at the end of the motion. The rms at their last points is the amplitude of a mode.
     stride : int
-        Number of samples from point to point.
+        Number of samples between points.
     spread : float
-        Largest singular value of unit noise, sqrt(windows) + sqrt(points); the smallest is about sqrt(windows).
+        Largest singular value for unit noise, sqrt(windows) + sqrt(points). The smallest one is about sqrt(windows).
     """
 
     values: Floats
@@ -92,7 +94,7 @@ class _Windows:
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """Directions of a window spanned by modes.
+    """Directions of a window that the modes span.
 
     Parameters
     ----------
@@ -112,22 +114,23 @@ class _Span:
 
 @dataclass(frozen=True, eq=False)
 class MotionWindows:
-    """Free motion seen through windows of samples, and its modes, computed on demand.
+    """Windows of samples of a free motion, and its modes, which are computed on demand.
 
     Parameters
     ----------
     signal : float64, shape (samples,)
         Motion without a constant part (differences of positions).
     noise : float
-        Standard deviation of the noise of the signal, in its unit; the rounding error for an ideal log.
+        Standard deviation of the noise of the signal, in its unit. For an ideal log, it is the rounding error.
     part : int
-        Divisor of the length of the motion that gives the length of a window.
+        Divisor of the length of the motion for the length of a window.
 
     Notes
     -----
-    The points of one window lie ``stride`` samples apart, and the eigenvalues are z^stride, whose modulus is free of
-    aliasing. A signal whose windows span every direction is not a sum of few modes (jitter, friction): the residual is
-    treated as noise. A motion of fewer than `FEWEST_SAMPLES` samples, or below the noise, has no mode.
+    The points of one window are ``stride`` samples apart, and the eigenvalues are z^stride, whose modulus is free of
+    aliasing. If the windows of a signal span every direction, the signal is not a sum of few modes (jitter, friction),
+    and the residual is treated as noise. A motion of fewer than `FEWEST_SAMPLES` samples, or below the noise, has no
+    mode.
 
     Examples
     --------
@@ -166,7 +169,7 @@ class MotionWindows:
         if len(self.signal) < FEWEST_SAMPLES:
             return False
         windows, spread = self._windows.values, self._windows.spread
-        # no mode if the bound of the largest singular value is below the noise: s_1^4 <= sum s_i^4
+        # no mode if the largest singular value is below the noise; its bound is s_1^4 <= sum s_i^4
         if np.linalg.norm(windows.T @ windows) <= (self.noise * spread * SIGMAS) ** 2:
             return False
         shift = self._span.shift

@@ -1,7 +1,7 @@
-"""Outcome of a trial with its evidence, from the log alone.
+"""Determine the outcome of a trial with its evidence, from the log alone.
 
-`verdict` states whether the loop is stable. The outcome states what the log shows, and whether it is a response of the
-loop at all: a clipped command, a stop, a push or a missing step are not effects of stiffness and damping.
+`verdict` states whether the loop is stable. The outcome states what the log shows, and whether the log is a response of
+the loop. A clipped command, a stop, a push or a missing step are not effects of stiffness and damping.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from pipeline.records.stage_records import OutcomeRow
 from pipeline.records.trials import Trial
 
 BAND = SETTLING_BANDS["settle_2pct"]
-"""Half-width of the band relative to the final displacement: the settling criterion that the tables use."""
+"""Half-width of the band relative to the final displacement, for the settling criterion that the tables use."""
 
 LASTING = 0.8
-"""Smallest ratio of the amplitudes of the last and the third fifth of the response (and largest: its inverse) for a
-sustained oscillation; oscillations sustained by a sensor are irregular."""
+"""Smallest ratio between the amplitudes in the third and the last fifth of a response for a sustained oscillation.
+Oscillations that a sensor sustains are irregular."""
 
 LASTING_CHANGE = 0.1
-"""Largest change of the amplitude over the response, from the growth rate of the verdict, for a sustained
-oscillation."""
+"""Largest change of the amplitude over the response for a sustained oscillation, from the growth rate of the
+verdict."""
 
 CROSSINGS = 4
-"""Smallest number of crossings of the final position in the last three fifths, i.e. two periods, for a sustained
-oscillation."""
+"""Smallest number of crossings of the final position in the last three fifths of a sustained oscillation, i.e. two
+periods."""
 
 
 @dataclass(frozen=True)
 class _End:
-    """End of a response."""
+    """Properties of the end of a response."""
 
     entry: int
     settled: bool
@@ -59,7 +59,7 @@ class _End:
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Evidence for the outcome of a trial, with the sentence for every outcome."""
+    """Evidence for the outcome of a trial. It has a method for each outcome, which returns the explaining sentence."""
 
     trial: Trial
     response: Response
@@ -76,7 +76,7 @@ class _Evidence:
     short: bool
 
     def growth(self) -> str:
-        """Return the growth rate as the end of a sentence; empty if it is unknown."""
+        """Return the growth rate as the end of a sentence; empty if unknown."""
         rate = self.verdict.growth_per_s
         return "" if np.isnan(rate) else f"; {'grows' if rate > 0 else 'decays'} by {abs(rate):.3g} per second"
 
@@ -87,36 +87,36 @@ class _Evidence:
         row = self.stop if self.stop >= 0 else self.left
         place = f"{self.trial.position[row]:.6g}"
         if self.stop >= 0:
-            return f"stopped at {place}, first in row {row}, reached at speed"
-        text = f"the log ends in row {row}, before the others, at {place}, farther out than ever and moving outwards"
+            return f"stopped abruptly at {place}, first in row {row}"
+        text = f"the log ends earlier than the others, in row {row}, while moving outwards at its extreme {place}"
         return text + self.growth()
 
     def too_short(self) -> str:
         samples = self.trial.rows - self.response.edge_row
-        return f"{samples} samples from the step on, {self.free} of free motion: {FEWEST_SAMPLES} are needed"
+        return f"{samples} samples from the step on, {self.free} of them in free motion: {FEWEST_SAMPLES} are needed"
 
     def saturated(self) -> str:
-        clipped = f"command clipped at {self.limit:.4g} from row {self.clipped} on, against the wall law"
+        clipped = f"command clipped at {self.limit:.4g} from row {self.clipped} on, below the wall law"
         return clipped + self.growth()
 
     def disturbed(self) -> str:
         if self.push.first_row >= 0:
-            force = f"an additional force of {self.push.force:.3g}, first about row {self.push.first_row}"
+            force = f"an additional force of {self.push.force:.3g}, which begins near row {self.push.first_row}"
             return f"{force}; the step is {self.trial.step:.4g}"
-        offset = f"rests {self.end.offset:.3g} from x_0 + F_0/K, outside +-{self.band:.3g}"
-        return f"{offset}: another force acts on it"
+        offset = f"rests at a distance of {self.end.offset:.3g} from x_0 + F_0/K, outside +-{self.band:.3g}"
+        return f"{offset}: another force acts on the device"
 
     def diverged(self) -> str:
         return f"grows to an amplitude of {self.end.amplitude:.3g} in the last fifth{self.growth()}"
 
     def limit_cycle(self) -> str:
-        cycle = f"oscillates with an amplitude of {self.end.amplitude:.3g} that lasts, outside +-{self.band:.3g}"
+        cycle = f"oscillates with a sustained amplitude of {self.end.amplitude:.3g}, outside +-{self.band:.3g}"
         return cycle + self.growth()
 
     def moving(self) -> str:
         if np.isnan(self.band):
-            return f"no final position with K = {self.trial.stiffness:g}; does not run away{self.growth()}"
-        return f"not inside +-{self.band:.3g} for good by sample {self.trial.rows - 1}{self.growth()}"
+            return f"no final position with K = {self.trial.stiffness:g}; does not diverge{self.growth()}"
+        return f"not permanently inside +-{self.band:.3g} by sample {self.trial.rows - 1}{self.growth()}"
 
     def settled(self) -> str:
         wide = "" if self.band > self.response.floor else ", which is the sensor floor"
@@ -135,8 +135,8 @@ RULES: dict[str, Callable[[_Evidence], tuple[bool, int]]] = {
     "moving": lambda of: (not of.end.settled, NO_ROW),
     "settled": lambda of: (of.end.settled, of.end.entry),
 }
-"""Rule that states whether an outcome applies and in which row its evidence begins, in order of precedence: outcomes
-that end a log or make it useless precede those of the loop."""
+"""Rules of the outcomes in order of precedence. Each rule returns whether the outcome applies, and the row in which its
+evidence begins. Outcomes that end a log or make it useless precede outcomes of the loop."""
 
 OUTCOMES = tuple(RULES)
 
@@ -148,9 +148,9 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
     ----------
     trial, response, verdict : Trial, Response, Verdict
     usual_rows : int
-        `usual_length` of the logs of the experiment, to detect early ends.
+        `usual_length` of the logs of the experiment, to detect logs that end early.
     device : PushResponse
-        Device of the experiment (`fit_push_response`), to detect disturbances.
+        Device fitted to the experiment (`fit_push_response`), to detect disturbances.
 
     Returns
     -------
@@ -158,13 +158,14 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
 
     Notes
     -----
-    The outcome is the first that applies, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or
-    at a stop; too few samples of free motion; command clipped; moved by a force in addition to the command, or at rest
-    elsewhere than at x_0 + F_0/K; growing; an oscillation sustained outside the band; not yet permanently in the band;
-    settled. A limit cycle inside the band is settled.
+    The first outcome of `OUTCOMES` that applies is used: there is no identifiable step; the log ended outside the
+    travel or at a stop; there are too few samples of free motion; the command is clipped; a force in addition to the
+    command moved the device, or the device does not rest at x_0 + F_0/K; the motion grows; an oscillation is sustained
+    outside the band; the response is not yet permanently in the band; the response has settled. A limit cycle inside
+    the band is settled.
 
-    The band is 2 % of the final displacement, or the sensor floor where that is wider. With K <= 0 there is no final
-    position: such a trial diverged or moves.
+    The band is 2 % of the final displacement, or the sensor floor if the floor is wider. With K <= 0 there is no final
+    position; the outcome of such a trial is divergence or motion.
     """
     stepped = trial.stiffness > 0 and trial.step != 0
     travel = abs(trial.step / trial.stiffness) if stepped else np.nan
@@ -203,10 +204,10 @@ def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _En
     crossings = int((late[1:] != late[:-1]).sum())
     lasting = crossings >= CROSSINGS and last > response.floor and has_final
     lasting = lasting and min(third, last) >= LASTING * max(third, last)
-    # above the level sustained by quanta, the rate of the verdict is more reliable than amplitude ratios
+    # above the level that quanta sustain, the growth rate of the verdict is more reliable than amplitude ratios
     if verdict.verdict != "undecided" and last > 2 * REST_FLOORS * response.floor:
         lasting = lasting and not abs(growth) * (trial.rows - edge) > LASTING_CHANGE
-    # an oscillation about the edge of the band leaves it occasionally, and a growing one may begin inside it
+    # an oscillation about the edge of the band leaves it occasionally, and a growing one may begin inside the band
     settled = settled and not ((lasting or verdict.verdict == "unstable") and entry >= edge + 4 * fifth)
     rests = max(fourth, last) <= AT_REST * response.floor
     elsewhere = rests and has_final and abs(offset) > band + response.floor

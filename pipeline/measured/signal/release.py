@@ -1,9 +1,9 @@
-"""Free motion of a trial without a step: released from a position, or hit.
+"""Find the free motion of a trial without a step, in which the device is released from a position or hit.
 
 The external force is the command plus the wall force, whatever moves the device. If the controller releases the device,
-the external force steps to another level; if the controller hits it, the force returns to the first level; if a hand
-releases or hits it, the force stays constant. Once it is constant the motion is free, and its growth shows stability
-like that after a step.
+the external force steps to another level. If the controller hits the device, the force returns to its first level. If a
+hand releases or hits the device, the force stays constant. The motion is free once the force is constant. Its growth
+then shows stability as after a step.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from pipeline.measured.signal.sensor import position_quantum, sensor_floor, whit
 from pipeline.records.trials import Floats, Trial
 
 NOISE_ROWS = 10
-"""Number of rows at the beginning of a log from which sensor noise is estimated; a motion that begins in them counts as
+"""Number of rows at the beginning of a log from which sensor noise is estimated. A motion in these rows is treated as
 noise."""
 
 CONSTANT = 1e-3
-"""Largest change of the external force, relative to the largest wall force, that is attributed to rounding of printed
-digits: a hand, not the controller, then moves the device."""
+"""Largest change of the external force, relative to the largest wall force, that is attributed to printed digits. A
+hand, and not the controller, then moves the device."""
 
 SUDDEN = 0.25
-"""Part of its first swing in which a device hit by a hand is fastest; a released device is fastest half-way."""
+"""Share of the first swing within which a device hit by a hand is fastest. A released device is fastest half-way."""
 
 HELD = 0.1
 """Smallest force of a wall against a hand that keeps a device away from it, relative to the largest command."""
 
-CHANGES = "the external force goes on to change: the motion is not free"
-RESTS = "nothing moves"
-NO_WALL = "without a wall and damping a motion shows no loop"
-"""Reason why a trial without a step has no free motion to judge."""
+CHANGES = "the external force continues to change, so the motion is not free"
+RESTS = "the device does not move"
+NO_WALL = "without a wall and damping, a motion contains no information on the loop"
+"""Reasons why a trial without a step has no free motion to judge."""
 
 
 @dataclass(frozen=True)
 class Release:
-    """Start of the motion of a trial without a step; empty for a trial with a step.
+    """Start of the motion of a trial without a step. The default values are for a trial with a step.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ class Release:
         First row in which the external force has changed, or the last row at rest before a hand moves the device; -1 if
         there is no free motion.
     free : int
-        First row from which on the external force is constant; -1 if there is no free motion.
+        First row from which the external force is constant; -1 if there is no free motion.
     level : float
-        External force from then on, minus that before [N, Nm]; 0 after a hit.
+        External force after the motion begins, minus the force before [N, Nm]; 0 after a hit.
     size : float
-        Largest change of the external force; if it is constant, the wall force at the first reversal [N, Nm].
+        Largest change of the external force. If it is constant, the wall force at the first reversal [N, Nm].
     kind : {"", "release", "hit"}
         Whether the device was released from a position, or hit.
     reason : str
@@ -75,9 +75,9 @@ def find_release(trial: Trial) -> Release:
 
     Notes
     -----
-    The tolerance of levels is that of a step (`edge.LEVEL`), relative to the largest change. With a velocity filter the
-    external force deviates from its level while the device moves; a release or a hit then counts if the force stays
-    within half of its size, as for an edge.
+    The tolerance of levels is as for a step (`edge.LEVEL`), relative to the largest change. With a velocity filter, the
+    external force deviates from its level while the device moves. A release or a hit is then accepted if the force
+    stays within half of its size, as for an edge.
     """
     if trial.step != 0:
         return Release()
@@ -104,14 +104,14 @@ def find_release(trial: Trial) -> Release:
 
 
 def _onset(displacement: Floats, quantum: float) -> int | None:
-    """Return the first row in which a device has moved by more than quantum and noise; None if it never does."""
+    """Return the first row in which the device has moved by more than quantum and noise; None if it never moves."""
     noise = white_noise(displacement[:NOISE_ROWS]) if len(displacement) > 2 * NOISE_ROWS else 0.0
     moved = np.flatnonzero(np.abs(displacement) > sensor_floor(quantum, noise))
     return int(moved[0]) if len(moved) else None
 
 
 def _bent(change: Floats, onset: int) -> Release:
-    """Return a release or a hit whose external force stays within half of its size of a level."""
+    """Return a release or a hit if the external force stays within half of its size from a level."""
     early = np.abs(change[: onset + 1])
     size = float(early.max())
     begin = int(np.argmax(early > 0.5 * size)) if size > 0 else 0
@@ -126,10 +126,10 @@ def _bent(change: Floats, onset: int) -> Release:
 
 
 def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
-    """Return a release or a hit by hand: the external force stays constant while the motion begins.
+    """Return a release or a hit by hand, during which the external force stays constant.
 
-    The hand has let go at the latest when the device is fastest in its first swing. Before a release it keeps the
-    device at the wall, or moves it there.
+    The hand has let go at the latest when the device is fastest in its first swing. Before a release, the hand keeps
+    the device at the wall or moves it there.
     """
     begin = max(onset - 1, 0)
     speed = np.diff(trial.displacement[begin:])
@@ -143,6 +143,6 @@ def _by_hand(trial: Trial, wall: Floats, onset: int) -> Release:
 
 
 def at_rest_before(trial: Trial, begin: int) -> tuple[float, float]:
-    """Return the sensor floor and the noise from the rows before a motion begins [m, rad]."""
+    """Return the sensor floor and the noise in the rows before a motion begins [m, rad]."""
     noise = white_noise(trial.position[:begin])
     return sensor_floor(position_quantum(trial.position), noise), noise

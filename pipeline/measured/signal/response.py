@@ -1,6 +1,6 @@
-"""Start of the step response in a log, and largest possible motion after the end of the log.
+"""Find the start of the step response in a log, and bound the motion after the end of the log.
 
-The edge is that of the external force, which is reconstructed from the log itself (`edge`).
+The command edge is the edge of the external force, which is reconstructed from the log (`edge`).
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from pipeline.records.trials import Floats, Trial
 
 @dataclass(frozen=True)
 class Response:
-    """Edge, rest positions and resolution of a trial; NaN if a reason is given.
+    """Edge, rest positions and resolution of a trial. Values are NaN if a reason is given.
 
     Parameters
     ----------
     edge_row : int
         Row of the command edge k0, counted from 0; -1 if there is none.
     level : float
-        External force before the step [N, Nm]; 0 except for a step at an operating point.
+        External force before the step [N, Nm]. It is 0 unless the step starts from an operating point.
     steps : int
-        Number of jumps of the external force between levels; a log with several has no edge, regardless of its
+        Number of jumps of the external force between levels. A log with several jumps has no edge, regardless of its
         metadata.
     position_start : float
         First position, at which the wall force is zero [m, rad].
@@ -39,16 +39,15 @@ class Response:
     position_final_measured : float
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float
-        Step of the grid on which all positions lie [m, rad]; 0 without a grid, and for an integrated velocity.
+        Step of the grid on which all positions lie [m, rad]; 0 if there is no grid, or for an integrated velocity.
     sensor_noise : float
-        Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
-        baseline.
+        Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a baseline.
     floor : float
-        Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
+        Position amplitude that quantum and noise can cause [m, rad]; 0 for an ideal log.
     baseline_motion : float
-        Peak-to-peak motion before the step if the sensor alone cannot cause it [m, rad], else 0.
+        Peak-to-peak motion before the step if the sensor cannot cause it [m, rad]; otherwise 0.
     reason : str
-        Reason for missing values; empty if none is missing.
+        Reason for missing values; empty if no value is missing.
     edge_reason : str
         Reason why there is no command edge; empty if there is one.
     """
@@ -68,7 +67,7 @@ class Response:
 
     @property
     def has_edge(self) -> bool:
-        """Whether a command edge was found."""
+        """Whether there is a command edge."""
         return self.edge_row >= 0
 
 
@@ -85,18 +84,19 @@ def find_response(trial: Trial) -> Response:
 
     Notes
     -----
-    Level and edge are those of `edge.find_edge`. The external force is exact for a controller that uses the plain
-    difference of positions. With a velocity filter or a force limit it is wrong once the device moves, but not before,
-    so that the edge is correct for any delay of at least one sample.
+    Level and edge are from `edge.find_edge`. The external force is exact for a controller that uses the plain
+    difference of positions. With a velocity filter or a force limit, it is wrong once the device moves, but not before.
+    The edge is therefore correct for any delay of at least one sample.
 
-    A command of wrong sign or size, or another signal, has no edge: the wall force alone would also cross half the
-    step, only later. Such a log is detected by a command that has not reached half the step by then (chatter may be
-    larger, of either sign), or by a force that first stays beyond half the step on the other side.
+    A command of wrong sign or size, or another signal, has no edge, although the wall force alone would also cross half
+    the step, but later. Such a log is detected in two ways: the command has not reached half the step by then (chatter
+    may be larger, with either sign), or the force first stays beyond half the step on the other side.
 
-    The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that chatters
-    before the step (at high B one quantum commands newtons) hardly contributes to them if its period is long: chatter
-    of amplitude a and a period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for p = 35, 5 % for p = 16.
-    Faster chatter still counts as noise. With quantisation alone the baseline is constant, and the noise is exactly 0.
+    The noise is estimated from the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
+    chatters before the step (at high B, one quantum commands newtons) hardly contributes to them if its period is long.
+    Chatter with an amplitude a and a period of p samples adds a variance of (2 pi/p)^4 a^2/12, i.e. 1 % of a for p = 35
+    and 5 % for p = 16. Faster chatter is treated as noise. With quantisation only, the baseline is constant, and the
+    noise is exactly 0.
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
@@ -122,16 +122,16 @@ def find_response(trial: Trial) -> Response:
 
 
 def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
-    """Return the response with the command edge declared in the trial's metadata.
+    """Return the response with the command edge that the metadata of the trial declare.
 
     Parameters
     ----------
     trial : Trial
     response : Response
     edge_row : int
-        Row in which the command first has the step, counted from 0; it replaces the detected one, and the rows before
-        it are the baseline. Row 0 is allowed: such a log has no baseline, so that its noise is unknown. With -1, or
-        several steps, the response is returned unchanged.
+        Row in which the command first contains the step, counted from 0. It replaces the detected edge, and the rows
+        before it are the baseline. With row 0, the log has no baseline, so that its noise is unknown. The response is
+        returned unchanged for -1, or for several steps.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def declare_edge(trial: Trial, response: Response, edge_row: int) -> Response:
     Raises
     ------
     ParameterError
-        If the row lies outside the log.
+        If the row is outside the log.
     """
     if edge_row == NO_ROW or response.steps > 1:
         return response
@@ -171,28 +171,28 @@ def _baseline(trial: Trial, quantum: float, edge: int) -> tuple[float, float, fl
     baseline = trial.position[: max(edge, 0)]
     noise = white_noise(baseline)
     floor = sensor_floor(quantum, noise)
-    # the displacement may have a smaller rounding error than the positions
+    # rounding errors of the displacement may be smaller than those of the positions
     moved = baseline - trial.position[:1]
     spread = float(moved.max(initial=0.0) - moved.min(initial=0.0))
     return noise, floor, spread if spread > floor else 0.0
 
 
 SETTLED_SAMPLES = 5
-"""Smallest number of samples in a band at the end of a log; fewer may be a mere passage through it."""
+"""Smallest number of samples in a band at the end of a log. Fewer samples may be a mere passage through the band."""
 
 
 def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noise: float) -> tuple[float, float]:
-    """Return the largest later distance of a motion from its final position, and its error [m, rad].
+    """Return the largest distance of the later motion from its final position, and its error [m, rad].
 
     Parameters
     ----------
     trial : Trial
     final : float
-        Position about which the response swings [m, rad].
+        Position about which the response oscillates [m, rad].
     first, entry : int
-        Row in which the response begins, and row from which on it is inside the required band.
+        Row in which the response begins, and row from which it is inside the required band.
     growth : float
-        Growth rate of the slowest mode per sample, NaN if it is unknown.
+        Growth rate of the slowest mode per sample; NaN if unknown.
     noise : float
         Standard error of a late reading [m, rad].
 
@@ -200,9 +200,10 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
     -----
     An oscillation of angular frequency w with deviation e and velocity v reaches at most hypot(e, v/w). The longest
     time on one side of the final position is half a period of the slowest oscillation. If the motion never crossed the
-    final position, the rise time is used: 2.2 time constants of a creep, 1.5 radians or more of a heavily damped
-    oscillation. On the inward side the oscillation has another quarter of a period to decay. The last half radian of
-    the log is used, if it is inside the band. A motion that does not grow is also bounded by its last full swing.
+    final position, the rise time is used instead. It is 2.2 time constants of a creep, or at least 1.5 radians of a
+    heavily damped oscillation. On the inward side, the oscillation decays for another quarter of a period. The last
+    half radian of the log is used if it is inside the band. A motion that does not grow is also bounded by its last
+    full oscillation.
     """
     first = min(first, trial.rows - 1)
     error = trial.position[first:] - final
@@ -214,7 +215,7 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
     """Return the largest deviation after the end of a motion, and its error [m, rad], as in `reach`.
 
     The time r of one radian of the slowest oscillation is 1/pi of the longest time between two zero crossings, or
-    follows from the rise time. With the change over a span s of half of that, v/w = (e_k - e_{k-s}) r/s, and an
+    follows from the rise time. With the change over a span s of half that time, v/w = (e_k - e_{k-s}) r/s, and an
     oscillation reaches
 
         hypot(e, v/w)    outwards,        max(|e|, exp(growth pi r/2) hypot(e, v/w))    inwards.
@@ -222,9 +223,9 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
     Parameters
     ----------
     e : float64, shape (rows,)
-        Distance from the final position, from the first row of the response on [m, rad].
+        Distance from the final position from the first row of the response [m, rad].
     entry : int
-        Row from which on the motion is inside the band.
+        Row from which the motion is inside the band.
     growth, noise : float
         As in `reach`.
     low, high : float
@@ -239,7 +240,7 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
         if now * side < 0:
             passes, longest, last = True, max(longest, k - last), k
             farthest = -1.0
-        if abs(e[k]) > farthest:  # a quarter of the unfinished swing is visible up to its farthest reading
+        if abs(e[k]) > farthest:  # a quarter of the unfinished period ends at its farthest reading
             farthest, quarter = abs(e[k]), k - last
         side = now
     if passes:
@@ -250,9 +251,9 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
             share = abs(e[k]) / max(size, 2.2250738585072014e-308)
             begin = k if begin < 0 and share <= 1 - low else begin
             end = k if end < 0 and share <= 1 - high else end
-        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows within which this part of the displacement is covered
+        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows of this part of the displacement
     falls = 0.0 if np.isnan(growth) else min(growth, 0.0)
-    # damping slows an oscillation down; the bound is that of the undamped one
+    # damping slows an oscillation down; the bound is for the undamped oscillation
     radian = max(radian / np.hypot(1.0, radian * falls), 1.0)
     span = int(min(max(np.rint(radian / 2), 1.0), max(n - 1, 1)))
     decay = np.exp(falls * 0.5 * np.pi * radian)

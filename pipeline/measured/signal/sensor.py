@@ -1,4 +1,4 @@
-"""Resolution of a sensor: its quantum, its noise, and the amplitude that both can cause."""
+"""Estimate the resolution of a sensor: its quantum, its noise, and the amplitude that both can cause."""
 
 from __future__ import annotations
 
@@ -13,64 +13,65 @@ from pipeline.records.trials import Floats
 Size = TypeVar("Size", float, Floats)
 
 BASELINE_SAMPLES = 5
-"""Smallest number of baseline rows for a noise estimate, whose error is then 60 % (25 % for 20 rows)."""
+"""Smallest number of baseline rows for a noise estimate. Its error is then 60 % (25 % for 20 rows)."""
 
 NOISE_FACTOR = 6.0
-"""Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
+"""Four standard deviations of the difference of two readings, 4 sqrt 2, rounded up (2 % chance in 400 samples)."""
 
 AT_REST = 2.0
-"""Largest deviation of readings of a device at rest, in sensor floors: it may lie between two quanta and alternate."""
+"""Largest deviation of readings of a device at rest, in sensor floors. The device may alternate between two quanta."""
 
 GRID_TOLERANCE = 1e-3
 """Largest deviation of a change from a multiple of the quantum, relative to the quantum."""
 
 STORED_TOLERANCE = 0.15
-"""Like `GRID_TOLERANCE` for positions stored in single precision or with few digits: six units of the last digit per
-quantum still pass."""
+"""Tolerance like `GRID_TOLERANCE` for positions in single precision or with few digits. A quantum of six units in the
+last digit is still detected."""
 
 STORED_GAP = 4.0
-"""Smallest ratio between neighbouring sorted changes that separates one quantum from rounding errors of storage."""
+"""Smallest ratio between neighbouring sorted changes that separates a quantum from rounding errors of storage."""
 
 STORED_MULTIPLES = 20.0
-"""Largest multiple that tests a grid in rounded positions; beyond it, the error of the grid reaches the tolerance."""
+"""Largest multiple that tests a grid in rounded positions. For larger ones, the error of the grid reaches the
+tolerance."""
 
 FEWEST_ON_GRID = 12
-"""Smallest number of changes that must lie on such a grid, also for a command: the probability that those of a
-continuous signal all do is 0.3^12 = 5e-7."""
+"""Smallest number of changes that must lie on such a grid, also for a command. The probability that all changes of a
+continuous signal lie on it is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
-"""First value: changes smaller than this many printed digits are due to printing. Second value: error, in digits, of
-the difference of two changes, which has four readings, each off by up to half a digit."""
+"""Two numbers of printed digits. Changes below the first one are due to printing. The second one is the error of the
+difference of two changes, which contains four readings with errors of up to half a digit."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
-"""Negative logarithm of the probability that changes lie on a grid by accident, as for `FEWEST_ON_GRID`; and the
-smallest number of changes."""
+"""Negative logarithm of the probability that changes lie on a grid by chance, as for `FEWEST_ON_GRID`, and smallest
+number of changes."""
 
 COARSE_MULTIPLES = 1e3
-"""Largest multiple that tests a grid among printed positions."""
+"""Largest multiple that tests a grid in printed positions."""
 
 ROUNDING_UNITS = 64.0
-"""Changes below this many rounding units are numerical errors, not sensor steps."""
+"""Number of rounding units below which changes are numerical errors and not sensor steps."""
 
 
 def sensor_floor(quantum: Size, noise: Size) -> Size:
-    """Return the position amplitude that quantum and noise alone can cause [m, rad]; a NaN noise counts as zero."""
+    """Return the position amplitude that quantum and noise can cause [m, rad]. A noise of NaN counts as 0."""
     floor: Size = quantum + NOISE_FACTOR * np.fmax(noise, 0.0)
     return floor
 
 
 def position_quantum(position: Floats) -> float:
-    """Return the step of the coarsest grid on which positions (rows,) lie, 0 if there is none.
+    """Return the step of the coarsest grid on which positions (rows,) lie; 0 if there is none.
 
-    Single precision and printed digits put the positions on another, finer grid that is not that of the sensor. A
-    coarser grid on which they lie up to that rounding takes precedence.
+    Single precision and printed digits put the positions on a finer grid that is not due to the sensor. A coarser grid
+    takes precedence if the positions lie on it up to this rounding.
 
     >>> position_quantum(0.25 * np.array([1.0, 2.0, 2.0, 5.0, 9.0]))
     0.25
     """
     if len(position) < 3:
         return 0.0
-    # a fast motion never changes by one quantum a sample, but its changes differ by one
+    # a fast motion never changes by one quantum per sample, but its changes differ by one
     change = position[1:] - position[:-1]
     bend = np.abs(change[1:] - change[:-1])
     change = np.abs(change)
@@ -80,15 +81,15 @@ def position_quantum(position: Floats) -> float:
     if not len(size):
         return 0.0
     exact = _grid(change, size[0], GRID_TOLERANCE, np.inf, 1)
-    # beyond 1/tolerance multiples, rounding of the positions hides the grid
+    # beyond 1/tolerance multiples, the rounding of positions hides the grid
     quantum = exact = exact if exact > rounding / GRID_TOLERANCE else 0.0
-    # without a gap the smallest change is not a candidate: changes of a smooth motion have common divisors, too
+    # without a gap, the smallest change is not a candidate, since changes of a smooth motion also have common divisors
     ratio = size[1:] / size[:-1]
     gap = int(ratio.argmax()) if len(ratio) else 0
     if len(ratio) and ratio[gap] > STORED_GAP:
         stored = _grid(size, size[gap + 1], STORED_TOLERANCE, STORED_MULTIPLES, FEWEST_ON_GRID)
         quantum = stored if stored > STORED_GAP * exact else exact
-    # on the grid of its digits a fast motion has few changes, each of which is known to a few of them
+    # on the grid of its digits, a fast motion has few changes, each with an error of a few digits
     digit = exact if exact > 0 else last_digit(position)
     coarse = size[np.searchsorted(size, DIGITS * digit, side="right") :]
     if digit > 0 and len(coarse):
@@ -101,21 +102,21 @@ def position_quantum(position: Floats) -> float:
 
 @compiled("f8(f8[::1], f8, f8, f8, f8)")
 def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: float) -> float:
-    """Return the step of the grid on which at least ``fewest`` changes of up to ``most`` steps lie; 0 if none.
+    """Return the step of a grid that contains at least ``fewest`` changes of up to ``most`` steps; 0 if none.
 
     Parameters
     ----------
     size : float64, shape (changes,)
         Positive changes of a position [m, rad].
     smallest : float
-        Change of one, two or three steps, because there may be no change of a single step.
+        Change of one, two or three steps, since a change of a single step may not occur.
     tolerance : float
         Largest distance of a change from a multiple of the step, relative to the step.
     """
     for parts in range(1, 4):
         step = smallest / parts
-        # the smallest change carries the rounding of two readings, the mean of all hardly any: step by step, for an
-        # error of the step is one of its multiples as many times over
+        # the smallest change contains the rounding of two readings, while the mean of all changes hardly does; the mean
+        # is refined in passes, since an error of the step is multiplied by the multiples
         if np.isfinite(most):
             for limit in (3.0 * parts, 8.0 * parts, most):
                 square = total = 0.0
@@ -139,7 +140,7 @@ def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: 
 
 
 def white_noise(position: Floats) -> float:
-    """Return the standard deviation [m, rad] of white noise from second differences; NaN for too few positions."""
+    """Return the standard deviation of white noise [m, rad] from second differences; NaN for too few positions."""
     if len(position) < BASELINE_SAMPLES:
         return np.nan
     return float(np.sqrt(np.mean(np.diff(position, n=2) ** 2) / NOISE_GAIN))

@@ -1,9 +1,9 @@
-"""Stability verdict from the log alone, without a mass, a delay or a model of the loop.
+"""Judge the stability of a trial from its log, without a mass, a delay or a model of the loop.
 
-The free motion after the step is a sum of modes about a rest position; the trial is unstable if a visible mode grows.
-With K = 0 the position runs away under a constant force, and the trial is stable if its acceleration decays, at the
-rate (b + B)/m. In both cases one growth rate with its standard error decides, from the modes or else from the size of
-the motion.
+The free motion after the step is a sum of modes about a rest position. The trial is unstable if a visible mode grows.
+With K = 0, the position diverges under a constant force; the trial is stable if its acceleration decays, at the rate
+(b + B)/m. In both cases, one growth rate with its standard error decides. It is estimated from the modes, or else from
+the size of the motion.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ from pipeline.records.trials import Floats, Integers, Trial
 
 REST_FLOORS = 8.0
 """Largest final amplitude, in sensor floors, of an oscillation that quanta may sustain in a stable loop. The describing
-function of a quantizer differs from 1 by at most 0.16 (q/A)^1.5, so that a larger oscillation needs a wall within 0.7 %
+function of a quantizer differs from 1 by at most 0.16 (q/A)^1.5, so a larger oscillation requires a wall within 0.7 %
 of the limit."""
 
 LEAST_FALL = 3.0
-"""Smallest factor by which a motion must decay to the sensor floor to exclude growth of a mode of a third of the
-remainder, and by which the size of a motion without modes must change for a verdict."""
+"""Smallest factor by which a motion must decay to the sensor floor to exclude growth of a mode with a third of the
+remaining amplitude, and by which the size of a motion without modes must change for a verdict."""
 
 END = 0.8
-"""Part of the motion after which its end begins; the motion must have reached the sensor floor by then."""
+"""Fraction of the motion at which its end begins. The motion must have reached the sensor floor by then."""
 
 FADES = 0.9
-"""Largest ratio of the sizes of neighbouring quarters for a fading motion; parts of a period make a difference of 5
-%."""
+"""Largest ratio of the sizes of neighbouring quarters for a fading motion. Incomplete periods cause a difference of
+5 %."""
 
 BLOCKS = 8
-"""Number of parts of the motion whose sizes show a growth rate: half a period each, for a wall that changes within its
-log."""
+"""Number of parts of the motion whose sizes show a growth rate. For a wall that changes within its log, a part is half
+a period."""
 
 NOT_TOLD = "growth rate unknown: the motion has decayed"
-"""Reason of a stable trial without a growth rate."""
+"""Reason for a stable trial without a growth rate."""
 
 Views = tuple[MotionWindows, MotionWindows]
-"""Windows of different width, wide and narrow, over one motion."""
+"""Wide and narrow windows of the same motion."""
 
 ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
-"""Motion relative to the positions that is rounding in a log without a sensor; relative to its peak, 1e-9 is."""
+"""Motion relative to the positions that is rounding in a log without a sensor. Relative to its peak, it is 1e-9."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ class Verdict:
     verdict : str
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float
-        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN if it is unknown. If K = 0, growth
-        rate of the acceleration, -(b + B)/m for small (b + B).
+        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN if unknown. If K = 0, the growth
+        rate of the acceleration, which is -(b + B)/m for small (b + B).
     reason : str
-        Reason why a trial is undecided, or has no growth rate; empty otherwise.
+        Reason why a trial is undecided or has no growth rate; empty otherwise.
     """
 
     verdict: str
@@ -79,7 +79,7 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
     ----------
     trial : Trial
     response : Response, optional
-        Response of the same trial, if already available.
+        Response of this trial, if already available.
 
     Returns
     -------
@@ -88,12 +88,12 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
     Notes
     -----
     A growth rate that is `SIGMAS` standard errors from zero decides. A motion that decays to the sensor floor from far
-    above it is stable, including a limit cycle of quantum size, unless a mode grows in the remainder. A sustained
-    oscillation above `REST_FLOORS` floors with the command at a limit is unstable. A motion cannot be judged if its
-    growth or decay is within its standard errors, if it hardly exceeds the floor, if it is shorter than
-    `FEWEST_SAMPLES`, or if it is still in its first swing. After several steps, the response to the first is judged. A
-    trial without a step is judged by its free motion from `release.find_release`: a growth rate needs no step. Other
-    motion without a step, such as a trajectory, gives no information on the loop.
+    above it is stable unless a mode grows in the remainder; this includes a limit cycle of quantum size. A sustained
+    oscillation above `REST_FLOORS` floors with the command at a limit is unstable. A motion is undecided if its growth
+    is within its standard errors, if it hardly exceeds the floor, if it is shorter than `FEWEST_SAMPLES`, or if it is
+    still in its first half-period. If there are several steps, the response to the first step is judged. A trial
+    without a step is judged by its free motion from `release.find_release`, since a growth rate requires no step. Other
+    motion without a step, such as a trajectory, contains no information on the loop.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -107,7 +107,7 @@ def judge(trial: Trial, response: Response | None = None) -> Verdict:
 
 @dataclass(frozen=True)
 class _Excitation:
-    """Excitation of a trial: row after which it has ended (-1: the edge), size of its force, direction."""
+    """Excitation of a trial: row after which it has ended (-1 for the edge), size of its force, and direction."""
 
     free: int
     size: float
@@ -115,7 +115,7 @@ class _Excitation:
 
 
 def _judge_released(trial: Trial, response: Response) -> Verdict:
-    """Return the verdict of a trial without a step from its free motion."""
+    """Return the verdict of a trial without a step, from its free motion."""
     release = find_release(trial)
     if release.free < 0:
         return Verdict("undecided", np.nan, f"{response.edge_reason}; {release.reason}")
@@ -144,16 +144,16 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     moving = np.flatnonzero(size > (rest if wall else 2 * rest))
     lasted = int(moving[-1]) + 1 if len(moving) else 0
     begin = _half_range(trial.position[start:])
-    # an oscillation looks like rest at a reversal: its end spans at least two reversals
+    # near a reversal, an oscillation looks like rest, so its end must include at least two reversals
     since = min(END, 1 - _last_swing(signal, moving) / max(count, 1))
     end = _half_range(trial.position[math.ceil(start + since * count) :])
-    # the remainder may be a limit cycle of the sensor, if the motion decayed from far above
+    # if the motion has decayed from far above, the remainder may be a limit cycle of the sensor
     left = wall and (end <= REST_FLOORS * floor if floor > 0 else lasted < END * count)
     above = not wall or begin >= LEAST_FALL * (end if left else min(end, floor))
     enough = count >= FEWEST_SAMPLES and peak > (0.0 if wall else 4 * floor)
-    # use the part of a motion before it comes to rest, extended by some rest if that is too short
+    # use the motion before it comes to rest, extended by some rest if it is too short
     seen = max(lasted, min(count, 2 * FEWEST_SAMPLES)) if not wall or left or floor == 0 else count
-    # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
+    # the floor is six standard deviations of the noise, or one quantum, whose error is far smaller
     noise = (1.0 if wall else np.sqrt(6)) * max(floor / NOISE_FACTOR, 1e-3 * rounding)
     views = _views(signal[:seen], noise)
     rate, error, clean = _growth(views)
@@ -162,14 +162,14 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     sized = not clean and not abs(rate) > SIGMAS * error
     change = max(SIGMAS * scatter, np.log(LEAST_FALL) / max(seen, 1))
     falls = slope < -SIGMAS * scatter
-    # a growing mode is visible once the others have decayed: a motion that fades to its end has none
+    # a growing mode is visible once the others have decayed, so a motion that fades to its end contains none
     rises = slope > change if sized else rate > SIGMAS * error and (clean or not fades)
     sinks = slope < -change if sized else rate < -SIGMAS * error
     lasts = wall and not falls and _bent(trial, start, count, cause.size)
     early = wall and not falls and not left and _in_first_swing(trial, response, cause.way)
     rises = (rises or lasts) and enough and not left and not early
     sinks = ((sinks and not lasts) or left) and above and enough and not rises and not early
-    # a mode hardly excited by the step begins below the floor, hidden by modes that decay above it
+    # a mode that the step hardly excites begins below the floor, hidden by modes that decay above it
     hidden = np.nan
     if sinks and wall and floor > 0:
         hidden = _hidden(views if seen == count else _views(signal, noise), response)
@@ -182,17 +182,17 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
         return Verdict("stable", rate, NOT_TOLD if np.isnan(rate) else "")
     if not enough:
         reason = (
-            f"no visible motion to judge: {count} samples after the step, of which {FEWEST_SAMPLES} must stand above "
-            "the sensor floor"
+            f"no visible motion to judge: {count} samples after the step, of which {FEWEST_SAMPLES} must exceed the "
+            "sensor floor"
         )
     elif early:
         reason = (
-            "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
+            "the log ends before the motion reverses or passes its final position, so it still accelerates at any wall"
         )
     elif hidden > 0:
-        reason = f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {end:.3g}"
+        reason = f"a mode grows at {rate:.3g} 1/s while the motion decays to an amplitude of {end:.3g}"
     else:
-        reason = f"at the limit: an amplitude of {end:.3g} is left that neither grows nor decays for sure"
+        reason = f"close to the limit: the remaining amplitude of {end:.3g} neither grows nor decays significantly"
         if np.isfinite(rate):
             reason += f" (growth rate {rate:.3g} +- {SIGMAS * error / trial.sampling_period_s:.2g} 1/s)"
     return Verdict("undecided", rate, reason)
@@ -201,10 +201,10 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
 def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, int]:
     """Return the free motion without a constant part, shape (samples,), and its first row.
 
-    The input is constant (from ``free`` on if that is not the edge) and fills the delay line: the first movement after
-    the edge shows one delay; after a second one, commands from before the step no longer have an effect. With a wall
-    the free motion is the change from sample to sample; with K = 0 it is the second difference over a third of the
-    motion, which removes uniform motion.
+    In a free motion, the input is constant and fills the delay line. The input is constant from the edge on, or from
+    ``free`` on if that is given. The first movement after the edge shows one delay. After a second delay, commands from
+    before the step have no effect. With a wall, the free motion is the change between samples. With K = 0, it is the
+    second difference over a third of the motion, which removes uniform motion.
     """
     edge = max(response.edge_row, 0)
     moved = np.abs(trial.displacement[edge + 1 :]) > response.floor
@@ -213,7 +213,7 @@ def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, i
     if trial.stiffness != 0:
         position = trial.position[start:]
         return position[1:] - position[:-1], start
-    # without a wall the fast modes of the delay line decay after some more delays
+    # without a wall, the fast modes of the delay line decay within some more delays
     start += max(min(3 * max(start - edge, 2), (trial.rows - start) // 4), 0)
     position = trial.position[start:]
     lag = max(len(position) // 3, 1)
@@ -221,19 +221,20 @@ def _free_motion(trial: Trial, response: Response, free: int) -> tuple[Floats, i
 
 
 def _views(motion: Floats, noise: float) -> Views:
-    """Return two views of a motion, with windows of different width."""
+    """Return two views of a motion, with windows of different widths."""
     return MotionWindows(motion, noise, WIDE), MotionWindows(motion, noise, NARROW)
 
 
 def _growth(views: Views) -> tuple[float, float, bool]:
-    """Return growth and standard error of the slowest mode, per sample, and whether few modes explain all.
+    """Return the growth of the slowest mode per sample, its standard error, and whether few modes explain the motion.
 
-    For n samples, white noise s and a mode of amplitude A in the middle, the standard error is at least sqrt(6) s/(A
-    n^1.5). A residual of neither modes nor sensor (jitter, friction) is not independent noise and does not average out:
-    it may change the amplitude over the log by twice its size. The difference of two views, with windows of different
-    width, is an error as well: the rate nearer to zero counts, and neither counts if one grows and one decays.
+    For n samples, white noise s and a mode of amplitude A in the middle of the motion, the standard error is at least
+    sqrt(6) s/(A n^1.5). A residual that is neither modes nor sensor noise (jitter, friction) is not independent and
+    does not average out. It may change the amplitude over the log by twice its size. The difference between two views,
+    with windows of different widths, is a further error. The rate closer to zero is used, and the error is infinite if
+    one view grows and the other decays.
     """
-    # limit of the rate over a log due to rounding of positions
+    # error of the rate over a log due to rounding of positions
     samples, noise = len(views[0].signal), views[0].noise
     least = 1e-9 / max(samples, 1)
     wide = views[0].fastest_growth()
@@ -260,10 +261,10 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 
 
 def _hidden(views: Views, response: Response) -> float:
-    """Return the growth per sample of a component that grows within or below a decaying motion, NaN if unknown.
+    """Return the growth per sample of a component that grows within or below a decaying motion; NaN if unknown.
 
-    Differences reveal a vibration hidden by a slow motion; their error is twice as large. The quantisation error is a
-    pattern rather than random, unless noise blurs it: growth must add more than half a quantum.
+    Differences reveal a vibration that is hidden by a slow motion; their error is twice as large. Unless noise blurs
+    it, the quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
     """
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)
@@ -286,9 +287,10 @@ def _hidden(views: Views, response: Response) -> float:
 
 
 def _slope(signal: Floats, noise: float) -> tuple[float, float, bool]:
-    """Return the growth per sample of the size of a motion over its parts, with its standard error from their scatter.
+    """Return the growth per sample of the size of a motion, its standard error, and whether the motion fades.
 
-    Also return whether the motion fades, from each of its last quarters to the next.
+    The size is evaluated in parts of the motion, and their scatter gives the standard error. The motion fades if each
+    of its last quarters is smaller than the quarter before.
     """
     bounds = [-(-block * len(signal) // BLOCKS) for block in range(BLOCKS + 1)]
     blocks = [signal[first:end] for first, end in pairwise(bounds)]
@@ -305,10 +307,10 @@ def _slope(signal: Floats, noise: float) -> tuple[float, float, bool]:
 
 
 def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
-    """Return whether the command stays at a limit, or at the step alone, late in the motion.
+    """Return whether the command stays at a limit, or at the step, late in the motion.
 
-    It does so in two rows or more of the last quarter although the wall law demands more: the command is clipped, or
-    the wall is inactive.
+    The command must be constant in at least two rows of the last quarter although the wall law requires more. It is
+    then clipped, or the wall is inactive.
     """
     command, late = trial.command[start:], math.ceil(0.75 * count)
     off = command[late:][np.abs((external_force(trial) - trial.step)[start + late :]) > BENT * size]
@@ -317,19 +319,19 @@ def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
 
 
 def _last_swing(signal: Floats, moving: Integers) -> int:
-    """Return the number of rows between the last two reversals of a motion, from its rows in motion; 0 for fewer."""
+    """Return the number of rows between the last two reversals of a motion, from its rows in motion; 0 if fewer."""
     ahead = signal[moving] > 0
     turns = moving[1:][ahead[1:] != ahead[:-1]]
     return int(turns[-1] - turns[-2]) if len(turns) > 1 else 0
 
 
 def _half_range(position: Floats) -> float:
-    """Return half the range of positions, 0 for an empty array."""
+    """Return half the range of positions; 0 for an empty array."""
     return 0.5 * float(position.max() - position.min()) if len(position) else 0.0
 
 
 def _in_first_swing(trial: Trial, response: Response, way: float) -> bool:
-    """Return whether a motion has neither reversed nor passed its final position: a wall still accelerates it."""
+    """Return whether a motion has neither reversed nor passed its final position, so that it may still accelerate."""
     travel = abs(response.position_final_expected - response.position_start)
     if (trial.displacement * way > travel + response.floor).any():
         return False

@@ -1,1 +1,1 @@
-"""Stored results of an experiment: measurements of each stage, table of the stages, storage and reuse."""
+"""Compute, store and reuse the stages of an experiment, i.e. its measured results."""

@@ -1,7 +1,7 @@
-"""Trial with the quantities that several stages measure of it.
+"""Trial with quantities that several stages measure.
 
-A stage uses nothing else of a trial, so that its row is determined by the trial's samples, the inputs from the
-experiment, and the code.
+A stage uses only these quantities of a trial. The samples of the trial, the inputs from the experiment, and the code
+therefore determine a row of the stage.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pipeline.records.trials import Trial, Trials
 Result = TypeVar("Result")
 
 NOT_JUDGED = Verdict("undecided", np.nan, "")
-"""Verdict of a trial before the stage that judges it."""
+"""Verdict of a trial before the stage that determines verdicts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,14 +42,14 @@ class Readings:
 
 @dataclass(eq=False)
 class MeasuredTrial:
-    """Trial with the quantities that several stages need, each measured once on first use.
+    """Trial with quantities that several stages need. Each is measured once, when it is first used.
 
     Parameters
     ----------
     logged : Trial
         Trial as logged.
     verdict : Verdict
-        Verdict as stored.
+        Stored verdict.
     """
 
     logged: Trial
@@ -58,17 +58,17 @@ class MeasuredTrial:
 
     @cached_property
     def response(self) -> Response:
-        """Edge and resolution; a declared step row replaces the detected one."""
+        """Edge and resolution of the trial. A declared step row replaces the detected edge."""
         response, declared = find_response(self.logged), self.logged.step_row
         return response if declared is None else declare_edge(self.logged, response, declared)
 
     @cached_property
     def trial(self) -> Trial:
-        """Trial; at an operating point of a device without a wall, forces count from the level before the step.
+        """Trial with even time stamps, and with forces relative to the operating point if there is no wall.
 
-        The balancing force there, gravity or friction at its limit, is equally large, so that only the change causes
-        motion. The operating point of a wall is contained in its rest position. Scattering time stamps are replaced by
-        those of the samples that they count.
+        Without a wall, the force at the level before the step is balanced by gravity or by friction at its limit, so
+        only the change causes motion. With a wall, the rest position contains the operating point. Scattering time
+        stamps are replaced by those of the samples that they count.
         """
         trial = even(self.logged)
         level = self.response.level if trial.stiffness == 0 else 0.0
@@ -76,7 +76,7 @@ class MeasuredTrial:
 
     @cached_property
     def law(self) -> WallLaw:
-        """Comparison of the logged command with the wall law, with time stamps as logged."""
+        """Comparison of the logged command with the wall law, with the logged time stamps."""
         return wall_law(replace(self.trial, time=self.logged.time), self.response)
 
     @cached_property
@@ -86,22 +86,23 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Reason why the trial gives no information on its wall (its recording, or another wall); empty if it does."""
+        """Reason why the trial contains no information on its wall (a fault, or another wall); empty otherwise."""
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
         other = self.law.other_wall
         return next(sentences, "") or ("" if other is None else other.evidence)
 
     @cached_property
     def grid(self) -> SampleGrid:
-        """The trial with a row for every sample."""
+        """The trial with one row for each sample."""
         return sample_grid(self.trial, self.response, self.law)
 
     def readings(self, inputs: ReadingInputs, *, on_grid: bool) -> tuple[Readings, ...]:
-        """Return the readings for costs: the trial, or the one on its grid and, if available, the linear interpolation.
+        """Return the readings for costs.
 
-        The same inputs are used for several costs.
+        They are from the trial, or from the trial on its grid and from its linear interpolation, if there is one. The
+        same readings are used for several costs.
         """
-        # most trials are their own grid
+        # most trials equal their grid
         on_grid = on_grid and not (self.grid.trial is self.trial and self.grid.response is self.response)
         if (inputs, on_grid) not in self._readings:
             response = self.grid.response if on_grid else self.response
@@ -117,10 +118,10 @@ class MeasuredTrial:
         return Readings(trial, about(response, inputs.final), error)
 
     def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
-        """Return this trial, possibly on its grid, as used by costs if a spring k acts on the device.
+        """Return a trial for costs if a spring k acts on the device.
 
-        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). An unsafe log has no start
-        of a response, so that no costs are computed from it.
+        The device rests at x_0 + F_0/(K + k), and the wall that stores the energy has the stiffness K + k (5.7). The
+        response of an unsafe log has no start, so that no costs are computed from it.
         """
         if spring and trial.stiffness > 0:
             trial = replace(trial, stiffness=trial.stiffness + spring)
@@ -130,7 +131,7 @@ class MeasuredTrial:
 
 
 def about(response: Response, final: str) -> Response:
-    """Return a response whose costs refer to its expected or measured final position, see `Measuring`."""
+    """Return a response whose costs refer to the expected or the measured final position (see `Measuring`)."""
     if final == "measured" and np.isfinite(response.position_final_expected):
         return replace(response, position_final_expected=response.position_final_measured)
     return response
@@ -142,11 +143,11 @@ class MapTrials(Protocol):
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at some places, with the given verdicts, in this order."""
+        """Return the results of a function for the trials at the given places, with the given verdicts, in order."""
 
 
 class MeasuredTrials:
-    """Trials that are each measured once in this process.
+    """Trials of an experiment in this process. Each trial is measured once.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ class MeasuredTrials:
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at some places, in this order, as in `MapTrials`."""
+        """Return the results of a function for the trials at the given places, in order, as in `MapTrials`."""
         measured = [self._measured[place] for place in places]
         for trial, verdict in zip(measured, verdicts or (), strict=False):
             trial.verdict = verdict

@@ -1,4 +1,4 @@
-"""A stage: typed inputs, typed output; the fields of the output are the stored columns."""
+"""Types of stages. A stage has typed inputs and a typed output; the fields of the output are the stored columns."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Output = TypeVar("Output")
 
 @dataclass(frozen=True)
 class Missing:
-    """Reason why an experiment lacks the inputs of a stage; it is the reason of all rows."""
+    """Reason why an experiment lacks the inputs of a stage. It is stored as the reason of all rows."""
 
     reason: str
 
 
 def no_inputs(_: Experiment) -> None:
-    """Return the inputs of a stage that needs nothing from the whole experiment."""
+    """Return the inputs of a stage that needs no quantity of the experiment."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class TrialStage(Generic[Inputs, Output]):
     Parameters
     ----------
     measure : callable
-        Function that measures one trial; its source and the samples are part of the key under which the row is stored.
+        Function that measures one trial. Its source and the samples are part of the key of a stored row.
     inputs : callable
-        Function that returns the inputs common to all trials of the experiment; also part of that key.
+        Function that returns the inputs common to all trials of the experiment, which are also part of the key.
     """
 
     measure: Callable[[MeasuredTrial, Inputs], Output]
@@ -42,14 +42,14 @@ class TrialStage(Generic[Inputs, Output]):
 
 @dataclass(frozen=True)
 class ExperimentStage(Generic[Output]):
-    """Measurement of a whole experiment, as rows of a table.
+    """Measurement of an experiment, with the rows of a table as a result.
 
     Parameters
     ----------
     measure : callable
     rests_on : callable, optional
-        Function that returns a hash of everything from which the rows are computed, if that is less than the
-        experiment; stored rows are reused while it is unchanged.
+        Function that returns a hash of all inputs of the rows, if they are fewer than the whole experiment. Stored rows
+        are reused while the hash is unchanged.
     """
 
     measure: Callable[[Experiment], Sequence[Output]]

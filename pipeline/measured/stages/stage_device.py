@@ -1,4 +1,4 @@
-"""Stages `parts`, `device` and `model`: one device by the likelihood of all trials, and estimates of each trial."""
+"""Stages `parts`, `device` and `model`: one device from the likelihood of all trials, and estimates of each trial."""
 
 from __future__ import annotations
 
@@ -34,33 +34,33 @@ from pipeline.records.stage_records import DeviceRow, ModelRow, PartsRow
 from pipeline.records.trials import Trial
 
 MOST_ROWS = 600
-"""Largest number of rows of a log, counted from shortly before the step: with any useful wall the motion has ended by
+"""Largest number of rows of a log, counted from shortly before the step. With any useful wall, the motion has ended by
 then."""
 
 AHEAD = 40
-"""Number of rows before the step that are kept."""
+"""Number of rows before the step that are used."""
 
 LEAST = 1e-300
-"""Variance of a parameter that is known exactly."""
+"""Smallest variance of a parameter, for an exactly known one."""
 
 WITHOUT = {"command_shifted", "sampling_period"}
-"""Departures from the wall law for which the logged command does not drive the device at that time, or the time is
-unknown."""
+"""Departures from the wall law for which the logged command does not drive the device at the logged time, or the time
+is unknown."""
 
-INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or walls"
+INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or trials with a wall"
 
 OTHER_WALLS = (
-    "the command of most logs is not that of their stated wall and time, so that these are left out, and the others do "
-    "not identify the mass; correct K, B and the units in the profile"
+    "the command of most logs does not match their stated wall and time, so these logs are left out; the mass is not "
+    "identifiable from the other logs; correct K, B and the units in the profile"
 )
 
 
 def recordings_of(of: Experiment) -> list[Recording] | str:
-    """Return the trials of an experiment as input of the estimator, or the reason why none can be used."""
+    """Return the trials of an experiment as inputs of the estimator, or the reason why none is usable."""
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
     usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
-    # without a wall a device ends anywhere, and gives less information on motion at the walls of the others
+    # without a wall, a device may end anywhere, and contains less information on motion at the walls of other trials
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
@@ -74,8 +74,8 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
     ]
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
-        return fault.sentence if fault is not None else "no log's command is that of its wall and time"
-    # a log that is too short to show motion only excludes itself
+        return fault.sentence if fault is not None else "the command of no log matches its wall and time"
+    # a log that is too short to show motion excludes only itself
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
         check_recordings(found)
@@ -85,13 +85,13 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
 
 
 def chosen_by(of: Experiment) -> str:
-    """Return a hash of the recordings used to choose the parts of the device, or of the reason if there are none."""
+    """Return a hash of the recordings that choose the parts of the device, or the reason if there are none."""
     found = of.once(recordings_of)
     return found if isinstance(found, str) else digest([each.digest for each in subset(found)])
 
 
 def parts(of: Experiment) -> list[PartsRow]:
-    """Return the one row of the stage `parts`."""
+    """Return the single row of the stage `parts`."""
     found = of.once(recordings_of)
     if isinstance(found, str):
         return [PartsRow(reason=found)]
@@ -125,7 +125,7 @@ def parts(of: Experiment) -> list[PartsRow]:
 
 
 def _chosen(row: Mapping[str, Any]) -> ChosenParts:
-    """Return the parts of a device in the form stored by the stage `parts`."""
+    """Return the parts of a device from a row of the stage `parts`."""
 
     def named(names: str, values: str) -> dict[str, float]:
         return dict(zip(row[names], row[values], strict=True))
@@ -143,7 +143,7 @@ def _chosen(row: Mapping[str, Any]) -> ChosenParts:
 
 
 def identification(of: Experiment) -> tuple[Identification | None, str]:
-    """Return the maximum-likelihood device of an experiment's logs with a recording remedy, or None with a reason."""
+    """Return the maximum-likelihood device of an experiment with a remedy, or None with a reason."""
     found = of.once(recordings_of)
     if isinstance(found, str):
         return None, found
@@ -157,13 +157,13 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     remedy = Recorded.of(found).remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
-    # logs that obey another wall than stated are the reason, whatever is wrong with the others
+    # logs that obey another wall than the stated one are the reason, whatever faults the other logs have
     why = INSEPARABLE.format(remedy) if len(found) > MOST * of.trials.num_rows else OTHER_WALLS
     return None, why
 
 
 def recording_findings(of: Experiment) -> list[list[Finding]]:
-    """Return the faults of the recording of each trial, from the stage `response`."""
+    """Return the recording faults of each trial, from the stage `response`."""
     return [
         [Finding.model_validate(each) for each in json.loads(text)] if text else []
         for text in of.texts("response", "findings")
@@ -171,7 +171,7 @@ def recording_findings(of: Experiment) -> list[list[Finding]]:
 
 
 def device(of: Experiment) -> list[DeviceRow]:
-    """Return the one row of the stage `device`."""
+    """Return the single row of the stage `device`."""
     found, words = of.once(identification)
     if found is None:
         return [DeviceRow(reason=words)]
@@ -181,32 +181,32 @@ def device(of: Experiment) -> list[DeviceRow]:
 
 
 def model(of: Experiment) -> list[ModelRow]:
-    """Return mass, damping and delay from each trial alone, as one step from the common values."""
+    """Return mass, damping and delay of each trial, computed by one step from the common values."""
     found, reason = of.once(identification)
     ids, hashes = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
     walls = zip(*(of.column("response", name).tolist() for name in ("stiffness", "damping")), strict=True)
     own = {} if found is None else own_numbers(found)
     fitted = set(ids) if found is None else set(found.names)
     if found is not None:
-        few = f"with fewer than {FEWEST} logs they cannot be separated"
-        reason = few if found.choice.fit.few else "its motion identifies none of them alone"
+        few = f"with fewer than {FEWEST} logs, trials are not identified individually"
+        reason = few if found.choice.fit.few else "its motion does not identify mass, damping or delay"
     rows = []
     for trial, samples, (stiffness, damping) in zip(ids, hashes, walls, strict=True):
         numbers: Sequence[float | None] = own.get(trial, [None] * 6)
         m, m_error, b, b_error, d, d_error = numbers
-        why = reason if trial in fitted else "left out: its command is not that which moves it"
+        why = reason if trial in fitted else "left out: its command does not drive the device"
         words = None if trial in own else why
         rows.append(ModelRow(trial, samples, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
     return rows
 
 
 def device_row(found: Identification, remedy: str, largest_step: float) -> DeviceRow:
-    """Return the identified device in stored form; ``largest_step`` is that of the headers [N, Nm], 0 for none."""
-    # an interval may be wider than that of the likelihood alone
+    """Return the identified device in stored form. ``largest_step`` is from the headers [N, Nm], 0 if none."""
+    # the interval of a parameter may be wider than that of the likelihood
     errors = np.array([each.error for each in found.parameters.values()])
     wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
     covariance = found.covariance * np.outer(wider, wider)
-    # an exactly known parameter has its numerical error
+    # an exactly known parameter has the numerical error
     np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), errors**2))
     values, covariance = with_delay({name: each.value for name, each in found.parameters.items()}, covariance)
     unknown = found.unidentifiable | (values.keys() - found.parameters.keys())
@@ -257,15 +257,15 @@ def _largest_command(of: MeasuredTrial) -> float:
 
 
 def recording(of: MeasuredTrial) -> Recording:
-    """Return a trial as input of the estimator."""
+    """Return a trial as an input of the estimator."""
     return cut(of.trial, max(of.response.edge_row, 0), of.findings)
 
 
 def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
-    """Return a trial, with a given edge row and findings, as input of the estimator, up to a travel stop.
+    """Return a trial, with given edge row and findings, as an input of the estimator, up to a travel stop.
 
-    A trial with a step is cut shortly before the step; of the ranges between lost rows, the one with the most motion is
-    used. Of any other motion all rows are used.
+    A trial with a step begins shortly before the step. Of its ranges between lost rows, only the one with the most
+    motion is used. For other motion, all rows are used.
     """
     last = min([trial.rows, *(finding.first_row or 0 for finding in findings if finding.severity == "cut")])
     rows = slice(0, last)
@@ -285,9 +285,10 @@ def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
 
 
 def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
-    """Return trials that are not stored as input of the estimator: those that `identification` would use.
+    """Return the usable trials of logs that are not stored, as inputs of the estimator.
 
-    The command need not obey the wall stated in the header, because it drives the device in any case.
+    `identification` would use the same trials. The command need not obey the wall in the header, because it drives the
+    device in any case.
     """
     walls = any(each.trial.stiffness > 0 for each in trials)
     usable = [
@@ -302,7 +303,7 @@ def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
 
 
 def _complete(trial: Trial, rows: slice) -> slice:
-    """Return the range between lost rows in which the device moves most; all rows if none is lost."""
+    """Return the range between lost rows with the most motion; all rows if none is lost."""
     time, position = trial.time[rows], trial.position[rows]
     gaps = np.flatnonzero(np.diff(time) > GAP * trial.sampling_period_s) + 1
     bounds = [0, *gaps.tolist(), len(time)]

@@ -1,4 +1,4 @@
-"""Stages of the measured branch by name, with the stages on which each depends; `stages` contains their functions."""
+"""Names of the stages of the measured branch and their dependencies. The functions are in `stages`."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "mass": ("response", "delay"),
     **{name: family.needs for name, family in FAMILIES.items()},
 }
-"""Stages in the order in which they can be computed; the plan is made backwards along their dependencies."""
+"""Dependencies of each stage, with stages in an order in which they can be computed."""
 
 SPRUNG = frozenset(FAMILIES)
-"""Stages that use the declared spring of the experiment."""
+"""Stages that use the spring of the experiment."""
 
 
 def required(stages: Iterable[str]) -> set[str]:
-    """Return the stages and all their dependencies.
+    """Return the given stages and all their dependencies.
 
     >>> sorted(required(["mass"]))
     ['delay', 'mass', 'response']
@@ -37,6 +37,6 @@ def required(stages: Iterable[str]) -> set[str]:
 
 
 def cost_column(criterion: str) -> tuple[str, str]:
-    """Return the stage and the column of the cost of a criterion."""
+    """Return the stage and the column that contain the cost of a criterion."""
     known = criterion_of(criterion)
     return known.family.name, known.column

@@ -1,4 +1,4 @@
-"""Measurement of each stage: a row of a trial, or rows of the whole experiment; `stages` is the table of stages."""
+"""Functions of the stages, which measure a row of a trial or all rows of an experiment. `stages` is their table."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pipeline.records.stage_records import (
 def response(of: MeasuredTrial, _: None) -> ResponseRow:
     """Return edge, final position, resolution and verdict of a trial."""
     judged, shown = judge(of.trial, of.response), of.response
-    # its result would apply to another wall, or to a faulty recording
+    # the verdict of an unsafe log would apply to another wall, or to a faulty recording
     return ResponseRow(
         verdict="undecided" if of.unsafe else judged.verdict,
         reason=joined(of.unsafe, judged.reason, shown.reason),
@@ -71,14 +71,14 @@ def wall_law(of: MeasuredTrial, _: None) -> WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeInputs:
-    """Inputs of the outcome of a trial that are common to the experiment: usual number of rows, and the device."""
+    """Inputs of outcomes that are common to the experiment: the usual number of rows, and the device."""
 
     usual_rows: int
     device: PushResponse
 
 
 def outcome_inputs(of: Experiment) -> OutcomeInputs:
-    """Return the inputs of the outcome of a trial that are common to the experiment."""
+    """Return the inputs of outcomes that are common to the experiment."""
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)
     device = fit_push_response(of.samples, edge, sensor_floor(quantum, noise))
@@ -109,7 +109,7 @@ def delay(of: MeasuredTrial, _: None) -> DelayRow:
 
 @dataclass(frozen=True)
 class MassInputs:
-    """Common inputs of the momentum balance: delay [samples] and length of its window [s]."""
+    """Common inputs of momentum balances: delay [samples] and length of the window [s]."""
 
     delay: int
     window_s: float
@@ -121,11 +121,11 @@ def mass_inputs(of: Experiment) -> MassInputs | Missing:
     return Missing(NO_DELAY) if value is None else MassInputs(int(value), of.measuring.momentum_window_s)
 
 
-NO_DELAY = "needs the delay, which is not known"
+NO_DELAY = "the delay, which is required, is unknown"
 
 
 def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
-    """Return the mass of a trial by the momentum balance over its window, a longer one and the one after it."""
+    """Return the mass of a trial from momentum balances over its window, a longer one, and the window after it."""
     window = inputs.window_s
     first, longer, later = (
         thesis.by_momentum(of.trial, of.response, inputs.delay, window_s=end, after_s=begin)
@@ -135,7 +135,7 @@ def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
 
 
 def cost_inputs(of: Experiment) -> CostInputs:
-    """Return the common inputs of costs that need nothing of the device."""
+    """Return the common inputs of costs that need no parameter of the device."""
     return CostInputs(_reading_inputs(of, 0, rest_spring(of)))
 
 
@@ -149,10 +149,10 @@ def timed_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def energy_inputs(of: Experiment) -> CostInputs | Missing:
-    """Return the common inputs of energies, including the mass."""
+    """Return the common inputs of energy costs, including the mass."""
     found = by_model(of, "mass")
     if found.value is None:
-        return Missing(f"energy needs the mass: {found.reason}")
+        return Missing(f"energy costs require the mass: {found.reason}")
     error, timed = as_known(standard_error(found)), of.once(timed_inputs)
     if isinstance(timed, Missing):
         return timed
@@ -160,7 +160,7 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInputs:
-    """Return the common inputs of reading errors: a spring, the sensor, the usual gain."""
+    """Return the common inputs of reading errors: spring, sensor error, and usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
     sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
@@ -175,7 +175,7 @@ def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -
 
 
 def _spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad]: declared, else of the identified device, else from its rest positions."""
+    """Return the stiffness k [N/m, Nm/rad]: declared, else of the identified device, else from rest positions."""
     k = by_model(of, "stiffness")
     if of.spring or k.value is None:
         return rest_spring(of)
@@ -183,10 +183,10 @@ def _spring(of: Experiment) -> float:
 
 
 def costs(of: MeasuredTrial, inputs: CostInputs, measure: Measure, names: Sequence[str]) -> CostRow:
-    """Return the costs of a family for a trial; ``names`` are those of time-based costs.
+    """Return the costs of a family for a trial. ``names`` are the time-based costs.
 
-    For logs with missing or repeated rows they are computed on the sample grid, and their intervals include those of
-    the linear interpolation.
+    For logs with missing or repeated rows, these costs are computed on the sample grid, and their intervals include the
+    intervals of the linear interpolation.
     """
     row, *others = (
         measure(read.trial, read.response, of.verdict, read.error, inputs)

@@ -1,8 +1,8 @@
-"""Computation, storage and reuse of the stages of an experiment, independently of what each of them computes.
+"""Compute, store and reuse the stages of an experiment, independently of what a stage computes.
 
-A stage is reused while its key is unchanged: a hash of the trials (source and profile hashes), of the code that
-computes it, and of its inputs from previous stages. If the key has changed, rows are still reused for trials with
-unchanged samples, if code and inputs from the experiment are unchanged.
+The result of a stage is reused while its key is unchanged. The key is a hash of the trials (source and profile hashes),
+of the code that computes the stage, and of its inputs from previous stages. If the key changes because of some trials,
+the rows of all other trials are reused, provided that the code and the inputs from the experiment are unchanged.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     from pipeline.measured.stages.stage import TrialStage
 
 SAMPLED = "response"
-"""Stage that every view needs; its result is stored with a hash of the samples."""
+"""Stage that every view needs. Its result is stored with a hash of the samples."""
 
 ROW_KEY = "samples_sha256"
-"""Column that identifies a row of a stage; its other inputs are the same for all rows of a file."""
+"""Column that identifies a row of a stage. All other inputs are the same for all rows of a file."""
 
 Result = TypeVar("Result")
 
@@ -66,7 +66,7 @@ def stage_row(of: MeasuredTrial, measure: Callable[[MeasuredTrial, Any], object]
 
 
 def stored_value(name: str, value: object) -> object:
-    """Return a column value in stored form: negative row numbers and empty texts become null.
+    """Return a column value in stored form: null for a negative row number or an empty text.
 
     >>> stored_value("edge_row", -1), stored_value("edge_row", 20), stored_value("reason", "")
     (None, 20, None)
@@ -77,18 +77,18 @@ def stored_value(name: str, value: object) -> object:
 
 @dataclass
 class ExperimentStages:
-    """Stages of one experiment: stored and stale results, their tables, and derived values.
+    """Stages of one experiment: stored and computed results, their tables, and derived values.
 
     Parameters
     ----------
     processed : Path
     device, experiment : str
     trials : pyarrow.Table
-        Rows of the trials table that belong to the experiment and are in use.
+        Rows of the trials table that belong to the experiment and are not excluded.
     excluded : tuple of Exclusion
         Trials of the experiment that are excluded.
     spring : float
-        Stiffness k [N/m, Nm/rad] declared in the device file, 0 for none; see `declared_spring`.
+        Stiffness k [N/m, Nm/rad] declared in the device file, or 0 (see `declared_spring`).
     measuring : Measuring
         Measuring conventions that follow the thesis.
     """
@@ -109,7 +109,7 @@ class ExperimentStages:
     def stored(
         cls, processed: Path, device: str, experiment: str, spring: float = 0.0, measuring: Measuring | None = None
     ) -> Self:
-        """Return the stages of a stored experiment; the table of trials is empty if all are excluded."""
+        """Return the stages of a stored experiment. The table of trials is empty if all trials are excluded."""
         trials, excluded = split_trials(read_trials(processed, device, experiment), read_exclusions(processed))
         return cls(processed, device, experiment, trials, excluded, spring, measuring or Measuring())
 
@@ -120,39 +120,39 @@ class ExperimentStages:
         Raises
         ------
         StoreError
-            If the experiment mixes kinds.
+            If the experiment mixes kinds of motion.
         """
         motions = set(self.trials.column("motion").to_pylist())
         if len(motions) != 1:
             raise StoreError(
                 f"device {self.device!r}, experiment {self.experiment!r}: its logs mix {sorted(motions)}. "
-                "Name the experiments apart in the logs' headers and ingest them into a new folder."
+                "Give the experiments different names in the headers of the logs, and ingest them into a new folder."
             )
         kind: Motion = motions.pop()
         return kind
 
     @cached_property
     def inputs_digest(self) -> str:
-        """Hash of the logs and profiles from which the samples were made."""
-        # the location of the samples is excluded: merging batches changes no result
+        """Hash of the logs and profiles from which the samples are computed."""
+        # the location of the samples is excluded, since merged batches do not change results
         columns = ("trial_id", "source_sha256", "profile_sha256")
         rows = zip(*(self.trials.column(c).to_pylist() for c in columns), strict=True)
         return digest(sorted("|".join(map(str, row)) for row in rows))
 
     @cached_property
     def samples(self) -> Trials:
-        """All trials of the experiment with their samples, read when a stage has to be computed."""
+        """All trials of the experiment with their samples, which are read when a stage is computed."""
         return load_trials(self.processed, self.trials)
 
     @cached_property
     def _map(self) -> MapTrials:
-        """Map of functions over the trials: in this process, unless a stage is computed in others."""
+        """Map of functions over the trials, in this process unless a stage is computed in others."""
         from pipeline.measured.stages.measured_trial import MeasuredTrials
 
         return MeasuredTrials(self.samples)
 
     def once(self, function: Callable[[Any], Result]) -> Result:
-        """Return the result of a function of this experiment, which is cached."""
+        """Return the cached result of a function of this experiment."""
         if function not in self._found:
             self._found[function] = function(self)
         found: Result = self._found[function]
@@ -161,7 +161,7 @@ class ExperimentStages:
     def map_trials(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int] | None = None
     ) -> list[Result]:
-        """Return the results of a function of each trial, or of those at given places, in this order."""
+        """Return the results of a function for each trial, or for those at the given places, in order."""
         from pipeline.measured.signal.verdict import Verdict
 
         places = range(len(self.samples)) if places is None else places
@@ -170,7 +170,7 @@ class ExperimentStages:
         return self._map(function, places, judged)
 
     def key(self, stage: str) -> str:
-        """Return the key under which the result of a stage is valid."""
+        """Return the key of a valid result of a stage."""
         if stage not in self._keys:
             chosen: list[object] = [self.spring, self.measuring.final] if stage in SPRUNG else []
             chosen += [self.measuring.model_dump(exclude={"final"})] if stage == "mass" else []
@@ -183,7 +183,7 @@ class ExperimentStages:
         return self._stored_key(stage) == self.key(stage)
 
     def why_run(self, stage: str) -> str:
-        """Return a text that explains why a stage that is not reused has to run."""
+        """Return a text that explains why a stage is not reused."""
         stored = self._stored_key(stage)
         return (
             "no result is stored"
@@ -199,11 +199,11 @@ class ExperimentStages:
         return stage_file(self.processed, self.device, self.experiment, stage)
 
     def table(self, stage: str) -> pa.Table:
-        """Return the result of a stage: from memory, from its file, or by computing and storing it."""
+        """Return the result of a stage, from memory or from its file; otherwise compute and store it."""
         if stage not in self._tables:
             file = self._file(stage)
             if file is not None and self.is_stored(stage):
-                with suppress(StoreError):  # damaged results are computed again
+                with suppress(StoreError):  # recompute a damaged result
                     self._tables[stage] = read_table(file)
             if stage not in self._tables:
                 self._tables[stage] = self._computed(stage)
@@ -213,7 +213,7 @@ class ExperimentStages:
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: MapTrials) -> None:
-        """Compute and store some stages, in this order, with a map that may send trials to other processes."""
+        """Compute and store stages in the given order, with a map that may send trials to other processes."""
         self.__dict__["_map"] = mapped
         try:
             for number, stage in enumerate(stages):
@@ -236,7 +236,7 @@ class ExperimentStages:
         return digest([stage, code_digest("stages"), inputs, self.motion])
 
     def _computed(self, stage: str) -> pa.Table:
-        # imported only for a computation: stored results are read without the estimators
+        # imported only for a computation, since stored results are read without the estimators
         from pipeline.measured.stages.stage import TrialStage
         from pipeline.measured.stages.stages import STAGES
 
@@ -254,7 +254,7 @@ class ExperimentStages:
         return to_arrow(stage, columns, motion=self.motion, metadata=self._stamp(stage, **more))
 
     def _of_trials(self, stage: str, computation: TrialStage[Any, Any]) -> pa.Table:
-        """Compute a stage with one row per trial, reusing stored rows with the same inputs."""
+        """Compute a stage with one row per trial. Stored rows with the same inputs are reused."""
         from pipeline.measured.stages.stage import Missing
 
         inputs, samples = self.once(computation.inputs), self.samples
@@ -286,7 +286,7 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage with the same inputs of the experiment; none if they are damaged."""
+        """Return the stored rows of a stage with the same inputs from the experiment; none if they are damaged."""
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
@@ -299,26 +299,26 @@ class ExperimentStages:
         return stamp(stage=stage, key=self.key(stage), inputs=self.inputs_digest, code=code, **more)
 
     def column(self, stage: str, name: str) -> Floats:
-        """Return a numeric column of a stage as float64, null as NaN."""
+        """Return a numeric column of a stage as float64, with NaN for null."""
         values = self.table(stage).column(name).to_numpy(zero_copy_only=False)
         return np.asarray(values, dtype=np.float64)
 
     def texts(self, stage: str, name: str) -> list[str]:
-        """Return a text column of a stage, null as an empty string."""
+        """Return a text column of a stage, with an empty string for null."""
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
 
     def text(self, stage: str, name: str, row: int) -> str:
-        """Return one cell of a text column of a stage, null as an empty string."""
+        """Return one cell of a text column of a stage, with an empty string for null."""
         return self.table(stage).column(name)[row].as_py() or ""
 
     @property
     def step_sizes(self) -> Floats:
-        """Step F_0 of each trial by its header [N, Nm]."""
+        """Step F_0 of each trial from its header [N, Nm]."""
         return np.asarray(in_order(self.trials).column("step").to_numpy(), dtype=np.float64)
 
     @cached_property
     def verdicts(self) -> Verdicts:
-        """Verdict of each trial, as stored."""
+        """Stored verdict of each trial."""
         return Verdicts(
             np.array(self.texts("response", "verdict"), dtype="<U9"),
             self.column("response", "growth_per_s"),
@@ -327,34 +327,35 @@ class ExperimentStages:
 
     @cached_property
     def sampling_period_s(self) -> float:
-        """Sampling period T [s], the same for all trials up to the error of clocks.
+        """Sampling period T [s], which is the same for all trials up to clock errors.
 
         Raises
         ------
         StoreError
-            If trials differ.
+            If the sampling periods of the trials differ.
         """
         periods = sorted(set(self.trials.column("sampling_period_s").to_pylist()))
         if periods[-1] - periods[0] > APART * periods[-1]:
             raise StoreError(
                 f"device {self.device!r}, experiment {self.experiment!r}: sampling periods differ ({periods[:5]} s); "
-                "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
+                "expected one. Give the experiments different names in the headers of the logs, and ingest them into a "
+                "new folder."
             )
         return float(periods[len(periods) // 2])
 
     @property
     def samples_digest(self) -> str:
-        """Hash of the samples behind the results, at the time when the first stage was computed."""
+        """Hash of the samples from which the results were computed, stored with the first stage."""
         return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
 
     @cached_property
     def boundary_points(self) -> tuple[BoundaryPoint, ...]:
-        """Measured stability boundary, as stored."""
+        """Stored stability boundary."""
         rows = self.table("boundary").to_pylist()
         return tuple(BoundaryPoint(**row) for row in rows)
 
     def cost(self, criterion: str) -> tuple[Floats, str]:
-        """Return the cost of each trial by a criterion (NaN if there is none) and the reason if no trial has one."""
+        """Return the cost of each trial by a criterion (NaN if none), and the reason if no trial has a cost."""
         return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
 
     def cost_reasons(self, criterion: str) -> list[str]:
@@ -362,7 +363,7 @@ class ExperimentStages:
         return self._costs(criterion)[3]
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
-        """Return costs, both ends of their intervals, and reasons; computed if no column stores them."""
+        """Return costs, both ends of their intervals, and reasons. They are computed if no column stores them."""
         stage, column = cost_column(criterion)
         if column in TABLES[stage]:
             value, low, high = (self.column(stage, f"{column}{end}") for end in ("", "_low", "_high"))
@@ -384,24 +385,24 @@ class ExperimentStages:
         return self._other_costs[criterion]
 
     def floor(self, criterion: str) -> Floats | None:
-        """Return the apparent cost of each trial due to sensor and chatter alone; None if they cause none."""
+        """Return the apparent cost of each trial due to sensor and chatter; None if the criterion has none."""
         family = criterion_of(criterion).family
         return self.column(family.name, family.floor) if family.floor else None
 
     def sure_cost(self, criterion: str) -> Floats:
-        """Return the cost of each trial as in `cost`, zero if it counts as none."""
+        """Return the cost of each trial as in `cost`, with 0 for a cost that is not significant."""
         cost, floor = self._costs(criterion)[0], self.floor(criterion)
         return cost if floor is None else np.where(without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
-        """Return the lower and upper end of the 95 % interval of each trial's cost, NaN if there is none."""
+        """Return the lower and the upper end of the 95 % interval of each trial's cost; NaN if there is none."""
         return self._costs(criterion)[1:3]
 
     def optimum(self, criterion: str, limits: Sequence[BoundaryPoint] = ()) -> Optimum | None:
-        """Return the best trial by a criterion, with its margin to measured limits; None if no trial has that cost."""
+        """Return the best trial by a criterion, with its margin to measured limits; None if no trial has this cost."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
-        # a trial that obeys another wall than stated was not tested at that point
+        # a trial that obeys another wall than the stated one did not test the stated wall
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
         K, B = (self.column("response", name)[stated] for name in ("stiffness", "damping"))
         unstable, cost = self.verdicts.verdict[stated] == "unstable", cost[stated]

@@ -1,4 +1,4 @@
-"""Stages of the measured branch: each computes the rows of one table from the samples of one experiment."""
+"""Table of the stages of the measured branch. Each stage computes the rows of one table from one experiment."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MEASURES: Mapping[str, Measure] = {
     "rise": rise_row,
     "energy": energy_row,
 }
-"""Functions that compute the costs of each family of criteria."""
+"""Function for each family of criteria that computes its costs."""
 
 
 def other_cost(criterion: Criterion) -> TrialStage[CostInputs, CostRow]:
-    """Return the stage that computes a cost that no column stores: another settling band or exponent."""
+    """Return the stage for a cost without a stored column: another settling band or exponent."""
     energies = criterion.family is ENERGY
     measure = partial(other_energy if energies else other_settling, criterion=criterion)
     inputs = stage_rows.energy_inputs if energies else stage_rows.timed_inputs

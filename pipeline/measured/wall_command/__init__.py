@@ -1,1 +1,1 @@
-"""Comparison of a log's command with the wall law; a departure is named only if it is identified, never guessed."""
+"""Compare the command of a log with the wall law. A departure is named only if it is identified."""

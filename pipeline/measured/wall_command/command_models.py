@@ -1,7 +1,7 @@
-"""Models of a logged command: the wall law itself, and its variants in controllers and loggers.
+"""Models of a logged command: the wall law, and its variants in controllers and loggers.
 
-A candidate returns the departures of a log from the wall law (possibly none), or None if it does not explain the log
-because the command of some row differs by more than the rounding of the logged digits.
+Each candidate returns the departures of a log from the wall law (possibly none). It returns None if it does not explain
+the log, i.e. if the command in some row differs by more than the rounding of the logged digits.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from pipeline.measured.wall_command.velocity_filter import (
 from pipeline.records.trials import Booleans, Floats
 
 LONGEST_RAMP = 0.25
-"""Largest part of the rows after the edge for a ramped step."""
+"""Longest ramp of a step, as a share of the rows after the edge."""
 
 ADAPTS = 0.1
-"""Smallest share of the rows of a motion with a filtered velocity; a few percent of the rows, those after a lost row,
-fit some window by chance."""
+"""Smallest share of the rows of a motion with a filtered velocity. A few percent of the rows, after a lost row, fit
+some window by chance."""
 
 FEWEST_AT_LIMIT = 3
-"""Smallest number of rows with equal changes of the command that shows a rate limit; two may be equal by rounding."""
+"""Smallest number of rows with equal changes of the command for a rate limit. Two may be equal by rounding."""
 
 EXPLAINED = 1e-6
-"""Largest relative residual of a filter's effect, in addition to rounding: a filter is either exact or wrong."""
+"""Largest relative residual of a filter's effect, in addition to rounding. A filter is either exact or wrong."""
 
 
 SCALE_TOLERANCE = 0.2
-"""Relative tolerance of the conversion factor between two units in a log whose velocity is filtered or clipped."""
+"""Relative tolerance of the conversion factor between two units, for a log with a filtered velocity or clipping."""
 
 
 @dataclass(frozen=True)
 class Departure:
-    """Departure of a log from the wall law; ``obeyed`` contains K, B and step of another wall, if obeyed."""
+    """Departure of a log from the wall law. ``obeyed`` contains K, B and step of another wall that it obeys, if any."""
 
     code: str
     evidence: str
@@ -57,32 +57,32 @@ class Departure:
 Departures = tuple[Departure, ...]
 
 Law = Callable[[LogRows], Departures | None]
-"""Candidate that returns the departures of a log."""
+"""Candidate: a function that returns the departures of a log."""
 
 
 def explanation(log: LogRows) -> Departures | None:
-    """Return the departures of the first candidate that explains all rows; None if there is no such candidate.
+    """Return the departures of the first candidate that explains all rows; None if no candidate does.
 
-    Positions on a grid may be the readings of the controller, or may have been rounded when they were printed.
+    Positions on a grid may be the exact readings of the controller, or may have been rounded when they were printed.
     """
     tried = (candidate(reading) for reading in log.readings for candidate in CANDIDATES)
     return next((departures for departures in tried if departures is not None), None)
 
 
 def _wall_law(log: LogRows) -> Departures | None:
-    """Compare with the wall law itself; its rest position may differ from the first reading by the reading's error."""
+    """Compare with the wall law. Its rest position may differ from the first reading by the reading error."""
     error = abs(log.stiffness) * log.floor
     offsets = (0.0, np.clip(np.median(log.residual[log.kept]), -error, error))
     return None if all(log.off(log.command - log.residual + offset) for offset in offsets) else ()
 
 
 def _shifted(law: Law, *shifts: int) -> Law:
-    """Return a law whose command is logged some rows after its position, or before it if a shift is negative."""
+    """Return a law whose command is logged some rows after its position, or before it for a negative shift."""
 
     def shifted(log: LogRows) -> Departures | None:
         for shift in shifts:
             if (departures := law(log.moved(shift))) is not None:
-                text = f"the logged command is that of the wall law, one row {'late' if shift > 0 else 'early'}"
+                text = f"the logged command matches the wall law one row {'late' if shift > 0 else 'early'}"
                 return (Departure("command_shifted", text, len(log.command)), *departures)
         return None
 
@@ -90,11 +90,11 @@ def _shifted(law: Law, *shifts: int) -> Law:
 
 
 def hidden(log: LogRows) -> Departures | None:
-    """Return the rows preceded by missing rows according to the law alone; None if these do not explain the log."""
+    """Return the rows after missing rows, as implied by the law alone; None if they do not explain the log."""
     rows = hidden_rows(log)
     if not len(rows):
         return None
-    text = f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them"
+    text = f"{len(rows)} single rows, first row {rows[0]}, match the wall law only if a row is missing before them"
     return (Departure("missing_rows", text, len(rows)),)
 
 
@@ -102,7 +102,7 @@ def _clipped(log: LogRows) -> Departures | None:
     demand = log.step * log.after - log.wall
     low, high = float(log.command.min()), float(log.command.max())
     if is_equal(np.array([low, high]), log.step).any():
-        return None  # a command that never exceeds the step belongs to a wall that never pulls
+        return None  # if a command never exceeds the step, the wall never pulls
     below = (demand < low - log.rounding) & is_equal(log.command, low)
     above = (demand > high + log.rounding) & is_equal(log.command, high)
     count = int(below.sum() + above.sum())
@@ -113,14 +113,14 @@ def _clipped(log: LogRows) -> Departures | None:
 
 
 def _rate_limited(log: LogRows) -> Departures | None:
-    """Explain a command by a limit of its change from row to row."""
+    """Explain a command by a limit of its change between rows."""
     before, of_change = np.append(0.0, log.command[:-1]), log.of_command + np.append(0.0, log.of_command[:-1])
     change = log.command - before
     limit = float(np.abs(change).max())
     at = np.abs(np.abs(change) - limit) <= of_change + ROUNDING * limit
     if limit >= abs(log.step) * (1 - ROUNDING) or at.sum() < FEWEST_AT_LIMIT:
         return None
-    # half of a slowly rising step is late; the first row is at the limit
+    # half of a slowly rising step is late, so the first row at the limit is the edge
     log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
     demand = log.step * log.after - log.wall - before
     if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():
@@ -128,18 +128,18 @@ def _rate_limited(log: LogRows) -> Departures | None:
     rows = int((at & (np.abs(demand) > limit + log.rounding)).sum())
     if rows < FEWEST_AT_LIMIT:
         return None
-    text = f"the logged command changes by at most {limit:.4g} from row to row, in {rows} rows by that"
+    text = f"the change of the logged command between rows is limited to {limit:.4g}, which {rows} rows reach"
     return (Departure("rate_limit", text, rows),)
 
 
 def _one_sided(log: LogRows) -> Departures | None:
-    """Explain a command by a wall on one side of its surface, or one that only pushes."""
+    """Explain a command by a wall on one side of its surface, or by a wall that only pushes."""
     rows = int((np.abs(log.residual) > log.rounding).sum())
     inside = log.displacement * np.sign(log.step) > 0
     pushing = np.maximum(log.wall * np.sign(log.step), 0.0) * np.sign(log.step)
     for wall, how in (
-        (np.where(inside, log.wall, 0.0), "is there on one side of x_0 only"),
-        (np.where(inside, pushing, 0.0), "is there on one side of x_0 and only pushes"),
+        (np.where(inside, log.wall, 0.0), "acts on one side of x_0 only"),
+        (np.where(inside, pushing, 0.0), "acts on one side of x_0 and only pushes"),
         (pushing, "only pushes and never pulls"),
     ):
         if rows and not log.off(log.step * log.after - wall):
@@ -148,21 +148,21 @@ def _one_sided(log: LogRows) -> Departures | None:
 
 
 def _offset(log: LogRows) -> Departures | None:
-    """Explain a command by a constant added to the law, from the first row or from the step on."""
+    """Explain a command by a constant that is added to the law, from the first row or from the step on."""
     value = _constant(log, log.kept)
     if value is not None:
         text = f"the command includes a constant {value:.4g} in addition to the wall law"
         return (Departure("constant_force", text, len(log.residual)),)
     value = _constant(log, log.kept & log.after)
     if value is not None and not log.off(log.command - log.residual, ~log.after):
-        text = f"the step is {log.step + value:.6g}, its header says {log.step:.6g}"
+        text = f"the step is {log.step + value:.6g}, but the header states {log.step:.6g}"
         obeyed = (log.stiffness, log.damping, log.step + value)
         return (Departure("step_not_a_step", text, int(log.after.sum()), obeyed=obeyed),)
     return None
 
 
 def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
-    """Return the constant value of a residual in some rows, None if it is not constant."""
+    """Return the constant value of a residual in some rows; None if it is not constant."""
     residual, rounding = log.residual[rows], log.rounding[rows]
     if not len(residual):
         return None
@@ -171,7 +171,7 @@ def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
 
 
 def _other_step(log: LogRows) -> Departures | None:
-    """Explain a command by an external force that rises over several rows, from level to level (one `edge`)."""
+    """Explain a command by an external force that rises over several rows, from one level to another."""
     rows = len(log.external)
     turns = np.flatnonzero(np.abs(np.diff(log.external)) > log.rounding[1:] + log.rounding[:-1]) + 1
     if len(turns) < 2 or turns[0] < SETTLED_SAMPLES:
@@ -192,7 +192,7 @@ def _other_step(log: LogRows) -> Departures | None:
 
 
 def _other_wall(log: LogRows) -> Departures | None:
-    """Explain a command by another stiffness, damping, step or sign than in the header."""
+    """Explain a command by a stiffness, damping, step or sign that differs from the header."""
     terms = np.stack([log.after.astype(np.float64), -log.displacement, -log.change / log.period], axis=1)
     weight = log.kept / log.rounding
     values = least_squares(terms * weight[:, None], log.command * weight)
@@ -202,38 +202,38 @@ def _other_wall(log: LogRows) -> Departures | None:
     values[(np.abs(values * terms) <= log.rounding[:, None]).all(axis=0)] = 0.0
     step, stiffness, damping = map(float, values)
     evidence = (
-        f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
+        f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}, but the header states "
         f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
     )
     return (Departure("other_wall", evidence, len(log.command), obeyed=(stiffness, damping, step)),)
 
 
 def _other_unit(log: LogRows) -> Departures | None:
-    """Explain a command by K and B that are a power of ten times the header's, for any velocity filter."""
+    """Explain a command by K and B that differ from the header by a power of ten, for any velocity filter."""
     terms = np.stack([log.step * log.after, -log.wall], axis=1)
     step, wall = map(float, values := least_squares(terms, log.command))
     rest = log.command - terms @ values
-    # commands above 1/20 of the largest one contain 9/10 of the sum of squares: enough for a factor
+    # commands above 1/20 of the largest one contain 9/10 of the sum of squares, which suffices for a factor
     shown = wall and np.abs(wall * terms[:, 1]).max() > 0.05 * np.abs(log.command).max(initial=0.0)
     power = 10.0 ** np.rint(np.log10(abs(wall))) if shown else 1.0
     if power == 1.0 or abs(abs(wall) / power - 1) > SCALE_TOLERANCE or rest @ rest > 0.1 * (log.command @ log.command):
         return None
     stiffness, damping = wall * log.stiffness, wall * log.damping
     evidence = (
-        f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says "
+        f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}, but the header states "
         f"K = {log.stiffness:.6g}, B = {log.damping:.6g}"
     )
     return (Departure("other_unit", evidence, len(log.command), obeyed=(stiffness, damping, step * log.step)),)
 
 
 def _velocity(log: LogRows) -> tuple[Floats, Floats]:
-    """Return the velocity [m, rad a sample] contained in the command, and its error."""
+    """Return the velocity [m/sample, rad/sample] that the command contains, and its error."""
     output = (log.step * log.after - log.stiffness * log.displacement - log.command) * (log.period / log.damping)
     return output, log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
 
 
 def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departures | None:
-    """Explain a command by a velocity filter: over N samples, or recursive of lowest order; rows may be clipped."""
+    """Explain a command by a velocity filter over N samples or a recursive one; rows may be clipped."""
     if log.damping == 0:
         return None
     output, tolerance = _velocity(log)
@@ -247,8 +247,8 @@ def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departure
 
 
 def _position_filter(log: LogRows) -> VelocityFilterFound | None:
-    """Return the filter of the position for the whole wall, from the position that it must have used in each row."""
-    # after a lost row, the position used by the wall is unknown
+    """Return the filter of the position for the whole wall, from the position that the wall used in each row."""
+    # after a lost row, the position that the wall used is unknown
     if log.stiffness <= 0 or log.damping < 0 or not log.kept.all():
         return None
     whole = log.stiffness + log.damping / log.period
@@ -259,7 +259,7 @@ def _position_filter(log: LogRows) -> VelocityFilterFound | None:
 
 
 def _velocity_or_position_filter(log: LogRows) -> Departures | None:
-    """Explain a command by a velocity or position filter, whichever has fewer parameters."""
+    """Explain a command by a velocity filter or a position filter, whichever has fewer parameters."""
     velocity = _velocity_filter(log)
     free = np.inf if velocity is None or velocity[0].filter is None else velocity[0].filter.free
     position = _position_filter(log) if free > 1 else None
@@ -281,12 +281,12 @@ def _adaptive(log: LogRows) -> Departures | None:
     if not fits.any(axis=0)[log.kept].all() or (~fits[0, moves]).sum() <= ADAPTS * moves.sum():
         return None
     longest = int(np.argmax(fits[:, log.kept], axis=0).max(initial=0)) + 1
-    text = f"the velocity of the wall law is taken over 1 to {longest} samples, over others from row to row"
+    text = f"the window of the velocity in the wall law varies between 1 and {longest} samples"
     return (Departure("adaptive_velocity", text, len(output)),)
 
 
 def _decimated(log: LogRows) -> Departures | None:
-    """Explain a command by a velocity since a reading between two rows, which lies on the sensor's grid."""
+    """Explain a command by a velocity since a reading between two rows. The reading lies on the sensor's grid."""
     counts = np.rint(log.change / log.quantum) if log.quantum > 0 else np.zeros(1)
     if log.damping == 0 or not counts.any():
         return None
@@ -299,13 +299,13 @@ def _decimated(log: LogRows) -> Departures | None:
     every = int(np.gcd.reduce(steps.astype(np.int64)))
     if every < 2 or len(np.unique(steps)) < SETTLED_SAMPLES:
         return None
-    text = f"the velocity of the wall law is taken over 1/{every} of the {log.period:.4g} s from row to row"
+    text = f"the velocity of the wall law is computed over 1/{every} of the {log.period:.4g} s between rows"
     return (Departure("decimated_rows", text, len(output)),)
 
 
 def _filtered_and_clipped(log: LogRows) -> Departures | None:
-    """Explain the unclipped rows of a command by a velocity filter."""
-    # a command that never exceeds the step is not clipped there
+    """Explain the rows of a command that are not clipped by a velocity filter."""
+    # a command that equals the step is not clipped
     clipped = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
     clipped &= ~is_equal(log.command, log.step)
     limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
@@ -336,4 +336,4 @@ CANDIDATES: tuple[Law, ...] = (
     _filtered_and_clipped,
     _shifted(_velocity_filter, 1),
 )
-"""Candidates in the order of their number of free parameters: none, a limit or a constant, three, those of a filter."""
+"""Candidates in the order of their free parameters: none, a limit or a constant, three, and those of a filter."""

@@ -1,8 +1,8 @@
 """Rows of one log: rounding of printed digits, residual of the wall law, and missing or repeated rows.
 
-A file may print decimals or significant digits, or have single precision, possibly printed again. The numbers of a
-column show which one applies: the smallest number of digits that represents all of them. Each number has a rounding
-error of up to half a unit in its last digit.
+A file may print decimals or significant digits, or contain single precision, which may have been printed again. The
+numbers of a column show the format: it has the smallest number of digits that represents all of them. Each number has a
+rounding error of up to half a unit in its last digit.
 """
 
 from __future__ import annotations
@@ -21,20 +21,19 @@ from pipeline.measured.student import ROUNDING
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 FULL_DIGITS = int(np.finfo(np.float64).precision)
-"""Number of significant digits of any double; further digits are rounding errors."""
+"""Number of significant digits that any double has. Further digits are rounding errors."""
 
 ROUNDED = 4.0
-"""Largest deviation of a number from its printed digits, in rounding units, after parsing and possibly a unit
-conversion."""
+"""Largest deviation of a number from its printed digits after parsing and a unit conversion, in rounding units."""
 
 FEWEST_NUMBERS = 3
-"""Smallest number of different values from which digits can be inferred; a column of 0 and 8 shows none."""
+"""Smallest number of different values from which digits can be inferred. A column of 0 and 8 does not show any."""
 
 SINGLE_DIGITS = (int(np.finfo(np.float32).precision) + 1, int(np.finfo(np.float32).precision) + 3)
-"""Numbers of digits with which single precision is printed."""
+"""Range of the number of digits with which single precision is printed."""
 
 SET_DIGITS = 4
-"""Largest number of digits of a value set by a person (wall, period, cut-off); a value with more was truncated."""
+"""Largest number of digits of a value set by a person (wall, period, cut-off). A value with more was truncated."""
 
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
@@ -48,9 +47,9 @@ class Printed:
     digits : int
         Smallest number of significant digits that represents all numbers, at most `FULL_DIGITS`.
     decimal : float
-        Half a unit in the last common decimal of all numbers, 0 if there is none.
+        Half a unit in the last common decimal of all numbers; 0 if there is none.
     single : bool
-        Whether the numbers are, or were before printing, of single precision.
+        Whether the numbers have single precision, or had it before they were printed.
     half : float64, shape (N,)
         Half a unit in the last digit of each number; 0 for 0.
     """
@@ -71,8 +70,8 @@ def printed(values: Floats) -> Printed:
 
     Notes
     -----
-    Numbers with a fixed number of decimals have fewer significant digits the smaller they are: the coarser of both
-    resolutions counts. No number is more accurate than `FULL_DIGITS` digits.
+    With a fixed number of decimals, smaller numbers have fewer significant digits. The coarser of both resolutions is
+    used. No number is more accurate than `FULL_DIGITS` digits.
     """
     result = _printed(np.abs(values))
     if not result.in_full:
@@ -91,18 +90,18 @@ def _printed(size: Floats) -> Printed:
     half = np.maximum(_half(size, digits), decimal)
     rounded = size.astype(np.float32).astype(np.float64)
     if np.array_equal(rounded, size):
-        # single precision has a fixed number of digits; fewer are due to printing
+        # single precision has a fixed number of digits; a smaller number is due to printing
         half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
         return Printed(digits, decimal, True, np.maximum(half, full))
-    near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some lie half-way between two digits
+    near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some numbers lie half-way between two digits
     single = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool(near.all())
     return Printed(digits, decimal, single, np.maximum(half + 0.5 * _SINGLE * size * single, full))
 
 
 def stated_resolution(values: Floats) -> Floats:
-    """Return half a unit in the last digit of the numbers of a header, 0 if all have few digits.
+    """Return half a unit in the last digit of the numbers of a header; 0 if all have few digits.
 
-    All are printed in the same format: a number that ends in zeros merely seems to have fewer digits.
+    All numbers are assumed to have the same format, since a number that ends in zeros seems to have fewer digits.
     """
     size = np.abs(values)
     digits = _digits(size)
@@ -115,7 +114,7 @@ def _digits(size: Floats) -> int:
 
 
 def _exponent(size: Floats) -> Floats:
-    """Return the exponent (power of ten) of the first digit; 0 for 0."""
+    """Return the exponent (power of ten) of the first digit; 0 for a number of 0."""
     with np.errstate(divide="ignore"):
         result: Floats = np.where(size > 0, np.floor(np.log10(size) + _EPS), 0.0)
     return result
@@ -126,7 +125,7 @@ def _half(size: Floats, digits: int) -> Floats:
 
 
 def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
-    """Return which numbers have at most the given number of decimals, up to rounding."""
+    """Return whether each number has at most the given number of decimals, up to rounding."""
     # a number that overflows is not on a grid
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = size * 10.0 ** np.asarray(decimals, dtype=np.float64)
@@ -135,7 +134,7 @@ def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
 
 
 def _of_decimals(size: Floats) -> float:
-    """Return half a unit in the last common decimal of all numbers, 0 if they exceed the available digits."""
+    """Return half a unit in the last common decimal of all numbers; 0 if there are not enough digits."""
     top = int(_exponent(np.array([size.max()]))[0])
     decimals = next((n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all()), None)
     return 0.0 if decimals is None else 0.5 * 10.0**-decimals
@@ -144,10 +143,9 @@ def _of_decimals(size: Floats) -> float:
 def converted(values: Floats, half: float, others: Floats) -> float:
     """Return the step [N, Nm] of the converter grid on which all commands (N,) lie; 0 if there is none.
 
-    ``half`` is half a unit in their last digit, and ``others`` are wall forces due to one quantum of the sensor.
-
-    Source: Euclid's algorithm. A grid that also contains ``others`` is due to the sensor: with a coarse sensor, all
-    wall forces may be multiples of one force.
+    ``half`` is half a unit in the last digit of the commands. ``others`` are wall forces due to one quantum of the
+    sensor. If they also lie on the grid, the grid is due to the sensor: with a coarse sensor, all wall forces may be
+    multiples of one force. The step is found by Euclid's algorithm.
     """
     levels = np.unique(values)
     if len(levels) < FEWEST_ON_GRID:
@@ -156,7 +154,7 @@ def converted(values: Floats, half: float, others: Floats) -> float:
     common, *smallest = np.sort(change)[:FEWEST_ON_GRID].tolist()
     left_open = max(ROUNDED * half, GRID_TOLERANCE * common)
     for rest in smallest:
-        while rest > left_open:  # terminates: the remainder at least halves
+        while rest > left_open:  # terminates, since the remainder decreases by at least one half
             common, rest = rest, abs(common - rest * round(common / rest))
     if common < left_open / GRID:
         return 0.0
@@ -168,19 +166,19 @@ def converted(values: Floats, half: float, others: Floats) -> float:
 
 
 ROUNDINGS = 16.0
-"""Largest residual of the law that is attributed to rounding, in rounding units of its terms: it takes a dozen
-operations. One unit for commands of single precision, whose last digit is coarser."""
+"""Largest residual of the law that is attributed to rounding, in rounding units of its terms, for about a dozen
+operations. For commands of single precision, one coarser unit is used instead."""
 
 CAUGHT_UP = 1.3
-"""Smallest change in the row after a repeated reading, relative to the change before it; 2 at constant speed."""
+"""Smallest change after a repeated reading, relative to the change before it. At constant speed, the ratio is 2."""
 
 
 @dataclass(frozen=True, eq=False)
 class LogRows:
-    """Rows of one log as arrays of shape (N,), and its conditions.
+    """Rows of one log as arrays of shape (N,), and the conditions of the log.
 
-    ``of_command`` and ``of_position`` are the rounding errors of the printed numbers, ``coarser`` is that of a position
-    if it was rounded, although it may be the exact reading; ``left_open`` is the effect of rounding of K and B.
+    ``of_command`` and ``of_position`` are rounding errors of the printed numbers. ``coarser`` is the error of a
+    position that may be rounded or exact, in case it is rounded. ``left_open`` contains the rounding errors of K and B.
     ``kept`` marks the rows that a law must explain.
     """
 
@@ -208,7 +206,7 @@ class LogRows:
         K, B, T = trial.stiffness, trial.damping, trial.sampling_period_s
         forces = response.sensor_quantum * np.array([K, B / T])
         step = converted(trial.command, float(command.half.max()), forces)
-        # positions with fewer digits than the file format allows have the digits of the sensor
+        # if positions have fewer digits than the file format allows, the digits are those of the sensor
         finer = position.digits < command.digits and position.decimal > command.decimal
         read = command.in_full or position.in_full or (finer and not position.single)
         return cls(
@@ -224,7 +222,7 @@ class LogRows:
 
     @property
     def readings(self) -> Iterator[LogRows]:
-        """Yield the log with its positions as read by the controller, if they may be, and with rounded positions."""
+        """Yield the log with exact positions, if they may be exact, and with rounded positions."""
         yield self
         if self.coarser is not None:
             yield replace(self, of_position=self.coarser, coarser=None)
@@ -248,17 +246,17 @@ class LogRows:
 
     @cached_property
     def external(self) -> Floats:
-        """Command minus wall force [N, Nm]."""
+        """Command plus wall force [N, Nm], i.e. the external force."""
         return self.command + self.wall
 
     @cached_property
     def residual(self) -> Floats:
-        """Command minus wall force and step [N, Nm]."""
+        """Command plus wall force minus step [N, Nm]."""
         return self.external - self.step * self.after
 
     @cached_property
     def rounding(self) -> Floats:
-        """Largest residual in each row that the rounding of the logged digits allows [N, Nm]."""
+        """Largest residual in each row that rounding of the logged digits may cause [N, Nm]."""
         K, B = abs(self.stiffness), abs(self.damping) / self.period
         of_displacement = self.of_position + self.of_position[0]
         of_change = self.of_position + np.append(self.of_position[:1], self.of_position[:-1])
@@ -270,35 +268,35 @@ class LogRows:
 
     @cached_property
     def after(self) -> Booleans:
-        """Rows from the edge on."""
+        """Whether each row is at or after the edge."""
         result: Booleans = np.arange(len(self.position)) >= self.edge
         return result
 
     def without(self, rows: Booleans) -> LogRows:
-        """Return the log with the given rows excluded from any comparison with a law."""
+        """Return the log without the given rows in comparisons with a law."""
         return replace(self, kept=self.kept & ~rows)
 
     def moved(self, rows: int) -> LogRows:
-        """Return the log with commands shifted to earlier rows; its edge is the first row beyond half the step."""
+        """Return the log with its commands shifted to earlier rows. Its edge is the first row beyond half the step."""
         later = slice(max(rows, 0), len(self.command) + min(rows, 0))
         earlier = slice(max(-rows, 0), len(self.command) + min(-rows, 0))
         commands = {name: getattr(self, name)[later] for name in ("command", "of_command")}
         readings = {name: getattr(self, name)[earlier] for name in ("time", "position", "of_position")}
         coarser = None if self.coarser is None else self.coarser[earlier]
-        # a row is excluded if its command or its position is
+        # a row is excluded if its command or its position is excluded
         log = replace(self, **commands, **readings, kept=self.kept[later] & self.kept[earlier], coarser=coarser)
         return replace(log, edge=int(np.argmax(log.external * np.sign(self.step) > 0.5 * abs(self.step))))
 
     def off(self, predicted: NDArray[np.floating[Any]], rows: Booleans | None = None) -> bool:
-        """Return whether the command differs from the predicted one, over the given rows or all kept rows."""
+        """Return whether the command differs from a prediction, in the given rows or in all kept rows."""
         inside = self.kept if rows is None else self.kept & rows
         return bool((np.abs(self.command - predicted)[inside] > self.rounding[inside]).any())
 
 
 def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
-    """Return the constant rows between rows in which the device moves by more than ``least``, from ``first`` on."""
+    """Return the constant rows from ``first`` on between rows in which the device moves by more than ``least``."""
     rows = first + np.flatnonzero(change[first:] == 0)
-    # the next row catches up with the motion of the constant one; a device that reverses comes back instead
+    # the next row catches up with the motion of the constant row, unless the device has reversed
     behind = np.append(change[1:], 0.0)[rows]
     last, last_but_one = (np.take(change, rows - lag, mode="wrap") for lag in (1, 2))
     before = np.where(last != 0, last, last_but_one)
@@ -308,27 +306,26 @@ def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
 
 
 PLATEAU = 2
-"""Smallest number of rows of equal extreme command that shows a limit; two equal numbers are not attributed to
-chance."""
+"""Smallest number of rows with an equal extreme command for a limit. Two equal numbers are not attributed to chance."""
 
 STILL_FLOORS = 3.0
-"""Smallest change of position on both sides of a row, in sensor floors, that excludes a device at rest in this row."""
+"""Smallest change of position on both sides of a row, in sensor floors, for which the device moves in this row."""
 
 STILL_DIGITS = 60.0
-"""The same in half units of the last digit; a quantum of a few of these is not detected as one."""
+"""Smallest change of position in half units of the last digit for the same. A smaller quantum is not detected."""
 
 GRID = 0.05
 """Largest deviation of a reading from its grid, in quanta."""
 
 
 def hidden_rows(log: LogRows) -> Integers:
-    """Return the rows preceded by missing rows according to the wall law, which the time stamps may not show."""
+    """Return the rows after missing rows, as implied by the wall law. The time stamps may not show them."""
     off = (np.abs(log.residual) > log.rounding) & log.after
     moving = off & (log.change != 0)
     if not moving.any() or log.damping == 0:
         return np.empty(0, dtype=np.int64)
-    # over a missing row the position changed by more than since its previous reading: the residual is the damping
-    # force of the lost change, which is similar to its neighbours
+    # over a missing row, the position changed by more than since the previous reading; the residual is the damping
+    # force due to the lost change, which is similar to its neighbours
     lost = log.residual * log.period / log.damping
     near = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
     like = np.mean((np.abs(lost) < 2 * (near + log.floor))[off]) > 0.9
@@ -352,17 +349,17 @@ def _on_sensor_grid(log: LogRows, off: Booleans) -> bool:
 
 
 def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
-    """Return the two or more constant rows before and after which the device moves.
+    """Return constant rows before and after which the device moves (none if fewer than two), and a larger set.
 
-    Also return them together with rows that only the plain wall law distinguishes from a slow device; there, one is
-    enough.
+    The larger set also contains rows that only the plain wall law distinguishes from a slow device. One such row
+    suffices.
     """
     digits = STILL_DIGITS * log.of_position
-    # a quantum hidden by printing is at most the smallest change
+    # a quantum that printing hides is at most the smallest change
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
     least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.edge, least)
-    # the row itself violates the law if the device moved before, the next row if it continues to move
+    # a repeated row violates the law if the device moved before; the next row does if the device continues to move
     off = np.abs(log.residual) > log.rounding
     same = np.diff(log.command, prepend=np.nan) == 0
     by_law = log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
@@ -370,6 +367,6 @@ def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
 
 
 def is_equal(values: Floats, limit: float) -> Booleans:
-    """Return which values equal a limit, up to rounding."""
+    """Return whether each value equals a limit, up to rounding."""
     result: Booleans = np.abs(values - limit) <= ROUNDING * max(abs(limit), 1e-300)
     return result

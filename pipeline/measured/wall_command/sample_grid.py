@@ -1,6 +1,6 @@
-"""Logs on the grid of their sampling period: missing or repeated rows are interpolated, so that each row is a sample.
+"""Interpolate missing or repeated rows of a log, so that each row is a sample of the sampling grid.
 
-Quantities that count or sum samples (settling times, energies) would otherwise count rows.
+Settling times and energies count or sum samples. Without the grid, they would count or sum rows.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ MOST_MISSING = 0.1
 """Largest share of interpolated samples."""
 
 LARGEST_UNEXPLAINED = 0.005
-"""Largest error of the changes that no repeated or missing row explains, relative to the total distance travelled."""
+"""Largest error of changes that no repeated or missing row explains, relative to the total distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleGrid:
-    """A trial with a row for every sample.
+    """A trial with one row for each sample.
 
     Parameters
     ----------
     trial, response : Trial, Response
-        The trial on its grid, interpolated by cubics; the trial itself if no row is in doubt, or too many are. A trial
-        whose samples cannot be counted has no edge, and its ``edge_reason`` gives the reason.
+        The trial on its grid, interpolated by cubics. It is the trial itself if no row is missing or repeated. If the
+        samples cannot be counted, it is also unchanged, the response has no edge, and its ``edge_reason`` is the
+        reason.
     straight : Trial, optional
-        The same with linear interpolation, without measured force and velocity: the difference of both bounds the
-        interpolation error. None if nothing is interpolated.
+        The trial on its grid with linear interpolation. The difference between both trials bounds the interpolation
+        error. None if nothing is interpolated.
     """
 
     trial: Trial
@@ -55,9 +56,9 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
 
     Notes
     -----
-    Missing rows are found from the time stamps (`stamps`) or from the wall law; those shown only by the law cannot be
-    counted reliably, and such a trial has no edge. A row that repeats the one before, or a repeated reading, is
-    replaced by an interpolated sample.
+    Missing rows are found from the time stamps (`stamps`) or from the wall law. If only the law shows them, they cannot
+    be counted reliably, and the trial has no edge. A row that repeats the previous row, or its reading, is replaced by
+    an interpolated sample.
     """
     account, edge = law.account, response.edge_row
     seen, hidden = np.ones(trial.rows, dtype=np.bool_), 0
@@ -82,9 +83,9 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
 
 
 def _unexplained(log: LogRows, seen: Booleans) -> int:
-    """Return the number of rows that violate the wall law and that no repeated row explains, if there are any.
+    """Return the number of rows that neither the wall law nor a repeated row explains; 0 if no row is repeated.
 
-    The residual of such a row is the damping force due to the error of its change; errors that are a small part of the
+    The residual of such a row is the damping force due to the error of its change. Errors that are a small share of the
     total distance are ignored.
     """
     if seen.all():
@@ -98,19 +99,19 @@ def _unexplained(log: LogRows, seen: Booleans) -> int:
 
 
 def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
-    """Return the reason why the samples of a trial cannot be counted; empty if they can."""
+    """Return the reason why the samples of a trial cannot be counted; empty if they can be counted."""
     if hidden:
-        return f"{hidden} rows are missing or repeated where the stamps do not show it: samples cannot be counted"
+        return f"{hidden} missing or repeated rows are not visible in the stamps, so samples cannot be counted"
     longest = int(np.diff(index).max(initial=1)) - 1
     if longest > LONGEST_GAP or filled > MOST_MISSING * (index[-1] + 1):
-        return f"{filled} of {index[-1] + 1} rows are missing, {longest} of them in a row, too many to interpolate"
+        return f"{filled} of {index[-1] + 1} rows are missing, up to {longest} in succession: too many to interpolate"
     if edge > 0 and index[edge] - index[edge - 1] > 1:
-        return "rows are missing just before the step, so that the sample in which it begins is not known"
+        return "rows are missing just before the step, so the sample in which it begins is unknown"
     return ""
 
 
 def _interpolated(trial: Trial, index: Integers, seen: Booleans, *, cubic: bool) -> Trial:
-    """Return a trial with a row for every sample; ``index`` and ``seen`` mark the samples that have readings."""
+    """Return a trial with one row per sample. ``index`` and ``seen`` mark the samples with readings."""
     from scipy.interpolate import make_interp_spline
 
     samples, read = np.arange(index[-1] + 1), index[seen]

@@ -1,7 +1,7 @@
-"""Evaluation of the time stamps of a log: missing rows, scattering stamps, or another sampling period.
+"""Evaluate the time stamps of a log: missing rows, scattering stamps, or another sampling period.
 
-Time stamps count rows but do not time them: an operating system writes them late while control continues. A missing row
-shifts all later stamps, a late stamp only itself.
+Time stamps count rows, but they do not time them exactly: an operating system writes them late while control continues.
+A missing row shifts all later stamps, and a late stamp shifts only itself.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from pipeline.recording.timing import EVEN, other_period
 from pipeline.records.trials import Floats, Integers, Trial
 
 ODD = 0.5
-"""Smallest deviation of the distance of two stamps from a period, in periods, for which missing rows are considered."""
+"""Smallest deviation of a stamp distance from a period, in periods, for which missing rows are considered."""
 
 UNEVEN = 0.1
-"""Smallest deviation of stamp distances from whole periods, in periods, for which the stamps scatter."""
+"""Smallest deviation of a stamp distance from whole periods, in periods, for which the stamps scatter."""
 
 WINDOW = 7
-"""Number of rows of which half may have the stamp of a wrong row; fewer rows have no usual distance."""
+"""Number of rows of which half may have a wrong stamp. The usual distance of fewer rows is unknown."""
 
 CATCH_UP = 40
 """Number of rows after which late stamps are on time again."""
 
 FOLLOWED = 0.1
-"""Part of the deviation of a stamp that is expected to persist in the next ones, because two clocks drift apart."""
+"""Share of the deviation of a stamp that persists in the following stamps, because two clocks drift apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,16 +39,16 @@ class Stamps:
     Parameters
     ----------
     skipped : int64, shape (N - 1,)
-        Number of rows missing before each row except the first.
+        Number of missing rows before each row except the first.
     period : float
-        Median distance of the stamps if it differs from the sampling period [s], else the sampling period.
+        Median distance of the stamps if it differs from the sampling period [s]; otherwise the sampling period.
     scatter : float
         Standard deviation from even distances, in periods.
     odd : int
         Number of distances that deviate by more than half a period although no row is missing.
     scatters : bool
-        Whether the stamps deviate independently; with uneven control, a distance that is too long is not compensated by
-        the next one.
+        Whether the stamps deviate independently. If control is uneven, the next distance does not compensate a distance
+        that is too long.
     """
 
     skipped: Integers
@@ -59,12 +59,12 @@ class Stamps:
 
 
 def read_stamps(time: Floats, period: float) -> Stamps:
-    """Evaluate the time stamps of a log with a given sampling period, both in seconds.
+    """Evaluate the time stamps of a log for a given sampling period, both in seconds.
 
     Notes
     -----
     The lateness of a row is the number of missing rows before it, in periods, plus the lateness of its stamp and the
-    clock drift. The smallest lateness of the following stamps counts missing rows; the remainder is transient.
+    clock drift. The smallest lateness of the following stamps is due to missing rows. The remainder is transient.
     """
     steps = np.diff(time)
     none = np.zeros(len(steps), dtype=np.int64)
@@ -77,7 +77,7 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     late = (time - time[0]) / period - np.arange(len(time))
     stays = late
     whole = np.rint(steps / period)
-    if ((np.abs(steps / period - whole) > UNEVEN) | (whole < 1)).any():  # late stamps recover, lost rows do not
+    if ((np.abs(steps / period - whole) > UNEVEN) | (whole < 1)).any():  # late stamps recover, but lost rows do not
         stays = _behind(np.append(late, np.full(WINDOW - 1, np.median(late[-WINDOW:]))), WINDOW, np.median)
         stays = _behind(np.append(stays, np.full(CATCH_UP - 1, np.inf)), CATCH_UP, np.min)
     skipped, level = none, float(np.median(late[:WINDOW]) if stays is not late else late[0])
@@ -93,7 +93,7 @@ def read_stamps(time: Floats, period: float) -> Stamps:
 
 
 def _scatter(values: Floats) -> float:
-    """Return the standard deviation of most values: among scattering stamps a gap is located within a few rows."""
+    """Return the standard deviation of most values. Among scattering stamps, a gap is located within a few rows."""
     return float(np.median(np.abs(values - np.median(values))) / NORMAL_QUARTILE)
 
 
@@ -109,5 +109,5 @@ def even(trial: Trial) -> Trial:
 
 
 def _behind(values: Floats, rows: int, of: Callable[..., Floats]) -> Floats:
-    """Return a statistic of each value and its successors, over the given number of rows."""
+    """Return a statistic over each value and its successors, with the given number of rows."""
     return of(np.lib.stride_tricks.sliding_window_view(values, rows), axis=1)

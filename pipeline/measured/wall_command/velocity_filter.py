@@ -1,7 +1,7 @@
-"""Identification of the velocity filter of a wall law from its input and output.
+"""Identify the velocity filter of a wall law from its input and output.
 
-Input: the change of position dx_k = x_k - x_{k-1} from the log. Output: T/B (F_k - K (x_k - x_0) - u_k), the filtered
-change. Both are exact, so that the right filter has no residual.
+The input is the change of position dx_k = x_k - x_{k-1} in the log. The output is the filtered change,
+T/B (F_k - K (x_k - x_0) - u_k). Both are exact, so the correct filter has no residual.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from pipeline.measured.wall_command.log_rows import SET_DIGITS
 from pipeline.records.trials import Booleans, Floats
 
 HIGHEST_ORDER = 4
-"""Largest order of a recursive velocity filter that is searched for; the thesis and drives use 1 or 2."""
+"""Largest order of a recursive velocity filter in the search. The thesis and drives use 1 or 2."""
 
 LONGEST_WINDOW = 64
-"""Largest number of samples of a difference, and of an adaptive window, that is searched for."""
+"""Largest number of samples of a difference or of an adaptive window in the search."""
 
 ROUNDED_CUTOFF = 2.0
 """Largest residual, in rounding units, of a filter with a cut-off of `SET_DIGITS` digits."""
 
 FITTED_ROWS = 400
-"""Number of rows, counted from the edge, to which a filter is fitted: ten are needed, and there is no noise."""
+"""Number of rows from the edge to which a filter is fitted. Ten are sufficient, since there is no noise."""
 
 
 @dataclass(frozen=True)
 class VelocityFilterFound:
-    """Filter b(z)/a(z) of the backward difference, a[0] = 1.
+    """Filter b(z)/a(z) of the backward difference, with a[0] = 1.
 
-    ``difference`` is N for a mean over N samples, ``cutoff_hz`` is the cut-off of a Butterworth filter.
+    ``difference`` is N for a mean over N samples. ``cutoff_hz`` is the cut-off frequency of a Butterworth filter.
     """
 
     b: tuple[float, ...]
@@ -45,7 +45,7 @@ class VelocityFilterFound:
 
     @property
     def free(self) -> int:
-        """Number of free parameters: none for a mean over samples, the cut-off for a Butterworth filter."""
+        """Number of free parameters: none for a mean over samples, one for a Butterworth filter (cut-off)."""
         return 0 if self.difference else 1 if self.cutoff_hz else len(self.a) + len(self.b) - 2
 
     @property
@@ -58,7 +58,7 @@ class VelocityFilterFound:
         return Coefficients(kind="coefficients", b=self.b, a=self.a)
 
     def gain(self, angles: Floats) -> NDArray[np.complex128]:
-        """Return the complex gain at the given frequencies [rad a sample]."""
+        """Return the complex gain at the given frequencies [rad/sample]."""
         from numpy.polynomial.polynomial import polyval
 
         delay = np.exp(-1j * angles)
@@ -67,7 +67,7 @@ class VelocityFilterFound:
             return np.asarray(polyval(delay, self.b) / polyval(delay, self.a))
 
     def words(self) -> str:
-        """Return a description of the filter's effect on the velocity."""
+        """Return a phrase that describes the effect of the filter on the velocity."""
         if self.difference:
             return f"is the mean over {self.difference} samples"
         order = len(self.a) - 1
@@ -79,22 +79,22 @@ class VelocityFilterFound:
 def find_filter(
     change: Floats, output: Floats, rows: Booleans, tolerance: Floats, sampling_period_s: float
 ) -> VelocityFilterFound | None:
-    """Return the filter from a change of position to its filtered value, or None if none explains the rows.
+    """Return the filter from a change of position to its filtered value; None if no filter explains the rows.
 
     Parameters
     ----------
     change, output : float64, shape (N,)
-        dx and the value that the wall law uses for it [m, rad], from rest.
+        Change of position dx, and the value that the wall law uses instead [m, rad]. Both start at rest.
     rows : bool, shape (N,)
-        Rows whose output is known: the command is not clipped.
+        Rows with a known output, i.e. with a command that is not clipped.
     tolerance : float64, shape (N,)
-        Rounding of the output [m, rad].
+        Rounding error of the output [m, rad].
     sampling_period_s : float
         T [s].
 
     Notes
     -----
-    At constant speed a filter returns that speed: its static gain is 1. With another static gain the wall law itself
+    At constant speed, a filter returns this speed: its static gain is 1. Another static gain means that the wall law
     differs.
     """
     result = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
@@ -113,7 +113,7 @@ def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Float
 
 
 def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
-    """Return the filter of lowest order, by y_k - dx_k = sum a_i (dx_k - y_{k-i}) + sum b_j (dx_{k-j} - dx_k).
+    """Return the filter of lowest order with y_k - dx_k = sum a_i (dx_k - y_{k-i}) + sum b_j (dx_{k-j} - dx_k).
 
     This is the equation of a filter with a static gain of 1, b_0 = 1 + sum a_i - sum b_j.
     """
@@ -145,10 +145,10 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
 def _butterworth(
     change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: Floats, period: float
 ) -> VelocityFilterFound | None:
-    """Return the Butterworth filter near a recursive one, of its order or higher, if one explains all rows.
+    """Return the Butterworth filter near a recursive one, of its order or a higher one, if one explains all rows.
 
-    Low cut-offs make the equations of a recursive filter ill-conditioned: a filter of lower order then explains the
-    rows, too. Simulating the filter along the log avoids this.
+    For low cut-off frequencies, the equations of a recursive filter are ill-conditioned, so that a filter of lower
+    order also explains the rows. A simulation of the filter along the log avoids this.
     """
     from scipy.optimize import minimize_scalar
 
@@ -175,7 +175,7 @@ def _butterworth(
 
 
 def butterworth(order: int, cutoff: float) -> tuple[Floats, Floats]:
-    """Return b and a of a Butterworth low-pass by the bilinear transform, prewarped at the cut-off.
+    """Return b and a of a Butterworth low-pass filter from the bilinear transform, prewarped at the cut-off.
 
     The cut-off is relative to half the sampling frequency.
 
@@ -192,7 +192,7 @@ def butterworth(order: int, cutoff: float) -> tuple[Floats, Floats]:
 
 
 def filtered(b: Sequence[float] | Floats, a: Sequence[float] | Floats, x: Floats) -> Floats:
-    """Return the response of a filter b(z)/a(z), a[0] = 1, to a signal (N,) from rest.
+    """Return the response of a filter b(z)/a(z), with a[0] = 1, to a signal (N,) from rest.
 
     Examples
     --------
@@ -208,8 +208,9 @@ def filtered(b: Sequence[float] | Floats, a: Sequence[float] | Floats, x: Floats
 def _filtered(b: Floats, a: Floats, x: Floats) -> Floats:
     """Return y = b(z)/a(z) x, shape (N,): y_k = b_0 x_k + z_0, z_i = z_{i+1} + b_{i+1} x_k - a_{i+1} y_k.
 
-    ``b`` and ``a`` have the same length, a[0] = 1. Source: Oppenheim and Schafer, Discrete-Time Signal Processing,
-    transposed direct form II.
+    ``b`` and ``a`` have the same length, and a[0] = 1.
+
+    Source: Oppenheim and Schafer, Discrete-Time Signal Processing, transposed direct form II.
     """
     y = np.empty_like(x)
     z = np.zeros(len(b))
@@ -221,7 +222,7 @@ def _filtered(b: Floats, a: Floats, x: Floats) -> Floats:
 
 
 def least_squares(terms: Floats, values: Floats) -> Floats:
-    """Return the coefficients of terms (N, terms) whose sum is closest to values; 0 for a term of zeros."""
+    """Return the coefficients of terms (N, terms) whose sum is closest to the values; 0 for a term of zeros."""
     size = np.abs(terms).max(axis=0)
     size[size == 0] = 1.0
     result: Floats = np.linalg.lstsq(terms / size, values, rcond=None)[0] / size
@@ -229,5 +230,5 @@ def least_squares(terms: Floats, values: Floats) -> Floats:
 
 
 def _delayed(values: Floats, samples: int) -> Floats:
-    """Return values delayed by some samples, 0 before the log."""
+    """Return values delayed by some samples, with 0 before the log."""
     return np.concatenate([np.zeros(samples), values[: len(values) - samples]]) if samples else values

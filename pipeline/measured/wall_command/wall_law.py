@@ -1,8 +1,9 @@
-"""Comparison of a logged command with the wall law, and the cause of a departure, from the log alone.
+"""Compare a logged command with the wall law, and find the cause of a departure, from the log alone.
 
-The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. If the
-controller applies it, the residual u + K (x - x_0) + B dx/T - F contains only rounding. Otherwise the shape of the
-residual shows its cause: `candidates` are compared with the command in the order of their number of free parameters.
+The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T, with F_k = 0 before the edge and F_k = F_0 from the edge on.
+If the controller applies this law, the residual u + K (x - x_0) + B dx/T - F contains only rounding errors. Otherwise,
+the shape of the residual shows the cause: `CANDIDATES` are compared with the command in the order of their number of
+free parameters.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from pipeline.records.findings import MATTERS
 from pipeline.records.trials import Booleans, Integers, Trial
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
-"""Rounding of the law, relative to its largest force, if all numbers are printed in full, as in `LogRows.of`."""
+"""Rounding error of the law, relative to its largest force, if all numbers are printed in full (see `LogRows.of`)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +42,11 @@ class WallLaw:
     residual : float
         Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|; NaN without a command edge.
     rounding : float
-        Largest residual that rounding of the printed numbers can cause.
+        Largest residual that rounding of the printed numbers can cause, relative to |F_0|.
     departures : tuple of Departure
-        Reasons for a larger residual, most certain first; empty if the law is obeyed.
+        Reasons for a larger residual, the most certain one first; empty if the law is obeyed.
     account : Account, optional
-        Explanation of the rows of a log that was examined row by row.
+        Explanation of the rows, if the log was examined row by row.
     """
 
     residual: float
@@ -55,26 +56,26 @@ class WallLaw:
 
     @property
     def evidence(self) -> str:
-        """Evidence of the departures as one text."""
+        """Evidence of all departures as one text."""
         return "; ".join(departure.evidence for departure in self.departures)
 
     @property
     def filter(self) -> VelocityFilterFound | None:
-        """Velocity filter; None if the log shows none."""
+        """Velocity filter of the controller; None if the log shows none."""
         return next((departure.filter for departure in self.departures if departure.filter is not None), None)
 
     @property
     def other_wall(self) -> Departure | None:
         """Departure with the wall or step that the command obeys instead of the stated one; None if there is none.
 
-        The log does not apply to the stated wall.
+        Such a log contains no information on the stated wall.
         """
         others = (departure for departure in self.departures if departure.obeyed is not None)
         return next(others, None) if self.residual > MATTERS else None
 
     @property
     def obeyed(self) -> tuple[float, float, float]:
-        """K, B and step of that wall, NaN if there is none."""
+        """K, B and step of the other wall; NaN if there is none."""
         other = self.other_wall
         return (np.nan, np.nan, np.nan) if other is None or other.obeyed is None else other.obeyed
 
@@ -95,8 +96,9 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
 
     Notes
     -----
-    A residual within the rounding of command, position, K and B is not a departure (`digits`). A sensor quantum may
-    also lie on a decimal grid, and the controller used it exactly: a law is first tried with the positions as logged.
+    A residual within the rounding of command, position, K and B is not a departure (`log_rows`). A sensor quantum may
+    also lie on a decimal grid although the controller used the exact reading. Each law is therefore first tried with
+    exact positions.
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
@@ -128,19 +130,19 @@ def _has_odd_rows(trial: Trial, response: Response) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Account:
-    """Explanation of a log, row by row.
+    """Explanation of a log row by row.
 
     Parameters
     ----------
     log : LogRows
-        Log with the period and the rows shown by the time stamps.
+        Log with the period and the rows that the time stamps show.
     stamps : Stamps
     repeated : int64
-        Rows that repeat the row before, or its reading.
+        Rows that repeat the previous row or its reading.
     lost : int
-        Number of rows preceded by missing rows according to the law that the stamps do not show.
+        Number of rows after missing rows that the law implies, but the stamps do not show.
     departures : tuple of Departure, or None
-        Departures of the law that explains all other rows; None if there is no such law.
+        Departures of the law that explains all other rows; None if no law explains them.
     """
 
     log: LogRows
@@ -151,10 +153,10 @@ class Account:
 
 
 def account(log: LogRows) -> Account:
-    """Return the explanation of a log: a law with all rows as logged, or without repeated rows, or with lost ones."""
+    """Explain a log by a law with all rows as logged, without repeated rows, or with lost rows."""
     stamps = read_stamps(log.time, log.period)
     log = log.without(np.append(0, stamps.skipped) > 0)
-    if stamps.period != log.period and explanation(log) != ():  # else the controller runs at the period of the header
+    if stamps.period != log.period and explanation(log) != ():  # otherwise the header is correct
         log = replace(log, period=stamps.period)
     still, repeated = repeated_rows(log)
     departures = explanation(log)
@@ -171,9 +173,9 @@ def account(log: LogRows) -> Account:
 
 
 def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
-    """Yield the departures from the law: those of the stamps, then the rows and the law that explain the command."""
+    """Yield the departures from the law: those of the stamps, then those of the rows and of the law."""
     if rows.departures and rows.departures[0].code == "decimated_rows":
-        yield from rows.departures  # time stamps and header may both be right
+        yield from rows.departures  # both time stamps and header may be correct
         return
     by_stamps = tuple(_by_stamps(rows.stamps, log))
     yield from by_stamps
@@ -190,7 +192,7 @@ def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
 
 
 def _with_next(rows: Integers, count: int) -> Booleans:
-    """Return the rows and their successors: a change that is too small makes the next one too large."""
+    """Return the rows and their successors. A change that is too small makes the next change too large."""
     result = np.zeros(count + 1, dtype=np.bool_)
     result[rows] = result[rows + 1] = True
     return result[:count]
@@ -199,13 +201,13 @@ def _with_next(rows: Integers, count: int) -> Booleans:
 def _by_stamps(stamps: Stamps, log: LogRows) -> Iterator[Departure]:
     gaps = np.flatnonzero(stamps.skipped)
     if stamps.period != log.period:
-        text = f"rows are {stamps.period:.4g} s apart by their stamps, the header says {log.period:.4g} s"
+        text = f"the stamps show a period of {stamps.period:.4g} s, but the header states {log.period:.4g} s"
         yield Departure("sampling_period", text, len(log.time))
     if len(gaps):
         lost = int(stamps.skipped.sum())
         yield Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps))
     elif stamps.odd and stamps.scatters:
-        text = f"stamps scatter by {stamps.scatter:.2g} of a period about even ones, and no row is missing"
+        text = f"the stamps scatter by {stamps.scatter:.2g} of a period about even stamps, and no row is missing"
         yield Departure("scattered_stamps", text, stamps.odd)
 
 
@@ -213,6 +215,6 @@ def _repeated(log: LogRows, rows: Integers) -> tuple[Departure, ...]:
     if not len(rows):
         return ()
     whole = int((log.command[rows] == log.command[rows - 1]).sum()) > len(rows) / 2
-    what = "rows repeat the previous one" if whole else "readings of the position are repeated"
+    what = "rows repeat the previous row" if whole else "readings of the position are repeated"
     text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
     return (Departure("repeated_rows", text, len(rows)),)

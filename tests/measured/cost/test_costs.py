@@ -304,7 +304,7 @@ def test_reasons():
         assert found.reason[2].startswith("unstable")
     assert np.isnan(over.high).tolist() == [False, True, True]
     short = simulate([4000.0], [70.0], **FALCON, quantum=2e-6, noise=5e-7, baseline=3)
-    assert "noise of the sensor not known" in Logs(short).errors[0].reason
+    assert "sensor noise is unknown" in Logs(short).errors[0].reason
     with pytest.raises(ParameterError, match="delay"):
         reading_error(short[0], find_response(short[0]), -1, sensor=1e-6)
 

@@ -91,7 +91,7 @@ def test_a_coarse_sensor_is_refused_rather_than_guessed():
     found = measured(6e-5, 1e-6).energy(MASS)
     assert np.isfinite(found.value).mean(axis=0)[2] < 0.1
     assert (np.isnan(found.value).any(axis=1) == [bool(text) for text in found.reason]).all()
-    assert any("too much for a final displacement" in text for text in found.reason)
+    assert any("too large for a final displacement" in text for text in found.reason)
     assert any("leave" in text and "open" in text for text in found.reason)
 
 

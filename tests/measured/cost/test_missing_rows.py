@@ -89,7 +89,7 @@ def test_rows_that_the_stamps_do_not_show_leave_no_cost():
     found, reason = costs(without(whole(4), 0.02, 4, stamps=False))
     assert np.isnan(found["settle_2pct"]).all()
     assert np.isnan(found["energy_w1"]).all()
-    assert all("where the stamps do not show it" in text for text in reason)
+    assert all("not visible in the stamps" in text for text in reason)
 
 
 def test_whole_logs_are_not_touched():

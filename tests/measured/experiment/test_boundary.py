@@ -57,5 +57,5 @@ def test_equals_a_search_trial_by_trial(trials):
 
 
 def test_lengths_must_agree():
-    with pytest.raises(ParameterError, match="expected one of each per trial"):
+    with pytest.raises(ParameterError, match="expected one of each for every trial"):
         measured_boundary(np.zeros(2), np.zeros(3), ["stable"] * 2)

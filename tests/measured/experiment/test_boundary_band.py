@@ -308,7 +308,7 @@ def test_area_of_an_open_boundary_is_a_lower_bound():
     assert found.value is None
     assert found.low == pytest.approx(10 * (45 + 190 + 45))
     assert "at 1 of 3 dampings" in found.reason
-    assert "an area needs two" in boundary_area(area_points([90], [100], [110])).reason
+    assert "an area requires two" in boundary_area(area_points([90], [100], [110])).reason
     assert boundary_area(()).value is None
 
 

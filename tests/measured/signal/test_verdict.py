@@ -128,7 +128,7 @@ def test_a_log_that_ends_in_its_first_swing_tells_nothing(rows, verdict):
     log = simulate(np.array([100.0]), np.zeros(1), **device, rows=rows, **FALCON_SENSOR)
     found = verdicts(log)
     assert found.verdict.tolist() == [verdict]
-    assert ("before the motion turns" in found.reason[0]) == (verdict == "undecided")
+    assert ("before the motion reverses" in found.reason[0]) == (verdict == "undecided")
 
 
 def moved(rest):
