@@ -1,7 +1,7 @@
-"""Limits of walls on a general loop: at given dampings, and along the whole region.
+"""Compute the limits of walls for a general loop, at given dampings and over the whole stable region.
 
-The limit at a damping is the upper end of the stable interval that begins at alpha -> 0; a stable interval beyond an
-unstable gap, or above unstable soft walls, is an island.
+The limit at a damping is the upper end of the stable interval that begins at alpha -> 0. Another stable interval is an
+island: it lies beyond an unstable gap, or above unstable soft walls.
 """
 
 from __future__ import annotations
@@ -29,32 +29,33 @@ from pipeline.theory.crossings import (
 )
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
-"""Relative positions between two dampings at which intervals change: next to both, where limits still have 11 digits,
-and between, to detect corners."""
+"""Relative positions between two dampings at which intervals change. Next to both dampings, limits still have 11
+digits. Positions in between show corners."""
 
 _MIDDLE = len(_NODES) // 2
 
 _ASIDE = 1e-12
-"""Relative distance on both sides of a corner at which limits are computed."""
+"""Relative distance from a corner at which limits are computed, on both sides."""
 
 _MOST_CORNERS = 8
-"""Largest number of corners resolved between two neighbours; more than one is rare."""
+"""Largest number of corners between two neighbours that are resolved. More than one corner is rare."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits at dampings, normalised.
+    """Normalised limits at given dampings.
 
     Parameters
     ----------
     alpha : float64, shape (n,)
-        Stiffest wall of the interval that begins at alpha -> 0; nan without such an interval.
+        Stiffest wall of the interval that begins at alpha -> 0; nan if there is no such interval.
     angle : float64, shape (n,)
-        Angle of the pole that leaves the unit circle there [rad/sample]; pi for a real pole.
+        Angle of the pole that leaves the unit circle at the limit [rad/sample]; pi for a real pole.
     low, low_angle : float64, shape (n,)
-        Lower end of the interval, -gamma if it begins on that line, and the angle there, nan on the line.
+        Lower end of the interval and the angle there. If the interval begins on the line alpha = -gamma, they are
+        -gamma and nan.
     islands : float64, shape (i, 3)
-        Further stable intervals: beta, lowest and highest alpha > 0.
+        Further stable intervals: beta, and the lowest and the highest alpha > 0.
     """
 
     alpha: Floats
@@ -70,25 +71,25 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """The limit of walls over damping.
+    """Limit of walls over the damping.
 
     Parameters
     ----------
     beta : float64, shape (n,)
-        Sorted; empty if no soft wall is stable.
+        Sorted dampings; empty if no soft wall is stable.
     limits : Limits
-        There.
+        Limits at these dampings.
     part : int, shape (n,)
-        Number of the contiguous range of dampings to which each belongs.
+        Index of the contiguous range of dampings that contains each damping.
     islands : float64, shape (i, 3)
-        As in `Limits`: at these beta, and between the first and the last beta with any stable wall.
+        Islands as in `Limits`, at these dampings and between the first and the last damping with a stable wall.
     tried : float64, shape (t,)
-        Sorted dampings at which islands were searched, including both sides of each damping at which one begins or
-        ends.
+        Sorted dampings at which islands were searched for, including both sides of each damping at which an island
+        begins or ends.
     alpha_max, beta_at_alpha_max : float
-        The stiffest wall of all, islands excluded; nan without any.
+        Stiffest wall, without islands; nan if there is none.
     ends : tuple of float
-        Infimum and supremum of beta, to the last bit, if the limit is defined only next to them.
+        Infimum and supremum of beta, to the last bit. The limit may be defined only next to them.
     """
 
     beta: Floats
@@ -102,7 +103,7 @@ class Outline:
 
     @property
     def alpha(self) -> Floats:
-        """The limits themselves."""
+        """The limits at the dampings."""
         return self.limits.alpha
 
 
@@ -114,10 +115,10 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
     loop : NormalisedLoop
     beta : float64, shape (n,)
     exact : bool
-        Whether crossings are polished in many digits; else they have double precision.
+        Whether crossings are refined with many digits; otherwise they have double precision.
     floor : float
-        Softest wall, -gamma to 0: intervals that begin there or contain it are not islands; intervals below it are
-        ignored.
+        Softest wall, between -gamma and 0. Intervals that begin there or contain it are not islands. Intervals below it
+        are ignored.
     """
     found = stable_intervals(loop, beta)
     above = np.flatnonzero(found.high > floor)
@@ -141,22 +142,23 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
     ----------
     loop : NormalisedLoop
     points : int
-        Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
-        every corner and jump are added.
+        Number of dampings of the outline, at least 8. They are spread over its parts and denser towards their ends.
+        Both sides of every corner and jump are added.
     floor : float
-        As of `limits`.
+        Softest wall, as in `limits`.
 
     Notes
     -----
-    Begins, ends, jumps and extrema of limits are not searched by sampling: `crossings.turning_dampings` are all of
-    these except corners. A corner is detected if neighbouring dampings are bounded by different branches.
+    Begins, ends, jumps and extrema of limits are not searched for by sampling. They are all in
+    `crossings.turning_dampings`, which lacks only corners. A corner is detected if different branches bound
+    neighbouring dampings.
     """
     turning, nodes = turning_dampings(loop), _nodes(loop)
     marks = nodes[:, [0, -1]].ravel()
     marks = np.append(marks, _corners(loop, np.unique(nodes)))
     levels = np.unique(np.append(nodes, marks))
     islands = limits(loop, levels, exact=False, floor=floor).islands
-    # the middle of a gap is representative of all of it
+    # the middle of a gap represents the whole gap
     holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False, floor=floor).alpha)
     inside = np.concatenate([[False], holds, [False]])
     low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
@@ -180,7 +182,8 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
 
 def _nodes(loop: NormalisedLoop) -> Floats:
     """Return dampings between the turning dampings, shape (gaps, nodes)."""
-    # evenly spaced at usual dampings: with far larger ones an island next to the end of a gap would be missed
+    # even spacing is relative to usual dampings; with far larger dampings, an island near the end of a gap would be
+    # lost
     turning = turning_dampings(loop)
     usual = float(np.median(np.abs(np.append(turning, 1.0)))) or 1.0
     evenly = np.arcsinh(turning / usual)
@@ -190,7 +193,7 @@ def _nodes(loop: NormalisedLoop) -> Floats:
 def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
     """Return one damping just below and one just above each damping at which the bounding branches change.
 
-    Changes are located between adjacent ``levels``, which are sorted.
+    Changes are located between neighbouring ``levels``, which must be sorted.
     """
     known = _bounds(loop, levels)
     low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
@@ -201,7 +204,7 @@ def _corners(loop: NormalisedLoop, levels: Floats) -> Floats:
         if not len(low):
             break
         good, bad = bisect(partial(_are_bounded, loop, left), low, high)
-        # slightly off the corner, where rounding would decide
+        # slightly off the corner, since rounding would decide at the corner
         corners += [np.maximum(good - _ASIDE * np.abs(good), low), np.minimum(bad + _ASIDE * np.abs(bad), high)]
         low, left = bad, _bounds(loop, bad)
     return np.concatenate(corners)
@@ -212,31 +215,31 @@ def _are_bounded(loop: NormalisedLoop, by: Integers, beta: Floats) -> Booleans:
 
 
 def _bounds(loop: NormalisedLoop, beta: Floats) -> Integers:
-    """Return a number that identifies the branches that bound the stable intervals at each beta."""
+    """Return a number for each beta that identifies the branches that bound its stable intervals."""
     found, result = stable_intervals(loop, beta), np.zeros(len(beta), np.intp)
     np.add.at(result, found.index, (found.bounds + 1) ** 2)
     return result
 
 
 _FEWEST = 8
-"""Number of points of an outline computed only for its islands, which do not depend on it."""
+"""Number of points of an outline that is computed only for its islands. The islands do not depend on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Stability boundary: the edge of the stable set over the damping.
+    """Stability boundary: the edge of the stable region over the damping.
 
     Parameters
     ----------
     alpha, beta, theta : float64, shape (n,)
-        Points sorted by beta, then back along the lower edge of the region; nan between separate regions. The
-        angle is that of the pole that leaves the unit circle there, nan where it is unknown.
+        Points sorted by beta, followed by the lower edge of the region in reverse order; nan between separate regions.
+        theta is the angle of the pole that leaves the unit circle at the point; nan if unknown.
     alpha_max, beta_at_alpha_max : float
-        Largest stable alpha and its beta, islands excluded here and below.
+        Largest stable alpha without islands, and its beta.
     beta_max, alpha_at_beta_max : float
-        Largest stable beta and its alpha.
+        Largest stable beta without islands, and its alpha.
     beta_min : float
-        Infimum of stable beta.
+        Infimum of stable beta without islands.
     islands : float64, shape (i, 3)
         Other stable intervals, as in `Outline`.
     """
@@ -260,18 +263,19 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
     ----------
     loop : NormalisedLoop
     points : int
-        Approximate number of points, >= 8.
+        Approximate number of points, at least 8.
 
     Raises
     ------
     ParameterError
-        If fewer than 8 points are asked for, or nothing is stable.
+        If fewer than 8 points are requested, or no wall is stable.
 
     Notes
     -----
-    Usually it is one branch: it starts at theta -> 0 on the line alpha = -gamma, and ends where it meets that line
-    again. Where several branches bound the region (a plant that resonates within the delay, damping above about 2 m/T
-    without delay, filters), it is followed over the damping, with both sides of each corner.
+    Usually, the boundary is one branch. It starts at theta -> 0 on the line alpha = -gamma and ends at the next point
+    on this line. Several branches bound the region if the plant resonates within the delay, if the damping exceeds
+    about 2 m/T without a delay, or with filters. The boundary is then computed over the damping, with both sides of
+    each corner.
 
     Source: Hulin 2017, sec. 3.4; reproduces Tables B.1 to B.4.
     """
@@ -282,18 +286,18 @@ def boundary(loop: NormalisedLoop, points: int = 400) -> Boundary:
 
 
 def has_islands(loop: NormalisedLoop) -> bool:
-    """Return whether any stable wall lies beyond an unstable range of softer ones, down to alpha -> 0."""
+    """Return whether a stable wall exists beyond an unstable range of softer walls, down to alpha -> 0."""
     return first_branch(loop) is None and len(outline(loop, _FEWEST).islands) > 0
 
 
 def stabilises(loop: NormalisedLoop) -> bool:
-    """Return whether any damping stabilises a soft wall."""
+    """Return whether some damping stabilises a soft wall."""
     return first_branch(loop) is not None or len(outline(loop, _FEWEST).beta) > 0
 
 
 def _along(loop: NormalisedLoop, first: FirstBranch, points: int) -> Boundary:
-    """Return the boundary parametrised by the angle; its largest damping is at its end point."""
-    # cosine spacing: dense at both ends, where the branch meets the line alpha = -gamma
+    """Return the boundary parametrised by the angle. Its largest damping is at its end point."""
+    # cosine spacing is dense at both ends, where the branch meets the line alpha = -gamma
     share = 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
     place, turns = np.minimum(place_of(float(angle_of(np.array(first.end))) * share), first.end), stiffness_turns(loop)
     peak_at = np.log(turns[:1])
@@ -332,10 +336,11 @@ def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
 
 
 def _edges(rows: Floats, level: Integers, line: float) -> Floats:
-    """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between them.
+    """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between regions.
 
-    Rows are stable intervals, upwards in beta: beta, low, high and their angles. Intervals of neighbouring levels are
-    matched by their order, or by overlap if their number changes; an edge ends where regions join.
+    Rows are stable intervals in ascending order of beta: beta, low, high, and the angles at low and high. Intervals of
+    neighbouring levels are matched by their order, or by overlap if their number changes. An edge ends where regions
+    join.
     """
     chains: list[list[int]] = []
     joined = np.zeros(len(rows), np.bool_)
@@ -345,7 +350,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
         ends = np.array([c[-1] for c in before], dtype=np.intp)
         low, high = rows[ends, 1:3].T
         meets = (low < rows[here, 2, None]) & (high > rows[here, 1, None])
-        # with equal numbers, no region begins, ends or joins
+        # for equal numbers, no region begins, ends or joins another one
         meets = np.eye(len(here), dtype=np.bool_) if len(here) == len(ends) else meets
         for i, met in zip(here, meets, strict=True):
             if met.sum() == 1 and meets[:, met].sum() == 1:
@@ -357,7 +362,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     for chain in chains:
         off = rows[chain, 1] > line
         off[-1] |= off.any()
-        # an edge along the line needs only its ends
+        # for an edge along the line, only the ends are needed
         kept = off | np.append(off[1:], False) | np.append(False, off[:-1])
         up, down = rows[chain][:, [2, 0, 4]], rows[chain][kept][::-1, [1, 0, 3]]
         found += [gap, up, gap[: int(joined[chain[-1]])], down]
@@ -365,7 +370,7 @@ def _edges(rows: Floats, level: Integers, line: float) -> Floats:
 
 
 def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
-    """Return which points are stable: all poles inside the unit circle.
+    """Return whether each point is stable, i.e. has all poles inside the unit circle.
 
     Parameters
     ----------
@@ -375,7 +380,7 @@ def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 
     Notes
     -----
-    Exact up to rounding of the boundary: no guarantee for spectral radii closer to 1 than 1e-12.
+    The result is exact up to rounding of the boundary. It is not guaranteed for spectral radii closer to 1 than 1e-12.
 
     Source: Hulin 2017, sec. 3.4.
     """
@@ -385,19 +390,19 @@ def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 def is_well_inside(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True
 ) -> Booleans:
-    """Return which points are stable and stay stable if alpha moves either way by a share of alpha + gamma, shape (n,).
+    """Return whether each point stays stable if alpha changes by a share of alpha + gamma in either direction, (n,).
 
-    Costs of points closer to the boundary are sums over billions of samples, dominated by rounding. Without ``islands``
-    a wall counts only if every softer one at its damping is stable, too, down to alpha -> 0.
+    Costs of points closer to the boundary are sums over billions of samples, which rounding dominates. Without
+    ``islands``, every softer wall at the same damping must also be stable, down to alpha -> 0.
     """
     away = share * (alpha + loop.gamma)
     return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
 
 
 def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
-    """Return the alpha up to which every softer wall is stable at each beta, down to alpha -> 0; both (n,).
+    """Return the alpha at each beta up to which all softer walls are stable, down to alpha -> 0, shape (n,).
 
-    -inf without such an alpha. Accuracy as for `is_inside`.
+    The limit is -inf if there is no such alpha. The accuracy is that of `is_inside`.
 
     Source: Hulin 2017, sec. 3.4.
     """
@@ -410,7 +415,7 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
-    """Return the distance of alpha to the nearer end of its stable interval, negative outside of any, shape (n,)."""
+    """Return the distance of alpha to the closer end of its stable interval, shape (n,); negative outside of any."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
     kept = np.flatnonzero(islands | (found.low <= 0))
@@ -418,7 +423,7 @@ def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool
     result = np.full(len(alpha), -np.inf)
     counts = np.bincount(index, minlength=len(levels))
     start = np.cumsum(counts) - counts
-    for number in range(int(counts.max(initial=0))):  # one round per stable interval of a line: few
+    for number in range(int(counts.max(initial=0))):  # one round per stable interval of a line, of which there are few
         has = np.flatnonzero(counts[of] > number)
         row = start[of[has]] + number
         result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
@@ -426,47 +431,48 @@ def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool
 
 
 _STIFFNESSES = 65
-"""Number of springs in the first sweep, denser towards both ends; the limit is smooth in gamma between a few kinks."""
+"""Number of springs in the first sweep, denser towards both ends. Between a few kinks, the limit is smooth in gamma."""
 
 _ROUNDS = 4
 """Number of refinements around the worst spring of each beta."""
 
 _FINER = 8
-"""Number of new springs per round in each gap next to a worst one: finally 8^4 finer, an error of 1e-9 at a smooth
-minimum."""
+"""Number of parts per round into which gaps next to a worst spring are divided. After all rounds, the gaps are divided
+by 8^4, with an error of 1e-9 at a smooth minimum."""
 
 
 _POINTS = 40
-"""Number of dampings of an outline below the device damping, and above it."""
+"""Number of dampings of an outline on each side of the damping of the device."""
 
 
 def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
-    """Return the outline of the region stable with every spring: alpha, beta and the worst spring gamma, shape (n,).
+    """Return the outline of the region that is stable with every spring: alpha, beta and the worst gamma, shape (n,).
 
-    Empty without such a region, as for delta = 0. Parameters and errors as for `robust_limits`.
+    The arrays are empty if there is no such region, e.g. for delta = 0. Parameters and errors are as in
+    `robust_limits`.
 
     Source: Hulin 2017, Fig. 4.5.
     """
     beyond = np.geomspace(1.0, 1 + 4 / (delta * (delay + 0.5)), _POINTS) if delta > 0 else np.empty(0)
     beta = delta * np.concatenate([np.linspace(-1.0, 1.0, _POINTS), beyond[1:]])
     alpha, gamma = robust_limits(delta, delay, beta)
-    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is 0 up to rounding
+    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b, alpha is 0 up to rounding
     return alpha[inside], beta[inside], gamma[inside]
 
 
 def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Floats]:
-    """Return the largest alpha that is stable with every spring, and the worst spring gamma, at each beta.
+    """Return the largest alpha at each beta that is stable with every spring, and the worst spring gamma.
 
     Parameters
     ----------
     delta, delay : float
-        Normalised damping of the device and delay factor.
+        Normalised damping of the device, and delay factor.
     beta : array_like, shape (n,)
 
     Returns
     -------
     limit, gamma : float64, shape (n,)
-        -inf where no alpha > 0 is stable with every spring (always for delta = 0, where the region vanishes).
+        The limit is -inf if no alpha > 0 is stable with every spring, e.g. for delta = 0.
 
     Raises
     ------
@@ -475,16 +481,16 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
 
     Notes
     -----
-    gamma runs from 0 to pi^2 + delta^2/4 (4.15). Every alpha between 0 and the limit is robustly stable: the limit is
-    the smallest upper end, over all springs, of the stable interval that starts at or below 0. It is found by a sweep
-    over gamma, refined around the worst springs. At long delays it is too low (conservative) by 0.5 % at d = 128 and
-    0.7 % at d = 256.
+    gamma is between 0 and pi^2 + delta^2/4 (4.15). Every alpha between 0 and the limit is robustly stable. For each
+    spring, the stable interval that starts at or below 0 has an upper end. The limit is the smallest of these ends. It
+    is found by a sweep over gamma, refined around the worst springs. For long delays it is conservative, by 0.5 % at
+    d = 128 and 0.7 % at d = 256.
 
     Source: Hulin 2017, sec. 4.3.3.
     """
     _, b = as_points(0.0, beta)
     if not (math.isfinite(delta) and delta >= 0):
-        raise ParameterError(f"delta = {delta}: expected a finite number that is not negative.")
+        raise ParameterError(f"delta = {delta}: expected a finite nonnegative number.")
     largest = math.pi**2 + delta**2 / 4
     gamma = 0.5 * largest * (1 - np.cos(np.pi * np.linspace(0, 1, _STIFFNESSES)))
     limits = np.stack([stiffness_limit(NormalisedLoop.ideal(float(g), delta, delay), b) for g in gamma])
@@ -498,7 +504,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         new = (gamma[gaps, None] + (gamma[gaps + 1] - gamma[gaps])[:, None] * share).ravel()
         rows = np.full((len(new), len(b)), np.inf)
         nearest = gamma[np.argmin(limits, axis=0)]
-        for row, value in zip(rows, new, strict=True):  # each spring only for the beta with a neighbouring worst spring
+        for row, value in zip(rows, new, strict=True):  # use a spring only for beta with a worst spring nearby
             near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
             if len(near):
                 row[near] = stiffness_limit(NormalisedLoop.ideal(float(value), delta, delay), b[near])
@@ -516,34 +522,33 @@ def _reach(gamma: Floats, value: float) -> float:
 
 
 _SLIDING = 0.5
-"""Largest friction, relative to the inertial force at the turning points, for which motion is approximated by a
-sine."""
+"""Largest friction, relative to the inertial force at the turning points, for which a sine approximates the motion."""
 
 _EQUIVALENTS = 12
-"""Number of equivalent dampings tried: neighbours differ by at most half."""
+"""Number of equivalent dampings that are tried. Neighbouring dampings differ by at most one half."""
 
 _SEEN = 0.1
-"""Smallest limit, relative to the largest, of the dampings that determine the range of equivalent dampings."""
+"""Smallest limit, relative to the largest one, at dampings that determine the range of equivalent dampings."""
 
 
 def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
-    """Return the limit at dampings for oscillations with the amplitude of a step, F_0/(K + k); nan where not valid.
+    """Return the limit at dampings for oscillations with the amplitude of a step, F_0/(K + k); nan if not valid.
 
     Parameters
     ----------
     loop : NormalisedLoop
     beta : float64, shape (n,)
     share : float
-        Friction over the step, f_c/F_0, > 0.
+        Ratio of friction to step, f_c/F_0, > 0.
 
     Notes
     -----
-    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency. Therefore limits are computed at
-    several equivalent dampings, each with its friction, and interpolated linearly: to about 1 % of the effect of
-    friction. Valid if the motion slides throughout: f_c <= m omega^2 A/2.
+    The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency. Limits are therefore computed for
+    several equivalent dampings and the corresponding friction, and interpolated linearly. The error is about 1 % of the
+    effect of friction. The limit is valid if the motion slides throughout: f_c <= m omega^2 A/2.
 
-    The describing function replaces the square wave of the friction by its first harmonic. A larger oscillation makes
-    the wall less stable, so the linear limit remains for large ones.
+    The describing function replaces the square wave of friction by its first harmonic. A wall is less stable for larger
+    oscillations. The linear limit applies to large ones.
 
     Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
     """
@@ -557,7 +562,7 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
     shares = np.pi * angle * added / (4 * (alpha + loop.gamma))
     result = np.full(len(beta), np.nan)
     for i in range(len(beta)):
-        over = np.flatnonzero(shares[:, i] >= share)  # the first: with softer walls the oscillation decays
+        over = np.flatnonzero(shares[:, i] >= share)  # the first one, since the oscillation decays with softer walls
         if len(over) and over[0] > 0:
             some = slice(over[0] - 1, over[0] + 1)
             stiff, turn = (np.interp(share, shares[some, i], values[some, i]) for values in (alpha, angle))
@@ -567,7 +572,7 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
 
 
 def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> float:
-    """Return the stiffness up to which the sensor resolution causes no limit cycle: 2 f_c/(g quantum), in SI.
+    """Return the stiffness up to which the sensor resolution causes no limit cycle, 2 f_c/(g quantum), in SI.
 
     Parameters
     ----------
@@ -576,11 +581,11 @@ def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> fl
     quantum : float
         Sensor resolution [m, rad], > 0.
     force_gain : float
-        Force over command, g.
+        Force per command, g.
 
     Notes
     -----
-    The condition is sufficient, not necessary: stiffer walls may be free of limit cycles, too.
+    The condition is sufficient but not necessary: stiffer walls may also be free of limit cycles.
 
     Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
     """

@@ -1,7 +1,7 @@
-"""Results of theory for command line, REST and Python: limits, costs of listed walls, optima.
+"""Compute results of theory for the command line, REST and Python: limits, costs of listed walls, and optima.
 
-Each result is a record, with its JSON document by ``to_json`` and its rows by ``columns``. A number that cannot be
-computed is NaN in a record and None in a document, with the reason. `pipeline.theory.costs` makes maps.
+Each result is a record. ``to_json`` returns its JSON document, and ``columns`` returns its rows. A number that cannot
+be computed is NaN in a record and None in a document, with a reason. Maps are in `pipeline.theory.costs`.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ POINT_COSTS = tuple(
     for name in ("settle_2pct", "overshoot", *(c.name for c in CRITERIA.values() if c.family is ENERGY))
     for suffix in ("", DISCRETE)
 )
-"""Default costs of a listed point."""
+"""Default costs of a listed wall."""
 
 MARGINAL = 1e-12
-"""Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
+"""Distance of the spectral radius from 1 below which no cost is given. The rounding errors of poles are about 1e-15,
 and energy costs grow with the inverse distance to the power of w + 1, so fewer than three digits would remain."""
 
 _ISLANDS = (
-    "not searched: walls beyond an unstable stretch (at their damping, softer ones are unstable), which exist for this "
-    "loop and may cost less"
+    "walls beyond an unstable gap, for which softer walls at their damping are unstable, were not searched; they exist "
+    "for this loop and may have lower costs"
 )
 
-_NEGATIVE = "the stiffness is negative: the device's own spring, or that of an operator, is stiffer than is best"
+_NEGATIVE = "the stiffness is negative: the spring of the device or of an operator is stiffer than the optimum"
 
 LARGEST = 1e200
-"""Largest alpha and beta, far above any limit; the matrices of larger ones overflow."""
+"""Largest alpha and beta, far above any limit. Matrices would overflow for larger values."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A loop with the units and names of its documents.
+    """Loop with the units and names of its documents.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class Case:
     units : LoopUnits, optional
         Units of the wall, if it is given in SI.
     names : dict
-        Further entries of every document; the normalised parameters if there are no units.
+        Further entries of every document. Without units, the normalised parameters of the loop are also entries.
     motion : {"translation", "rotation"}, optional
-        Motion of a device; determines the units in files.
+        Motion of a device, which determines the units in files.
     """
 
     loop: NormalisedLoop
@@ -86,14 +86,14 @@ class Case:
         return (1.0, 1.0) if self.units is None else (self.units.stiffness, self.units.damping)
 
     @property
-    def said(self) -> dict[str, Any]:
+    def loop_entries(self) -> dict[str, Any]:
         """Entries on the loop in every document."""
         plant = {} if self.units is not None else {name: getattr(self.loop, name) for name in CASE_COLUMNS[2:]}
         return {**plant, **self.names}
 
 
 def case_of(device: Device, experiment: Experiment) -> Case:
-    """Return the loop of a device's experiment; at the mean if its delay jitters, with the range in `Case.names`."""
+    """Return the loop of a device's experiment. If its delay jitters, the mean is used; `Case.names` has the range."""
     loop, table = device.loop_for(experiment), device.loop_table(experiment)
     low, high = loop.delay_range
     names = {
@@ -124,16 +124,16 @@ class PointCosts:
     Parameters
     ----------
     names : tuple of str
-        Columns of a wall, and of its loop if that is normalised.
+        Columns of a wall and, for a normalised case, of its loop.
     walls : float64, shape (n, names)
     stable : bool, shape (n,)
     spectral_radius : float64, shape (n,)
     costs : dict of float64, shape (n,)
-        Costs by criterion; NaN without a cost.
+        Costs by criterion; NaN if there is no cost.
     reason : tuple of str or None, n
-        Why costs are NaN.
+        Reason why costs are NaN.
     left_out : tuple of str, optional
-        Parts of a device that its loop does not include.
+        Parts of the device that the loop does not include.
     """
 
     names: tuple[str, ...]
@@ -145,25 +145,25 @@ class PointCosts:
     left_out: tuple[str, ...] | None = None
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the columns of a table, None where a cost is NaN."""
+        """Return the columns of a table, with None for a cost of NaN."""
         walls = {name: values.tolist() for name, values in zip(self.names, self.walls.T, strict=True)}
         stability = {"stable": self.stable.tolist(), "spectral_radius": self.spectral_radius.tolist()}
         costs = {name: _listed(values) for name, values in self.costs.items()}
         return {**walls, **stability, **costs, "reason": list(self.reason)}
 
     def to_json(self) -> list[dict[str, Any]]:
-        """Return the document of ``theory points``: one row of the columns per wall."""
+        """Return the document of ``theory points``, with one row of the columns per wall."""
         columns, more = self.columns(), {} if self.left_out is None else {"left_out": list(self.left_out)}
         return [dict(zip(columns, row, strict=True)) | more for row in zip(*columns.values(), strict=True)]
 
 
 def costs_of_cases(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> PointCosts:
-    """Return stability and costs of rows with `CASE_COLUMNS`, in the order of the file.
+    """Return stability and costs for rows with `CASE_COLUMNS`, in the order of the file.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion, or if a value of a row is outside its range.
+        If a criterion is unknown, or a value of a row is out of range.
     """
     check_criteria(criteria)
     for name, values in zip(CASE_COLUMNS[:2], cases.values.T, strict=False):
@@ -197,13 +197,13 @@ def one_case(cases: Cases) -> Case:
     Raises
     ------
     ParameterError
-        If there are several, or none.
+        If there are several loops, or none.
     """
     plants = np.unique(cases.values[:, 2:], axis=0)
     if len(plants) != 1:
         raise ParameterError(
-            f"{cases.path}: a picture shows the points of one loop, found {len(plants)} different rows of gamma, delta "
-            "and delay. Give a file for each loop."
+            f"{cases.path}: a figure shows the points of one loop, found {len(plants)} combinations of gamma, delta "
+            "and delay. Use a separate file for each loop."
         )
     gamma, delta, delay = map(float, plants[0])
     return Case(NormalisedLoop.ideal(gamma, delta, delay))
@@ -216,18 +216,18 @@ def costs_of_walls(case: Case, walls: Floats, criteria: Sequence[str] = POINT_CO
     ----------
     case : Case
     walls : float64, shape (n, 2 or more)
-        Stiffness and damping in the case's units.
+        Stiffness and damping in the units of the case.
     criteria : sequence of str
-        As of `costs.CostMap`.
+        Criteria as in `costs.CostMap`.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion.
+        If a criterion is unknown.
 
     Notes
     -----
-    Points with alpha + gamma <= 0 have no final position, a real pole z >= 1, and are not stable.
+    Points with alpha + gamma <= 0 have a real pole z >= 1 and no final position. They are not stable.
     """
     check_criteria(criteria)
     for name, values, scale in zip(case.axes, walls.T, case.scale, strict=False):
@@ -256,19 +256,19 @@ def costs_of_walls(case: Case, walls: Floats, criteria: Sequence[str] = POINT_CO
 
 
 def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: list[str]) -> str | None:
-    """Return why a wall lacks costs by some criteria; None if none is missing."""
+    """Return why a wall has no cost for some criteria; None if all costs exist."""
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
     if radius >= 1:
         return "unstable"
     if radius >= 1 - MARGINAL:
-        return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
+        return f"spectral radius within {MARGINAL:g} of 1: costs would consist of rounding errors"
     return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """The limit of walls with its extremes, in the units of a case.
+    """Limit of walls with its extremes, in the units of a case.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ class Boundary:
     stiffness, damping : float64, shape (n,)
         Points along the limit; NaN between separate regions.
     stiffest, most_damped : (float, float), optional
-        Stiffness and damping at the largest stiffness, and at the largest damping; None without a stable wall.
+        Stiffness and damping at the largest stiffness and at the largest damping; None if no wall is stable.
     islands : float64, shape (i, 3)
         Stable intervals beyond an unstable gap: damping, smallest and largest stiffness.
     """
@@ -290,11 +290,11 @@ class Boundary:
 
     @property
     def stiffness_max(self) -> float:
-        """Largest stable stiffness; NaN without a stable wall."""
+        """Largest stable stiffness; NaN if no wall is stable."""
         return math.nan if self.stiffest is None else self.stiffest[0]
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the points of a table: stiffness, damping, and the number of the separate region, from 0."""
+        """Return the points of a table: stiffness, damping, and the index of the separate region, from 0."""
         known = ~np.isnan(self.stiffness)
         values = {name: part[known].tolist() for name, part in zip(self.case.axes, self.curve, strict=True)}
         return {**values, "region": np.cumsum(~known)[known].tolist()}
@@ -308,7 +308,7 @@ class Boundary:
         """Return the document of ``theory boundary``."""
         k, b = self.case.axes
         stiffest, most_damped = self.stiffest or (None, None), self.most_damped or (None, None)
-        document = {**self.case.said, f"{k}_max": stiffest[0], f"{b}_at_{k}_max": stiffest[1]}
+        document = {**self.case.loop_entries, f"{k}_max": stiffest[0], f"{b}_at_{k}_max": stiffest[1]}
         if self.case.units is None:
             document |= {f"{b}_max": most_damped[1], f"{k}_at_{b}_max": most_damped[0]}
         document |= {k: _listed(self.stiffness), b: _listed(self.damping)}
@@ -318,7 +318,8 @@ class Boundary:
 def limits_of_walls(case: Case, points: int = 400) -> Boundary:
     """Return the limit of walls.
 
-    A normalised case gives the whole boundary; a case in SI the limit of walls with K > 0 over damping, and islands.
+    The result is the whole boundary for a normalised case. For a case in SI, it is the limit of walls with K > 0 over
+    the damping, with islands.
 
     Raises
     ------
@@ -357,16 +358,16 @@ def _listed(values: Floats) -> list[float | None]:
 
 
 def named_islands(islands: Floats) -> list[dict[str, float]]:
-    """Return stable intervals in SI, shape (n, 3), as named numbers."""
+    """Return stable intervals in SI, shape (n, 3), as a list of dicts with named numbers."""
     return [dict(zip(("damping", "stiffness_low", "stiffness_high"), row, strict=True)) for row in islands.tolist()]
 
 
 def check_robust(parts: str) -> None:
-    """Raise ParameterError if a loop has parts, given in words, for which the robust region is unknown (4.3.3)."""
+    """Raise ParameterError if a loop has parts, listed in a text, for which the robust region is unknown (4.3.3)."""
     if parts:
         raise ParameterError(
-            "walls that are stable with every spring are known for mass, damper, spring and delay alone, and this loop "
-            f"has more parts: {parts} (4.3.3). Leave these out, or take the passive walls (Loop.passive)."
+            "walls that are stable with every spring are known only for mass, damper, spring and delay, but this loop "
+            f"has more parts: {parts} (4.3.3). Remove these parts, or use the passive walls (Loop.passive)."
         )
 
 
@@ -376,7 +377,7 @@ def robust_boundary(case: Case) -> Boundary:
     Raises
     ------
     ParameterError
-        If the loop has more than mass, damper, spring and delay, or no damping: then there is no such region.
+        If the loop has more than mass, damper, spring and delay, or has no damping, so that there is no such region.
 
     Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
     """
@@ -385,8 +386,8 @@ def robust_boundary(case: Case) -> Boundary:
     alpha, beta, _ = robust_outline(loop.delta, loop.delay)
     if not len(alpha):
         raise ParameterError(
-            "no wall is stable with every spring where the device has no damping (delta = 0, 4.3.3). State "
-            "the damping of the device."
+            "no wall is stable with every spring if the device has no damping (delta = 0, 4.3.3). Specify the damping "
+            "of the device."
         )
     best, last = int(np.argmax(alpha)), int(np.argmax(beta))
     extremes = [(float(alpha[i] * k), float(beta[i] * b)) for i in (best, last)]
@@ -394,7 +395,7 @@ def robust_boundary(case: Case) -> Boundary:
 
 
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
-    """Return the fault of the wall of a tuning rule; None if it and all softer ones are stable."""
+    """Return why the wall of a tuning rule is unsuitable; None if this wall and all softer ones are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
     if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:
         return (
@@ -418,9 +419,9 @@ class Optimum:
     reason : str, optional
         Why there is no cost, or that the optimum is a limit that no stable point reaches.
     note : str, optional
-        Walls that were not searched, a negative stiffness, or an unstable tuning.
+        Note on walls that were not searched, a negative stiffness, or an unstable tuning.
     box : tuple of float, optional
-        Smallest and largest stiffness, then damping, of equally good walls.
+        Smallest and largest stiffness, and smallest and largest damping, of equally good walls.
     """
 
     case: Case
@@ -434,12 +435,12 @@ class Optimum:
 
     @property
     def reachable(self) -> Reachable | None:
-        """Lowest cost that the delay allows (5.19); None for criteria whose cost does not grow with delay."""
+        """Lowest cost that the delay allows (5.19); None for criteria whose cost does not grow with the delay."""
         whole = self.case.names.get("delay_samples", self.case.loop.delay)
         return reachable(self.criterion, whole) if is_criterion(self.criterion, COST_OF_DELAY) else None
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the one row of a table."""
+        """Return the single row of a table."""
         wall = dict(zip(self.case.axes, (self.stiffness, self.damping), strict=True))
         row = {"criterion": self.criterion, **wall, "cost": self.cost, **self._ends}
         return {name: [value] for name, value in (row | {"reason": self.reason, "note": self.note}).items()}
@@ -449,7 +450,7 @@ class Optimum:
         k, b = self.case.axes
         document = {
             "criterion": self.criterion,
-            **self.case.said,
+            **self.case.loop_entries,
             k: self.stiffness,
             b: self.damping,
             "cost": self.cost,
@@ -468,7 +469,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class BestDamping:
-    """The best damping for a given stiffness, in the units of a case.
+    """Best damping for a given stiffness, in the units of a case.
 
     Parameters
     ----------
@@ -476,11 +477,11 @@ class BestDamping:
     criterion : str
     stiffness : float
     damping, cost : float, optional
-        None if no damping makes the wall stable, or none has a cost; `reason` states why.
+        None if no damping stabilises the wall, or no damping has a cost; `reason` states the reason.
     low, high : float, optional
-        Ends of the range of equally good dampings, with `damping` in the middle.
+        Ends of the range of equally good dampings. `damping` is in the middle.
     critical, amplitude : float
-        Damping by the rules for continuous time (5.17): critical, and optimal for the amplitude (ratio 1/sqrt 2).
+        Dampings from the rules for continuous time (5.17): critical, and optimal in amplitude (ratio 1/sqrt 2).
     reason : str, optional
     """
 
@@ -498,24 +499,24 @@ class BestDamping:
     def to_json(self) -> dict[str, Any]:
         """Return the document of ``theory optimum --stiffness``."""
         k, b = self.case.axes
-        document = {"criterion": self.criterion, **self.case.said, k: self.stiffness, b: self.damping}
+        document = {"criterion": self.criterion, **self.case.loop_entries, k: self.stiffness, b: self.damping}
         document |= {"cost": self.cost, f"{b}_low": self.low, f"{b}_high": self.high}
         document |= {f"critical_{b}": self.critical, f"amplitude_optimal_{b}": self.amplitude}
         return document | ({"reason": self.reason} if self.reason else {})
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the one row of a table."""
-        said = {*self.case.said}
-        return {name: [value] for name, value in ({"reason": None} | self.to_json()).items() if name not in said}
+        """Return the single row of a table."""
+        of_loop = {*self.case.loop_entries}
+        return {name: [value] for name, value in ({"reason": None} | self.to_json()).items() if name not in of_loop}
 
 
 def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDamping:
-    """Return the best damping for a stiffness, and the dampings by the rules for continuous time.
+    """Return the best damping for a stiffness, and the dampings from the rules for continuous time.
 
     Raises
     ------
     ParameterError
-        For a criterion without optimal curve, or if the sum of the stiffness and that of the device is not positive.
+        If the criterion has no optimal curve, or the stiffnesses of wall and device do not have a positive sum.
 
     Source: Hulin 2017, secs. 5.1 and 5.2, eq. 5.17.
     """
@@ -524,14 +525,14 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
     loop, (k, b) = case.loop, case.scale
     alpha = stiffness / k
     if not alpha + loop.gamma > 0:
-        raise ParameterError(f"stiffness {stiffness:g}: expected one that is positive together with the device's own.")
+        raise ParameterError(f"stiffness {stiffness:g}: expected a positive sum with the stiffness of the device.")
     found = best_damping(loop, criterion, alpha)
     best, cost, low, high = (float(each[0]) for each in (found.best, found.cost, found.low, found.high))
     known = bool(found.found[0])
     top = limits_of_walls(case).stiffness_max
-    reason = f"no damping makes it stable: the largest stable stiffness is {top:.6g}"
+    reason = f"no damping stabilises this stiffness; the largest stable stiffness is {top:.6g}"
     if alpha * k < top:
-        reason = "no response settles in the samples that a search follows"
+        reason = "no response settles within the samples of the search"
     root = math.sqrt(alpha + loop.gamma)
     rules = [(factor * root - loop.delta) * b for factor in (2.0, math.sqrt(2.0))]
     return BestDamping(
@@ -549,22 +550,22 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
 
 
 def criterion_for(criterion: str, signal: str | None) -> str:
-    """Return the name of a criterion for the response named by `signal`; criteria of the poles have no sampled version.
+    """Return the name of a criterion for the response `signal`. Criteria of poles have no sampled version.
 
     Raises
     ------
     ParameterError
-        As of `best_wall`.
+        As in `best_wall`.
     """
     if criterion not in POINT_CRITERIA and not is_criterion(criterion, CRITERIA):
         raise ParameterError(
-            f"no optimum for criterion {criterion!r}; supported are {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
-            "those of a response also with _discrete appended, and settling times for any band, such as settle_3pct."
+            f"no optimum for criterion {criterion!r}; expected one of {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
+            "a criterion of a response with _discrete appended, or a settling time for any band, such as settle_3pct."
         )
     if signal not in (None, "continuous", "discrete"):
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
     if signal == "continuous" and criterion.endswith(DISCRETE):
-        raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
+        raise ParameterError(f"criterion {criterion!r} is discrete, but the signal is continuous.")
     sampled = f"{criterion}{DISCRETE}"
     return sampled if signal == "discrete" and is_criterion(sampled, CRITERIA) else criterion
 
@@ -576,14 +577,14 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
     ----------
     case : Case
     criterion : str
-        One of `CRITERIA` or `POINT_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
+        One of `CRITERIA` or `POINT_CRITERIA`. ``_discrete`` is appended for the sampled response, or `signal` is given.
     signal : {"continuous", "discrete"}, optional
-        Response that determines the cost; by default according to the criterion's name.
+        Response that determines the cost; by default according to the name of the criterion.
 
     Raises
     ------
     ParameterError
-        For an unsupported criterion or signal, or if both contradict each other.
+        If the criterion or the signal is not supported, or they contradict each other.
     """
     name = criterion_for(criterion, signal)
     loop, (k, b) = case.loop, case.scale
@@ -596,11 +597,11 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
     point = optimal_point(loop, name)
     cost, why = point.cost, None
     if not point.attained:
-        why = "a limit at the edge of the stable region, which no stable point reaches"
+        why = "a limit at the edge of the stable region that no stable point reaches"
     elif float(spectral_radius(loop, point.alpha, point.beta)[0]) >= 1 - MARGINAL:
-        why = f"spectral radius within {MARGINAL:g} of 1 wherever it is stable: costs would be rounding errors"
+        why = f"spectral radius within {MARGINAL:g} of 1 for all stable walls: costs would consist of rounding errors"
     elif math.isnan(cost):
-        why = "no response settles in the samples that a search follows"
+        why = "no response settles within the samples of the search"
     notes = [text for text, is_so in ((_ISLANDS, has_islands(loop)), (_NEGATIVE, point.alpha < 0)) if is_so]
     ends = point.box and (point.box[0] * k, point.box[1] * k, point.box[2] * b, point.box[3] * b)
     known_cost = None if math.isnan(cost) or (why and point.attained) else cost

@@ -1,4 +1,4 @@
-"""Costs of walls by criterion, computed together if they share work; also over a grid for figures."""
+"""Compute the costs of walls by criterion, at points or on a grid for figures. Criteria share computations."""
 
 from __future__ import annotations
 
@@ -29,41 +29,41 @@ from pipeline.theory.poles import damping_ratio, spectral_radius
 from pipeline.theory.settling_overshoot import first_reached, transient_costs
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
-"""Criteria of a map; criteria of a response also as ``_discrete``."""
+"""Criteria of a map. For criteria of a response, ``_discrete`` may be appended."""
 
 MAP_DEFAULT = tuple(name for name in REPORTED if CRITERIA[name].tabled)
 
 MAP_LONGEST = 1 << 14
-"""Largest number of samples of a response on a map; only cells along the boundary need more."""
+"""Largest number of samples of a response on a map. Only points near the boundary need more."""
 
 LARGEST_MAP = 4001
-"""Largest number of grid points along an axis, which takes minutes. Memory is that of a block, for any size."""
+"""Largest number of grid points along an axis, which takes minutes. The memory is that of a block, for any size."""
 
 BLOCK = 1 << 16
-"""Number of grid points of a block (at least one row): about 100 MB during computation; a 251 x 251 map is one
-block."""
+"""Number of grid points of a block (at least one row). A block takes about 100 MB during computation. A map of 251 x
+251 points is one block."""
 
 MARGIN = 1e-9
-"""Distance from the boundary, as a share of alpha + gamma, below which costs are dominated by rounding."""
+"""Distance from the boundary, as a share of alpha + gamma, below which rounding dominates costs."""
 
 _FEWEST = 8
-"""Number of points of a boundary computed only for its extremes."""
+"""Number of points of a boundary that is computed only for its extremes."""
 
 
 def point_costs_by_name(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int
 ) -> dict[str, Floats]:
-    """Return the requested costs of stable points by name.
+    """Return the requested costs of stable points, with names as keys.
 
     Parameters
     ----------
     loop : NormalisedLoop
     alpha, beta : float64, shape (n,)
-        Stable points with alpha + gamma > 0; rise times are also defined for unstable ones.
+        Stable points with alpha + gamma > 0. Rise times are also defined for unstable points.
     names : sequence of str
-        Names of criteria with costs; those of a response also with ``_discrete`` appended.
+        Names of criteria with costs. For criteria of a response, ``_discrete`` may be appended.
     longest : int
-        Number of samples after which a response still in motion gets NaN for settling time and overshoot.
+        Number of samples after which settling time and overshoot of a response that still moves are NaN.
     """
     of = {name: criterion_of(name) for name in names}
     found: dict[str, Floats] = {}
@@ -90,25 +90,25 @@ def point_costs_by_name(
 
 
 def check_criteria(names: Sequence[str]) -> None:
-    """Raise ParameterError if a name is not in `MAP_CRITERIA`, nor one of a response with ``_discrete``."""
+    """Raise ParameterError if a name is neither in `MAP_CRITERIA` nor a criterion of a response with ``_discrete``."""
     unknown = [name for name in names if not is_criterion(name, MAP_CRITERIA)]
     if unknown:
         raise ParameterError(
-            f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-            "those of a response also with _discrete appended, and any band or weighting, such as settle_3pct or "
+            f"criterion {unknown[0]!r} is unknown; expected names from {', '.join(MAP_CRITERIA)}, "
+            "criteria of a response with _discrete appended, or another band or weighting, such as settle_3pct or "
             "energy_step_w0.5."
         )
 
 
 def cost_maps(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
-    """Return `costs_at` on a grid: axes of shapes (p,), (q,), costs of shape (q, p)."""
+    """Return `costs_at` on a grid with axes of shapes (p,) and (q,); costs have the shape (q, p)."""
     grid_alpha, grid_beta = np.meshgrid(alpha, beta)
     found = costs_at(loop, grid_alpha.ravel(), grid_beta.ravel(), criteria)
     return {criterion: values.reshape(grid_alpha.shape) for criterion, values in found.items()}
 
 
 def costs_at(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
-    """Return costs of the sampled step response, as for logs, by criteria that apply to logs.
+    """Return costs of the sampled step response, by criteria that apply to logs.
 
     Parameters
     ----------
@@ -131,10 +131,10 @@ def costs_at(loop: NormalisedLoop, alpha: Floats, beta: Floats, criteria: Sequen
 def costs_inside(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int = MAP_LONGEST
 ) -> dict[str, Floats]:
-    """Return costs of points by name, in the order of the names; shape (n,) each.
+    """Return costs of points, shape (n,) each, in the order of the names.
 
-    NaN if a point is unstable or within `MARGIN` of the boundary, or if its response still moves after ``longest``
-    samples.
+    A cost is NaN if the point is unstable or within `MARGIN` of the boundary, or if its response still moves after
+    ``longest`` samples.
     """
     inside = np.flatnonzero(is_well_inside(loop, alpha, beta, MARGIN))
     found = point_costs_by_name(loop, alpha[inside], beta[inside], names, longest)
@@ -146,13 +146,13 @@ def costs_inside(
 
 def bounding_box(loop: NormalisedLoop) -> tuple[float, float, float, float]:
     """Return alpha_low, alpha_high, beta_low, beta_high of the stable region."""
-    border = boundary(loop, _FEWEST)  # its extremes do not depend on the points between
+    border = boundary(loop, _FEWEST)  # the extremes do not depend on the number of points
     return -loop.gamma, border.alpha_max, border.beta_min, border.beta_max
 
 
 @dataclass(frozen=True, eq=False)
 class MapBlock:
-    """Rows of a map: all points of some beta, beta changing slowest; costs by name, NaN without a cost."""
+    """Rows of a map: all points for some beta, with beta changing slowest, and costs by name (NaN without a cost)."""
 
     alpha: Floats
     beta: Floats
@@ -166,22 +166,22 @@ AXES = ("alpha", "beta")
 
 @dataclass(frozen=True)
 class CostMap:
-    """Specification of a map: a grid over the bounding box of the stable region, both ends included.
+    """Specification of a map: a grid over the bounding box of the stable region, including both ends.
 
     Parameters
     ----------
     loop : NormalisedLoop
     size : int
-        Grid points along each axis, 2 to 4001.
+        Number of grid points along each axis, 2 to 4001.
     criteria : sequence of str
-        Any of `MAP_CRITERIA`; those of a response also with ``_discrete`` appended.
+        Names from `MAP_CRITERIA`. For criteria of a response, ``_discrete`` may be appended.
     longest : int
-        Number of samples after which a response still in motion gets no cost.
+        Number of samples after which a response that still moves has no cost.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion or a size out of range.
+        If a criterion is unknown, or the size is out of range.
 
     Notes
     -----
@@ -204,7 +204,7 @@ class CostMap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Criteria, each once."""
+        """Distinct criteria in their order."""
         return tuple(dict.fromkeys(self.criteria))
 
     def to_json(self) -> dict[str, Any]:
@@ -214,8 +214,8 @@ class CostMap:
     def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
         """Yield the map from the lowest beta, in blocks of about ``points`` points (at least one row).
 
-        Costs are null where a point is not stable or (overshoot, settling time) its response still moves after
-        ``longest`` samples. The block size affects only their rounding.
+        A cost is NaN if the point is not stable, or, for overshoot and settling time, if its response still moves after
+        ``longest`` samples. The block size affects only rounding errors.
         """
         box = bounding_box(self.loop)
         alpha, beta = np.linspace(*box[:2], self.size), np.linspace(*box[2:], self.size)

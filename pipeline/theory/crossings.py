@@ -1,18 +1,18 @@
-"""All walls with a pole on the unit circle: the only root search of the theory.
+"""Find all walls with a pole on the unit circle. This is the only root search of the theory.
 
-On the circle, z = exp(j theta), a wall alpha + beta N = -1/G is real in alpha and beta: two equations, whose solutions
-are ratios of polynomials in s = tan^2(theta/2). Every change along a loop's crossings is a positive root of such a
-polynomial: where beta turns or is infinite, where alpha turns or passes a level. `positive_roots` isolates them by
-Descartes' rule of signs on halved intervals, in doubles with bounded rounding errors; an interval that doubles cannot
-decide is halved in exact integers. No root is missed: between the roots every branch is monotone in beta, and the order
-of the roots determines how a branch changes the number of unstable poles.
+On the circle z = exp(j theta), a wall with alpha + beta N = -1/G has real alpha and beta. These are two equations,
+whose solutions are ratios of polynomials in s = tan^2(theta/2). All changes along the crossings of a loop are positive
+roots of such polynomials: points at which beta turns or is infinite, and points at which alpha turns or passes a level.
+`positive_roots` isolates the roots by Descartes' rule of signs on halved intervals, in doubles with bounded rounding
+errors. If doubles cannot decide an interval, it is halved in exact integers. No root is missed. Between the roots,
+every branch is monotone in beta. The order of the roots determines how a branch changes the number of unstable poles.
 
-The place of a crossing is x = ln s, so that both ends of the circle keep their digits. Values on the circle come from
-polynomials in w = j sqrt(s), above |w| = 1 in powers of 1/w, which are exact before they are rounded
+The place of a crossing is x = ln s, so that both ends of the circle have full precision. Values on the circle are
+computed from polynomials in w = j sqrt(s), or in 1/w for |w| > 1. They are exact before they are rounded
 (`NormalisedLoop.sampled`).
 
 Sources: Hulin 2017, eqs. 3.9 to 3.11 on |z| = 1, in another form. Collins and Akritas 1976, Polynomial real root
-isolation using Descartes' rule of signs; in the Bernstein basis: Lane and Riesenfeld 1981.
+isolation using Descartes' rule of signs. Lane and Riesenfeld 1981, for the Bernstein basis.
 """
 
 from __future__ import annotations
@@ -49,33 +49,34 @@ Arrays = tuple[Any, ...]
 Complexes = NDArray[np.complex128]
 
 EPSILON = 2.0**-52
-"""Rounding of a double."""
+"""Rounding error of a double."""
 
 FLOOR = 1e-300
-"""Absolute value below which a coefficient counts as unknown: doubles lose digits there."""
+"""Absolute value below which a coefficient is unknown, because doubles lose digits there."""
 
 DEEPEST, NARROWEST = 160, 44
 """Largest number of halvings of an interval in doubles: in total, and below the leading digit of its position."""
 
 ENCLOSED = 1e-9
-"""Relative distance on either side of a root at which doubles must determine the sign."""
+"""Relative distance from a root, on both sides, at which doubles must determine the sign."""
 
 _ENCLOSED = Decimal(ENCLOSED)
 
 MAX_STEPS = 200
-"""Largest number of steps to a root or crossing: bisection down to rounding takes 60."""
+"""Largest number of steps to a root or a crossing. Bisection down to rounding takes 60 steps."""
 
 _EXACT_HALVINGS = 200, 60
-"""The same in integers; roots not separated by then count as one: they differ by 1e-18."""
+"""The same limits for integers. Roots that are still not separated differ by 1e-18 and count as one root."""
 
 _MIDDLE = Decimal("0.98765432101")
-"""Value that separates small from large roots. Neither it nor its binary fractions are roots of usual filters."""
+"""Value that separates small from large roots. Neither this value nor its binary fractions are roots of usual
+filters."""
 
 _TOGETHER = 1e-13
-"""Relative distance within which roots count as equal."""
+"""Relative distance within which roots are treated as equal."""
 
 _NOISE_DIGITS = 20
-"""Number of last digits of the coefficients, relative to the largest, that are rounding."""
+"""Number of last digits of the coefficients, relative to the largest one, that are rounding errors."""
 
 
 # --- roots of a polynomial -------------------------------------------------------------------------------------------
@@ -83,7 +84,7 @@ _NOISE_DIGITS = 20
 
 @inlined
 def sign_changes(node: Floats) -> tuple[int, int]:
-    """Return the smallest and largest number of sign changes of coefficients with error bounds, at most 2 and 3."""
+    """Return the smallest and the largest number of sign changes of uncertain coefficients, at most 2 and 3."""
     least, unknown, before, open_run = 0, 0, 0.0, 0
     for k in range(node.shape[1]):
         if abs(node[0, k]) <= node[1, k]:
@@ -107,7 +108,7 @@ def sign_changes(node: Floats) -> tuple[int, int]:
 
 @inlined
 def value_in(node: Floats, share: float) -> tuple[float, float]:
-    """Return the value of a Bernstein polynomial at a share of its interval, and an error bound."""
+    """Return the value of a Bernstein polynomial at a share of its interval, and a bound of the error."""
     n, rest, chances, reach = node.shape[1] - 1, 1.0 - share, 1.0, 1.0
     if n == 0:
         return node[0, 0], node[1, 0]
@@ -125,7 +126,7 @@ def value_in(node: Floats, share: float) -> tuple[float, float]:
 
 @inlined
 def enclosed_root(node: Floats, low: float, width: float) -> float:
-    """Return the only root of a node, or -1 if doubles do not locate it within `ENCLOSED`."""
+    """Return the only root of a node; -1 if doubles do not locate it within `ENCLOSED`."""
     n = node.shape[1] - 1
     left, right, first, last = 0.0, 1.0, node[0, 0], node[0, n]
     upward, middle = last > 0, 0.5
@@ -148,16 +149,16 @@ def enclosed_root(node: Floats, low: float, width: float) -> float:
 
 @compiled("void(f8[:,:,::1],f8[:,::1],f8[::1],i8[::1])")
 def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> None:
-    """Find all roots of a polynomial in (0, 1), sorted; the count is -1 if doubles cannot decide.
+    """Find all roots of a polynomial in (0, 1) in sorted order. The count is -1 if doubles cannot decide.
 
     Parameters
     ----------
     stack : float64, shape (depth, 2, n + 1)
-        Nodes: Bernstein coefficients over an interval, and bounds of their errors; the first one is given.
+        Nodes: Bernstein coefficients over an interval, and bounds of their errors. The first node is an input.
     places : float64, shape (depth, 2)
-        Lower end and width of each interval; the first one is given.
+        Lower end and width of each interval. The first interval is an input.
     roots, count : float64, shape (n + 1,); int, shape (1,)
-        Which are set.
+        Output: the roots and their number.
     """
     n, top = stack.shape[2] - 1, 1
     count[0] = 0
@@ -181,7 +182,7 @@ def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> No
         if least > 0 and width < 2.0**-DEEPEST:
             count[0] = -1
             return
-        # de Casteljau: the node becomes the right half, the next one the left
+        # de Casteljau's algorithm: the node becomes the right half, and the next node the left half
         left = stack[top + 1]
         for part in range(2):
             left[part, 0] = node[part, 0]
@@ -197,7 +198,7 @@ def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> No
 
 @dataclass(frozen=True, eq=False)
 class Roots:
-    """Sorted positive real roots, to about 13 digits; multiplicities, shape (n,); sign before the first."""
+    """Sorted positive real roots to about 13 digits, multiplicities, shape (n,), and the sign before the first root."""
 
     value: Floats
     multiplicity: Integers
@@ -209,7 +210,7 @@ class Roots:
 
     @property
     def passed(self) -> Floats:
-        """The roots at which the polynomial changes its sign."""
+        """Roots at which the polynomial changes its sign."""
         return np.asarray(self.value[self.multiplicity % 2 == 1])
 
 
@@ -221,13 +222,13 @@ def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Ro
     polynomial : Digits
         Coefficients, lowest power first.
     digits : int
-        Number of known digits of the coefficients, and of the decimal context.
+        Number of known digits of the coefficients, which is also the precision of the decimal context.
     sharp : bool
-        Whether roots are needed to the last digit of a double; else to about 11 digits.
+        Whether roots are needed to the last digit of a double; otherwise they have about 11 digits.
 
     Notes
     -----
-    Roots with a relative difference below 1e-13 count as one, with the sum of their multiplicities.
+    Roots with a relative difference below 1e-13 are treated as one root with the sum of their multiplicities.
     """
     known = polynomial.tolist()
     largest = max(map(abs, known), default=Decimal(0))
@@ -257,13 +258,13 @@ def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Ro
 
 @lru_cache(maxsize=256)
 def _bernstein(degree: int) -> Floats:
-    """Return the matrix from coefficients, lowest power first, to the Bernstein basis of (0, 1)."""
+    """Return the matrix that converts coefficients, lowest power first, to the Bernstein basis of (0, 1)."""
     rows = [[math.comb(k, j) / math.comb(degree, j) for j in range(degree + 1)] for k in range(degree + 1)]
     return np.array(rows)
 
 
 def _roots_below_one(polynomial: list[Decimal], digits: int, sharp: bool) -> list[tuple[float, int]]:
-    """Return the unsorted roots in (0, 1) and their multiplicities; in doubles if these suffice."""
+    """Return the unsorted roots in (0, 1) and their multiplicities, computed in doubles if these suffice."""
     values, matrix = np.array([float(c) for c in polynomial]), _bernstein(len(polynomial) - 1)
     errors = (len(values) + 3) * EPSILON * (matrix @ np.abs(values)) + FLOOR
     found = _isolated(np.array([matrix @ values, errors]), 0.0, 1.0)
@@ -283,7 +284,7 @@ def _isolated(node: Floats, low: float, width: float) -> Floats | None:
 
 
 def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, int]]:
-    """Return simple roots to the last digit of a double, by one Newton step in many digits."""
+    """Refine simple roots to the last digit of a double by one Newton step with many digits."""
     result = []
     for root in map(Decimal, roots.tolist()):
         value = slope = Decimal(0)
@@ -296,12 +297,12 @@ def _sharpened(polynomial: list[Decimal], roots: Floats) -> list[tuple[float, in
 
 
 def _exact_roots(polynomial: list[Decimal], digits: int) -> list[tuple[float, int]]:
-    """Return the roots in (0, 1): intervals are halved in integers until doubles decide, or roots count as equal."""
+    """Return the roots in (0, 1). Intervals are halved in integers until doubles can decide or roots count as equal."""
     scale, degree = Decimal(10) ** digits, len(polynomial) - 1
     whole, (deepest, finest) = [int(c * scale) for c in polynomial], _EXACT_HALVINGS
     chances, found = [math.comb(degree, k) for k in range(degree + 1)], []
     waiting = [(whole, 0, 0)]
-    while waiting:  # terminates: depth is bounded, and each halving keeps or splits the number of sign changes
+    while waiting:  # terminates, since the depth is bounded and each halving keeps or splits the number of sign changes
         p, depth, place = waiting.pop()
         over = _shifted(p[::-1])[::-1]
         signs = [c > 0 for c in over if c]
@@ -340,7 +341,7 @@ def bisect(
     ----------
     is_true : callable
     good, bad : float64, shape (n,)
-        Values at which the condition is true, and false.
+        Values at which the condition is true, and values at which it is false.
     halvings : int
     """
     for _ in range(halvings):
@@ -364,9 +365,9 @@ def polynomial_at(polynomials: Floats, row: int, x: complex) -> complex:
 
 @inlined
 def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex, complex, complex, complex]:
-    """Return -1/G and N at a place of the unit circle, and their derivatives by it."""
+    """Return -1/G and N at a place of the unit circle, and their derivatives with respect to the place."""
     size, far = math.exp(0.5 * place), place > 0
-    # ratios of polynomials of equal degree; above |w| = 1 in powers of 1/w
+    # ratios of polynomials of equal degree; in powers of 1/w for |w| > 1
     w, x, side = complex(0.0, size), complex(0.0, -1 / size if far else size), polynomials[1 if far else 0]
     motion, force, velocity, bottom = (
         polynomial_at(side, 0, x),
@@ -379,7 +380,7 @@ def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex
         polynomial_at(side, 5, x),
         polynomial_at(side, 6, x),
     )
-    # beyond |w| = 1 relative to theta = pi, as whole turns would cost digits
+    # for |w| > 1, the angle is relative to theta = pi, since whole turns would reduce the precision
     half = -math.atan(1 / size) if far else math.atan(size)
     sign = -1.0 if far and delay % 2 == 1 else 1.0
     lever = -sign * complex(math.cos(2 * delay * half), math.sin(2 * delay * half)) / force
@@ -391,14 +392,14 @@ def on_circle_at(polynomials: Floats, delay: int, place: float) -> tuple[complex
 
 @compiled("void(f8[:,:,::1],i8,f8[::1],c16[:,::1])")
 def values_on_circle(polynomials: Floats, delay: int, place: Floats, values: Complexes) -> None:
-    """Set the values of `on_circle_at`, shape (4, n)."""
+    """Compute the values of `on_circle_at` for several places, shape (4, n)."""
     for n in range(len(place)):
         values[0, n], values[1, n], values[2, n], values[3, n] = on_circle_at(polynomials, delay, place[n])
 
 
 @dataclass(frozen=True, eq=False)
 class CirclePoints:
-    """Walls with a pole pair on the unit circle, and their derivatives by the place, shape (n,)."""
+    """Walls with a pole pair on the unit circle, and their derivatives with respect to the place, shape (n,)."""
 
     alpha: Floats
     beta: Floats
@@ -417,14 +418,14 @@ def angle_of(place: Floats) -> Floats:
 
 
 def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> Complexes:
-    """Return -1/G and N on the unit circle, and their derivatives by the place, shape (2, 2, n): [value, slope]."""
+    """Return -1/G and N on the unit circle and their derivatives along the place, shape (2, 2, n): [value, slope]."""
     values = np.empty((4, len(place)), np.complex128)
     values_on_circle(rounded(loop), loop.oldest_force, np.ascontiguousarray(place), values)
     return values.reshape(2, 2, len(place))
 
 
 def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
-    """Return the walls at places."""
+    """Return the walls at the given places."""
     (inverse, rate), (inverse_slope, rate_slope) = inverse_and_rate(loop, place)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # at poles of beta
         beta = inverse.imag / rate.imag
@@ -435,8 +436,10 @@ def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
 
 @lru_cache(maxsize=512)
 def rounded(loop: NormalisedLoop) -> Floats:
-    """Return the four polynomials and w times their derivatives, in ascending and descending order, shape (2, 8, degree
-    + 1)."""
+    """Return the four polynomials of a loop and w times their derivatives, in doubles, shape (2, 8, degree + 1).
+
+    The first axis is for ascending and descending order.
+    """
     g = loop.sampled
     result = np.zeros((2, 8, max(len(part) for part in (g.motion, g.velocity))))
     for i, part in enumerate((g.motion, g.force, g.velocity, g.filter)):
@@ -449,21 +452,21 @@ def rounded(loop: NormalisedLoop) -> Floats:
 # --- the ends of the circle ------------------------------------------------------------------------------------------
 
 _STIFF = Decimal("1e40")
-"""Stiffness that counts as infinite: 1/G is below 1e12 for a realistic device and wall."""
+"""Stiffness that is treated as infinite. 1/G is below 1e12 for a realistic device and wall."""
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Ends of the unit circle.
+    """Walls at both ends of the unit circle.
 
     Parameters
     ----------
     start : float
         beta at which the first branch leaves the line alpha = -gamma, theta -> 0.
     last, slope : float
-        alpha at which a pole lies at z = -1 is last - beta slope; infinite without such a pole.
+        There is a pole at z = -1 for alpha = last - beta slope; infinite without such a pole.
     bend : tuple of float
-        The pole leaves the circle there as alpha rises where bend[0] + beta bend[1] > 0.
+        With rising alpha, this pole leaves the circle if bend[0] + beta bend[1] > 0.
     unstable : int
         Number of unstable poles of an infinitely stiff wall.
     """
@@ -492,9 +495,9 @@ def _start(loop: NormalisedLoop) -> float:
 
 
 def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, float]]:
-    """Return value, slope and the two parts of the bend of the line on which a pole lies at z = -1.
+    """Return value, slope and both parts of the bend of the line on which a pole is at z = -1.
 
-    In u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 is u > 0.
+    With u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 means u > 0.
     """
     g = loop.sampled
     motion, force, velocity, bottom = (part[::-1] for part in (g.motion, g.force, g.velocity, g.filter))
@@ -516,8 +519,7 @@ def _slope(top: Digits, bottom: Digits) -> Decimal:
 
 
 def _unstable_when_stiff(loop: NormalisedLoop) -> int:
-    """Return the number of poles outside the circle (right half plane of w) of an infinitely stiff wall without
-    damping."""
+    """Return the number of unstable poles (right half plane of w) for an infinitely stiff wall without damping."""
     g = loop.sampled
     up, down = as_exact([1, 1]), as_exact([1, -1])
     whole = total(product(power(up, g.delay), g.motion), _STIFF * product(power(down, g.delay), g.force))
@@ -525,7 +527,7 @@ def _unstable_when_stiff(loop: NormalisedLoop) -> int:
 
 
 def right_half(polynomial: Digits) -> int:
-    """Return the number of roots with positive real part: sign changes of Routh's array."""
+    """Return the number of roots with a positive real part, from the sign changes of Routh's array."""
     upper, lower = polynomial[::-1][::2], polynomial[::-1][1::2]
     first = [upper[0]]
     while len(lower):  # each step removes a coefficient
@@ -539,31 +541,31 @@ def right_half(polynomial: Digits) -> int:
 # --- crossings of a loop ---------------------------------------------------------------------------------------------
 
 _END = 1e-36
-"""Smallest s and reciprocal of the largest: angles of 2e-18."""
+"""Smallest s, and reciprocal of the largest s, for angles of 2e-18 from both ends."""
 
 _SHARPENINGS = 5
-"""Number of Newton steps from double precision to many digits: each doubles the digits."""
+"""Number of Newton steps from double precision to many digits. Each step doubles the number of digits."""
 
 _POLISHINGS, _FARTHEST = 2, Decimal("1e-4")
-"""Number of Newton steps that polish a crossing, and their largest relative change: where beta touches its value the
-slope is zero."""
+"""Number of Newton steps that refine a crossing, and their largest relative change. The slope is zero where beta
+touches its value."""
 
 NO_WALL = 1e-8
-"""Largest alpha and beta that the assumed loss of a mode may stabilise, however light its near side; far below any real
-wall."""
+"""Largest alpha and beta that the assumed loss of a mode may stabilise, for any mass on its near side. They are far
+below any real wall."""
 
 CONVERGED, STRAIGHT, NARROW = 1e-8, 0.01, 1e-15
-"""Newton step in ln s, and relative change of the slope, after which the next step is below rounding; relative width of
-a bracket that counts as rounding."""
+"""Newton step in ln s, and relative change of the slope, below which the next step is below rounding, and relative
+width of a bracket that is treated as rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class CircleCondition:
-    """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
+    """Condition alpha + beta N = -1/G on the unit circle, as polynomials in s of type Decimal.
 
-    beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
-    which is rise/((1 + s)^delay turn). ``free`` are the s at which both N and -1/G are real, so that each beta has a
-    crossing there, with their multiplicity; the polynomials exclude these roots.
+    beta = -twist/((1 + s)^delay turn), with turn = rate size. alpha = -stretch/((1 + s)^delay size) - beta level/filter
+    = rise/((1 + s)^delay turn). ``free`` contains the s at which both N and -1/G are real, with their multiplicity.
+    Every beta has a crossing there. The polynomials do not contain these roots.
     """
 
     free: list[Decimal]
@@ -578,12 +580,12 @@ class CircleCondition:
     filter: Digits
 
     def bend(self, over: Digits) -> Digits:
-        """Return the derivative of over/((1 + s)^delay turn) without its positive factors."""
+        """Return the derivative of over/((1 + s)^delay turn), without its positive factors."""
         plain = total(product(derivative(over), self.turn), -product(over, derivative(self.turn)))
         return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
-        """Return beta at a place; infinity at its poles."""
+        """Return beta at a place; infinity at a pole of beta."""
         bottom = value_at(self.turn, s)
         return -value_at(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
 
@@ -595,7 +597,7 @@ class CircleCondition:
 
 @lru_cache(maxsize=64)
 def circle_condition(loop: NormalisedLoop) -> CircleCondition:
-    """Return a loop's condition on the unit circle."""
+    """Return the condition of a loop on the unit circle."""
     g = loop.sampled
     with many_digits(loop.digits):
         one_more, two_w = as_exact([1, 1]), as_exact([0, 2])
@@ -611,7 +613,7 @@ def circle_condition(loop: NormalisedLoop) -> CircleCondition:
 
 
 def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
-    """Return the common positive roots of two polynomials, with multiplicity, and both polynomials without them."""
+    """Return the common positive roots of two polynomials, with multiplicity, and the polynomials without them."""
     shared, roots = [], positive_roots(second, digits)
     for start, multiplicity in zip(roots.value.tolist(), roots.multiplicity.tolist(), strict=True):
         root, simple = Decimal(start), second
@@ -633,19 +635,19 @@ def squared(polynomial: Digits) -> Digits:
 
 
 def _mirrored(polynomial: Digits) -> Digits:
-    """Return p(-w): the conjugate on the imaginary axis."""
+    """Return p(-w), which is the complex conjugate on the imaginary axis."""
     result = polynomial.copy()
     result[1::2] *= -1
     return result
 
 
 def _even(polynomial: Digits) -> Digits:
-    """Return the real part on w = j sqrt(s), as a polynomial in s."""
+    """Return the real part for w = j sqrt(s), as a polynomial in s."""
     return _mirrored(polynomial[::2])
 
 
 def _odd(polynomial: Digits) -> Digits:
-    """Return the imaginary part on w = j sqrt(s) over sqrt(s), as a polynomial in s."""
+    """Return the imaginary part for w = j sqrt(s), divided by sqrt(s), as a polynomial in s."""
     return _mirrored(polynomial[1::2])
 
 
@@ -656,12 +658,12 @@ class Branches:
     Parameters
     ----------
     cells : tuple of float64, shape (cells,)
-        Intervals of places with monotone beta: ends, beta there (infinite at its poles), and the change of the number
-        of unstable poles (2 or -2) as alpha rises through the branch.
+        Intervals of places with monotone beta: both ends, beta at both ends (infinite at its poles), and the change of
+        the number of unstable poles (2 or -2) as alpha rises through the branch.
     lines : tuple of float64, shape (lines,)
-        Walls alpha - beta slope with poles at one place of the circle, at z = -1 first: alpha, slope, two parts of a
-        bend, number of unstable poles gained as alpha rises if bend_0 + beta bend_1 > 0 and lost otherwise (0 if the
-        pole only touches the circle), and the place, nan for z = -1.
+        Walls alpha - beta slope with poles at one place of the circle, at z = -1 first. The arrays are alpha, slope,
+        both parts of a bend, a number of poles, and the place (nan for z = -1). As alpha rises, this number of unstable
+        poles is gained if bend_0 + beta bend_1 > 0 and lost otherwise. It is 0 if the pole only touches the circle.
     unstable : int
         Number of unstable poles of an infinitely stiff wall.
     """
@@ -699,7 +701,7 @@ def branches(loop: NormalisedLoop) -> Branches:
 
 
 def distinct(values: Floats) -> Floats:
-    """Return the sorted distinct values; `np.unique` would load numpy's masked arrays."""
+    """Return the sorted distinct values. (`np.unique` would load numpy's masked arrays.)"""
     ordered = np.sort(values)
     return np.asarray(ordered[np.append(True, np.diff(ordered) > 0)[: len(ordered)]])
 
@@ -710,7 +712,7 @@ def _no_poles(roots: Floats, poles: Roots) -> Floats:
 
 
 def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
-    """Return a row of `Branches.lines`, at which both N and -1/G are real."""
+    """Return a row of `Branches.lines` for a root at which both N and -1/G are real."""
     slope, side = value_at(c.level, root) / value_at(c.filter, root), -1 if sum(r > root for r in c.free) % 2 else 1
     bend = (-side * value_at(c.twist, root) / (1 + root) ** c.delay, -side * value_at(c.turn, root))
     turn = 2.0 * (c.free.count(root) % 2)
@@ -719,7 +721,7 @@ def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
 
 
 def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
-    """Return beta at given s, to the last digit of a double."""
+    """Return beta at the given s, to the last digit of a double."""
     return np.array([float(c.beta(s)) for s in roots])
 
 
@@ -741,7 +743,7 @@ def level_passings(loop: NormalisedLoop, level: float) -> Floats:
 
 
 def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
-    """Return the roots, except poles of beta, at which a polynomial changes its sign."""
+    """Return the roots at which a polynomial changes its sign, without poles of beta."""
     found, poles = (positive_roots(part, loop.digits) for part in (polynomial, circle_condition(loop).turn))
     roots = _no_poles(found.passed, poles)
     return roots[(roots > _END) & (roots < 1 / _END)]
@@ -749,12 +751,11 @@ def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
 
 @lru_cache(maxsize=64)
 def turning_dampings(loop: NormalisedLoop) -> Floats:
-    """Return, sorted, all beta at which stable intervals may begin, end or join, or at which their ends have an
-    extremum.
+    """Return all beta at which stable intervals may begin, end, join or have extreme ends, in sorted order.
 
-    Between two of these, each end of an interval is monotone in beta, and soft walls (alpha -> 0 or -gamma) are either
-    all stable or all unstable: at these beta, alpha or beta turns along the branches, or alpha passes 0 or -gamma. Only
-    corners, where two branches cross, lie between.
+    At these beta, alpha or beta turns along a branch, or alpha passes 0 or -gamma. Between two of them, each end of an
+    interval is monotone in beta, and soft walls (alpha -> 0 or -gamma) are either all stable or all unstable. Only
+    corners, where two branches cross, may lie between them.
     """
     b, levels = branches(loop), sorted({0.0, -loop.gamma})
     turns = np.concatenate([stiffness_turns(loop), *(level_passings(loop, level) for level in levels)])
@@ -774,8 +775,8 @@ def solved(
 ) -> tuple[float, float, float]:
     """Return the place within a cell at which beta has a given value, alpha there, and the slope of beta.
 
-    Newton's method starts from a given place, or one interpolated in s; a step that leaves the bracket is replaced by
-    bisection.
+    Newton's method starts from the given place, or from an interpolation in s. If a step leaves the bracket, bisection
+    replaces it.
     """
     low, high, beta_low, beta_high = cell
     share = (beta - beta_low) / (beta_high - beta_low)
@@ -795,7 +796,7 @@ def solved(
         newton = low <= place <= high
         if not newton:
             place = 0.5 * (low + high)
-        # next to a pole of beta steps are short at first, and double
+        # next to a pole of beta, the first steps are short, and each doubles the next
         ends = newton and abs(place - before) <= CONVERGED and abs(slope - former) <= STRAIGHT * abs(slope)
         if miss == 0 or ends or high - low <= NARROW * abs(high) or number == MAX_STEPS - 1:
             step = place - before
@@ -811,11 +812,11 @@ CELLS, LINES = "UniTuple(f8[::1],5)", "UniTuple(f8[::1],6)"
 def count_intervals(
     polynomials: Floats, about: Arrays, cells: Arrays, lines: Arrays, betas: Floats, out: Arrays, count: Integers
 ) -> None:
-    """Find the stable intervals of alpha at each beta by counting the unstable poles, from a stiff wall downwards.
+    """Find the stable intervals of alpha at each beta by counting unstable poles, from a stiff wall downwards.
 
     ``about`` contains the delay, the number of unstable poles of an infinitely stiff wall, -gamma, and whether a mode
-    is undamped; ``out`` the last solution of each cell (3, cells), events (4, cells + lines + 1), and the resulting
-    intervals: index of beta, both ends, their places, and a number for the pair of branches that bound it.
+    is undamped. ``out`` contains the last solution of each cell (3, cells), events (4, cells + lines + 1), and the
+    resulting intervals: index of beta, both ends, their places, and a number for the pair of branches that bound it.
     """
     delay, unstable, line, lossless = about
     known, events, intervals = out
@@ -839,7 +840,7 @@ def count_intervals(
             if not (math.isfinite(alpha) and alpha >= line):
                 continue
             if lossless and 0 < alpha < NO_WALL and abs(beta) < NO_WALL:
-                alpha = 0.0  # intervals stabilised only by the assumed loss of a mode do not count
+                alpha = 0.0  # ignore intervals that only the assumed loss of a mode stabilises
             at = number
             while at > 0 and events[0, at - 1] > alpha:
                 for row in range(4):
@@ -865,9 +866,9 @@ def count_intervals(
 
 @dataclass(frozen=True, eq=False)
 class StableIntervals:
-    """Stable intervals of alpha, shape (n,): index of beta, ends, and places of the crossings there.
+    """Stable intervals of alpha, shape (n,): index of beta, ends, and places of the crossings at the ends.
 
-    The place is nan at z = 1 and z = -1. ``bounds`` identifies the pair of branches that bound an interval.
+    The place is nan for z = 1 and z = -1. ``bounds`` identifies the pair of branches that bound an interval.
     """
 
     index: Integers
@@ -879,22 +880,22 @@ class StableIntervals:
 
 
 _MANY = 400
-"""Number of crossings above which it pays to find out whether the first branch alone encloses the stable set."""
+"""Number of crossings above which it is tested first whether the first branch alone encloses the stable region."""
 
 
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
-    """Return the stable intervals of alpha above -gamma at each beta, in ascending order; ends to about 11 digits.
+    """Return the stable intervals of alpha above -gamma at each beta, in ascending order, to about 11 digits.
 
     Parameters
     ----------
     loop : NormalisedLoop
-        Any loop. Its crossings are computed once: in 2 ms for a delay of 8 samples, in 0.1 s for 64, in 1 s for 256.
+        Its crossings are computed once, in 2 ms for a delay of 8 samples, 0.1 s for 64, and 1 s for 256.
     beta : float64, shape (n,)
-        Finite.
+        Finite dampings.
     """
     known = branches(loop)
     many = len(beta) * (len(known.cells[0]) - 1) > _MANY
-    if many and first_branch(loop) is not None:  # no pole is unstable inside it, and no wall is stable outside
+    if many and first_branch(loop) is not None:  # all walls inside it are stable, and no wall outside is
         known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
     return _counted_intervals(loop, known, beta)
 
@@ -911,14 +912,14 @@ def _counted_intervals(loop: NormalisedLoop, b: Branches, beta: Floats) -> Stabl
 
 @dataclass(frozen=True)
 class FirstBranch:
-    """The branch from alpha = -gamma at theta -> 0 to its next point on that line; beta rises along it.
+    """Branch from alpha = -gamma at theta -> 0 to its next point on that line. beta rises along it.
 
     Parameters
     ----------
     start : float
         beta at theta -> 0.
     end : float
-        Place of its end.
+        Place of the end of the branch.
     """
 
     start: float
@@ -926,12 +927,12 @@ class FirstBranch:
 
 
 _SIDES = np.array([1e-9, 0.5, 1 - 1e-9])
-"""Relative positions, between two dampings at which branches turn, at which stable intervals are counted."""
+"""Relative positions between two dampings at which branches turn. Stable intervals are counted at these positions."""
 
 
 @lru_cache(maxsize=512)
 def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
-    """Return the first branch of a mass with damper and spring if it alone encloses the stable set."""
+    """Return the first branch of a mass with damper and spring if it alone encloses the stable region; else None."""
     b, ends = branches(loop), level_passings(loop, -loop.gamma)
     _, high, start, top, gain = (column[0] for column in b.cells)
     plain = len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1
@@ -949,13 +950,13 @@ def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
 
 
 def _has_no_loss(loop: NormalisedLoop) -> bool:
-    """Return whether only the wall damps a loop's mode."""
+    """Return whether only the wall damps the mode of a loop."""
     plant = loop.plant
     return plant.has_mode and loop.delta == 0 and plant.spring_damping <= 2 * LEAST_RATIO * plant.spring**0.5
 
 
 def polished(loop: NormalisedLoop, beta: Floats, place: Floats) -> Floats:
-    """Return alpha of crossings near given places, shape (n,), to the last one or two digits of a double."""
+    """Return alpha of crossings near given places, shape (n,), accurate to the last one or two digits of a double."""
     c, result, lines = circle_condition(loop), [], set(branches(loop).lines[5])
     with many_digits(loop.digits):
         twist, turn = derivative(c.twist), derivative(c.turn)

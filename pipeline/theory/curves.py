@@ -1,7 +1,7 @@
-"""Optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
+"""Compute optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
 
-All lines of a curve are searched at once (`theory.search`). Each line is searched independently of its neighbours, so a
-curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
+All lines of a curve are searched together (`theory.search`). The search along a line does not depend on its neighbours,
+so a curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
 """
 
 from __future__ import annotations
@@ -22,29 +22,33 @@ from pipeline.theory.search import LEVELS, Cost, LineCost, LineOptima, extents, 
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 _LONGEST = 1024
-"""Number of samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
+"""Number of samples after which a response of a curve is not settled. The curves of Fig. 5.4 end at about 60
+samples."""
 
 _DECIDED = 60
-"""Number of samples, per d + 1, in which a response reaches its largest overshoot or deviation, except with slow
+"""Number of samples per d + 1 in which a response reaches its largest overshoot or deviation, unless it has slow
 beats."""
 
 _MARGIN = 0.02
-"""Share by which a line extends beyond the polygon of boundary points, which lies up to 1e-3 inside the boundary."""
+"""Share by which a line extends beyond the polygon of boundary points. The polygon is up to 1e-3 inside the
+boundary."""
 
 _BOUNDARY_POINTS = 400
 
 _STEP_LOOK = 121
-"""Number of points of the first scan of the deviation, which has no jumps. Late deviations of slow responses ripple,
-and half as many points were off by one sample in one of 170 random lines."""
+"""Number of points of the first scan of the deviation, which has no jumps. Late deviations of slow responses ripple.
+With half as many points, one of 170 random lines had an error of one sample."""
 
 _STEP_LEVELS = 12
-"""0.35^12 = 3e-6 of a first step: enough to decide whether a number of samples is possible; no corner is located."""
+"""Number of levels of the search. 0.35^12 = 3e-6 of a first step suffices to decide whether a number of samples is
+possible. No corner is located."""
 
 _LINE = 1e-9
-"""Distance from alpha = -gamma, relative to a line, at which the limit on that line is evaluated."""
+"""Distance from alpha = -gamma, relative to the length of a line, at which the limit at -gamma is used."""
 
 _KINK_LEVELS = 30
-"""0.35^30 = 2e-14 of a first step: the radius of a triple pole has an error of the cube root of that."""
+"""Number of levels of the search near kinks, 0.35^30 = 2e-14 of a first step. The error of the radius of a triple pole
+is the cube root of this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +60,13 @@ class Curve:
     given : float64, shape (n,)
         Values of the given parameter.
     best, cost : float64, shape (n,)
-        Best value of the other parameter and its cost (damping ratio, not its negative); NaN if ``found`` is False.
+        Best value of the other parameter, and its cost (for damping ratios, the ratio itself); NaN if ``found`` is
+        False.
     low, high : float64, shape (n,)
-        Ends of the range of equally good values, with ``best`` in the middle, for the discrete settling time (steps),
-        overshoot (region without any) and damping ratio (region of 1); otherwise equal to ``best``.
+        Ends of the range of equally good values. ``best`` is in the middle. Such ranges exist for the discrete settling
+        time (steps), the overshoot (region without overshoot), and the damping ratio (region with a ratio of 1).
     found : bool, shape (n,)
-        False if no point of the line is stable, or none settles within 1024 samples.
+        False if no point of the line is stable, or no response settles within 1024 samples.
     """
 
     given: Floats
@@ -79,18 +84,18 @@ def best_damping(loop: NormalisedLoop, criterion: str, alpha: object) -> Curve:
     ----------
     loop : NormalisedLoop
     criterion : str
-        One of `CURVE_CRITERIA`; those of a response also with ``_discrete`` appended.
+        One of `CURVE_CRITERIA`. For criteria of a response, ``_discrete`` may be appended.
     alpha : array_like, shape (n,)
-        Normalised virtual stiffness; values outside of (-gamma, alpha_max) have no best damping.
+        Normalised virtual stiffness. Values outside of (-gamma, alpha_max) have no best damping.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion or values that are not finite.
+        If the criterion is unknown, or a value is not finite.
 
     Notes
     -----
-    The solid curves of the thesis's figures. Accuracy: 1e-9 of the stable region.
+    These are the solid curves of the figures in the thesis. The accuracy is 1e-9 of the stable region.
 
     Source: Hulin 2017, secs. 5.1 and 5.2, Figs. 5.2 to 5.4, 5.8, 5.10.
     """
@@ -98,10 +103,10 @@ def best_damping(loop: NormalisedLoop, criterion: str, alpha: object) -> Curve:
 
 
 def best_stiffness(loop: NormalisedLoop, criterion: str, beta: object) -> Curve:
-    """Return the best alpha for each beta: the dashed curves of the thesis's figures.
+    """Return the best alpha for each beta, i.e. the dashed curves of the figures in the thesis.
 
-    Parameters and errors are those of `best_damping`, with alpha and beta exchanged. Where the best stiffness is a
-    limit at alpha = -gamma (E_0 of an impulse; damping ratio with delay), -gamma is given.
+    Parameters and errors are as in `best_damping`, with alpha and beta exchanged. If the best stiffness is a limit at
+    alpha = -gamma (E_0 of an impulse; damping ratio with a delay), the value is -gamma.
     """
     return _curve(loop, criterion, beta, stiffness_given=False)
 
@@ -109,11 +114,11 @@ def best_stiffness(loop: NormalisedLoop, criterion: str, beta: object) -> Curve:
 def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_given: bool) -> Curve:
     given = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if given.ndim != 1 or not np.isfinite(given).all():
-        raise ParameterError("given values of a curve: expected a list of finite numbers.")
+        raise ParameterError("values of a curve: expected a list of finite numbers.")
     if not is_criterion(criterion, CURVE_CRITERIA):
         raise ParameterError(
-            f"criterion {criterion!r} has no optimal curve; expected one of {list(CURVE_CRITERIA)}, those of a "
-            "response also with _discrete appended."
+            f"criterion {criterion!r} has no optimal curve; expected one of {list(CURVE_CRITERIA)}, or one of a "
+            "response with _discrete appended."
         )
     low, high = _ends(loop, given, stiffness_given)
     inside = np.flatnonzero(np.isfinite(low))
@@ -127,7 +132,7 @@ def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_gi
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Lines through the stable region: value of the given parameter, ends of the other parameter."""
+    """Lines through the stable region: values of the given parameter, and both ends of the other parameter."""
 
     loop: NormalisedLoop
     given: Floats
@@ -136,7 +141,7 @@ class _Lines:
     stiffness_given: bool
 
     def cost(self, cost: Callable[..., Floats], *of_line: Floats) -> LineCost:
-        """Return the cost along the lines, infinity if not stable; ``of_line`` are further arguments of each line."""
+        """Return the cost along the lines, infinite if not stable. ``of_line`` are further arguments for each line."""
         guarded = where_stable(self.loop, cost)
 
         def along(line: Integers, place: Floats, best: float) -> Floats:
@@ -152,7 +157,7 @@ class _Lines:
         return _Lines(self.loop, self.given[which], self.low[which], self.high[which], self.stiffness_given)
 
     def late_deviation(self, first: Floats) -> LineCost:
-        """Return the largest deviation from a sample on; the sample differs between lines."""
+        """Return the largest deviation from sample ``first`` on, which may differ between lines."""
         decided = int(_DECIDED * (self.loop.delay + 1))
 
         def deviation(alpha: Floats, beta: Floats, _: float, begin: Floats) -> Floats:
@@ -162,11 +167,11 @@ class _Lines:
 
 
 def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
-    """Return the ends of the line through the stable region at each given value, slightly widened; NaN without one."""
+    """Return the slightly widened ends of the line through the stable region at each value; NaN if there is no line."""
     if stiffness_given:
         border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]
         level, other = border.alpha, border.beta
-        # one end included, so that a line through a corner intersects one of its sides; nan between regions never
+        # one end is included, so that a line through a corner intersects one of its sides; nan between regions never
         # intersects
         meets = (np.minimum(level[:-1], level[1:]) <= value) & (value < np.maximum(level[:-1], level[1:]))
         rise = np.where(level[1:] == level[:-1], 1.0, level[1:] - level[:-1])
@@ -182,7 +187,7 @@ def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[F
 
 
 def _optima(lines: _Lines, criterion: str) -> Floats:
-    """Return best value, cost and ends of the range of equally good values, shape (4, lines)."""
+    """Return the best value, its cost, and the ends of the range of equally good values, shape (4, lines)."""
     return OPTIMA[criterion_of(criterion).family.name](lines, criterion)
 
 
@@ -240,14 +245,14 @@ def _flat(lines: _Lines, cost: Cost, levels: int = LEVELS) -> Floats:
     """Return the optima of a cost that is constant over a part of the region."""
     found = lines.search(cost, levels)
     low, high = extents(lines.cost(cost), found, lines.low, lines.high)
-    # off the plateau only rounding would determine the extent of the range
+    # outside of a constant part, only rounding would determine the extent of the range
     whole = np.isin(found.cost, (0.0, -1.0))
     low, high = np.where(whole, low, found.place), np.where(whole, high, found.place)
     return np.array([0.5 * (low + high), np.where(np.isfinite(found.place), found.cost, np.nan), low, high])
 
 
 def _impulse(lines: _Lines, criterion: str) -> Floats:
-    """Return the optima of the impulse energy w = 0, whose best stiffness may be the limit alpha -> -gamma."""
+    """Return the optima of the impulse energy with w = 0. The best stiffness may be the limit alpha -> -gamma."""
     loop = lines.loop
     found = lines.search(energy(loop, criterion, -np.inf if lines.stiffness_given else nearest_to_line(loop)))
     if lines.stiffness_given:
@@ -259,16 +264,16 @@ def _impulse(lines: _Lines, criterion: str) -> Floats:
 
 
 def _steps(lines: _Lines, criterion: str) -> Floats:
-    """Return the optima of the discrete settling time: each line's number of samples is lowered as long as possible.
+    """Return the optima of the discrete settling time. The number of samples of each line is lowered while possible.
 
-    A number of samples n is possible on a line if somewhere on it the largest deviation from sample n on, a continuous
-    function, lies inside the band.
+    A number of samples n is possible on a line if the largest deviation from sample n on is inside the band somewhere
+    on the line. This deviation is a continuous function.
     """
     band = band_of(criterion)
     first_look = lines.search(settling(lines.loop, criterion, _LONGEST), levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
-    while len(open_lines):  # terminates: a line that stays open needs one sample less, down to 1
+    while len(open_lines):  # terminates, since each remaining line needs one sample less, down to 1
         part = lines.some(open_lines)
         deviation = part.late_deviation(count[open_lines] - 1)
         found = search_lines(deviation, part.low, part.high, coarse=_STEP_LOOK, starts=3, levels=_STEP_LEVELS)
@@ -287,7 +292,7 @@ def _steps(lines: _Lines, criterion: str) -> Floats:
 
 
 OPTIMA = {"settling": _settling, "overshoot": _overshoot, "energy": _energy, "poles": _poles}
-"""Functions that find the optima along lines, by family."""
+"""Functions that find the optima along lines, with families of criteria as keys."""
 
 CURVE_CRITERIA = tuple(c.name for c in CRITERIA.values() if c.family.name in OPTIMA and not c.optimum_only)
-"""Criteria with optimal curves; criteria of a response also as ``_discrete``."""
+"""Criteria with optimal curves. For criteria of a response, ``_discrete`` may be appended."""

@@ -1,8 +1,8 @@
-"""Energy costs of the loop's step and impulse response, summed exactly to infinity.
+"""Compute energy costs of the step and impulse responses of a loop, summed exactly to infinity.
 
-The energy of a sampling interval is a quadratic form of few numbers, the device state at its start and the wall forces
-in it. Every energy cost follows from the sums of their products with the weights k^w. These sums follow from the
-transforms of the sequences by Astroem's recursion: in doubles, or with more digits if rounding matters.
+The energy of a sampling interval is a quadratic form of the device state at its start and the wall forces in it. Every
+energy cost follows from sums of products of these numbers with the weights k^w. The sums follow from the transforms of
+the sequences by Astroem's recursion, in doubles, or with more digits if rounding matters.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pipeline.theory.poles import characteristic_parts
 Arrays = tuple[Any, ...]
 
 Five = tuple[float, float, float, float, float]
-"""A number with five parts, as in `_by_recursion`."""
+"""Number with five parts, as in `_by_recursion`."""
 
 POLYNOMIALS, WORK = (
     "Tuple((f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1]))",
@@ -34,25 +34,26 @@ POLYNOMIALS, WORK = (
 )
 
 EPSILON = 2.0**-52
-"""Rounding of a double."""
+"""Rounding error of a double."""
 
 _IN_CACHE = 1 << 12
-"""Number of points whose sums are in memory at a time."""
+"""Number of points whose sums are in memory together."""
 
 _TOGETHER = 1 << 17
-"""Number of values of the recursion at a time: they fit into a cache."""
+"""Number of values of the recursion that are computed together, so that they fit into a cache."""
 
 _LONG = 64
-"""Smallest delay for which polynomials in z lose fewer digits than those in w: binomials of the delay are avoided."""
+"""Smallest delay for which polynomials in z lose fewer digits than those in w, since they avoid binomials of the
+delay."""
 
 LONGEST_SUM = 1 << 18
-"""Largest number of samples of a sum with a non-integer weighting: spectral radius about 1 - 1e-4."""
+"""Largest number of samples of a sum with a non-integer exponent, for a spectral radius of about 1 - 1e-4."""
 
 _BLOCK_SAMPLES, _NOTHING = 64, 1e-17
-"""Number of samples per block of such a sum, and the share of the sum below which a block is negligible."""
+"""Number of samples per block of such a sum, and share of the sum below which a block is negligible."""
 
 _ROUNDED, _ROUNDED_LONG = 1e-13, 2e-13
-"""Largest estimated relative rounding error of a sum; the estimate is usually right within a factor of three."""
+"""Largest estimated relative rounding errors of a sum. The estimate is usually correct within a factor of three."""
 
 
 def energy_costs(
@@ -64,8 +65,8 @@ def energy_costs(
     ----------
     loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping; every point must be stable, with alpha + gamma > 0. Up to a spectral
-        radius of 1 - 1e-11 the sums are right to 1e-12.
+        Normalised virtual stiffness and damping. Every point must be stable with alpha + gamma > 0. The relative error
+        is 1e-12 up to a spectral radius of 1 - 1e-11.
     signal : {"step", "impulse"}
     weights : sequence of float
         Exponents w >= 0.
@@ -73,8 +74,8 @@ def energy_costs(
     Returns
     -------
     dict of float64, shape (n,)
-        ``energy_<signal>_w<w>`` and the same with ``_discrete`` appended; dimensionless. NaN for an unstable point and,
-        with w other than 0, 1 and 2, for one that still moves after `LONGEST_SUM` samples.
+        Dimensionless costs ``energy_<signal>_w<w>``, and the same with ``_discrete`` appended. NaN for an unstable
+        point. With w other than 0, 1 and 2, also NaN for a point that still moves after `LONGEST_SUM` samples.
 
     Raises
     ------
@@ -83,16 +84,16 @@ def energy_costs(
 
     Notes
     -----
-    Continuous: (1/E_0) times the integral of tau^w E(tau), tau in samples, along the exact motion between samples.
+    Continuous: (1/E_0) times the integral of tau^w E(tau) along the exact motion between samples, with tau in samples.
     Discrete: (1/E_0) sum_k k^w [(alpha+gamma)/2 (chi_k - chi_inf)^2 + (chi_k - chi_{k-1})^2/2], chi_{-1} = chi_0.
-    The energy is that of the sensed position and its velocity, with the total mass, as at the wall. A step's E_0 is
-    that of the thesis; an impulse of unit momentum has E_0 = 1/2.
+    The energy is that of the sensed position and its velocity, with the total mass, as at the wall. E_0 of a step is
+    that of the thesis. An impulse of unit momentum has E_0 = 1/2.
 
     Source: Hulin 2017, eqs. 5.7, 5.14; discrete form as reproduced from Tables D.2, D.3, D.5 and D.6.
     """
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
-        raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
+        raise ParameterError("energy costs require alpha + gamma > 0: without stiffness, there is no final position.")
     costs = {w: _summed_costs(loop, a, b, signal, w) for w in weights if w not in WEIGHTS}
     if len(costs) < len(weights):
         exact = _exact_costs(loop, a, b, signal)
@@ -102,16 +103,17 @@ def energy_costs(
 
 
 def _weighted(loop: NormalisedLoop, alpha: Floats, signal: str, potential: Floats, kinetic: Floats) -> Floats:
-    """Return costs from sums of potential and kinetic energy, with the points along the last axis.
+    """Return costs from sums of potential and kinetic energy, with points along the last axis.
 
-    Deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1.
+    Deviations of a step are relative to chi_inf, so that E/E_0 = e^2 + v^2/(alpha + gamma). An impulse starts with
+    v = 1.
     """
     stiffness = alpha + loop.gamma
     return potential + kinetic / stiffness if signal == "step" else potential * stiffness + kinetic
 
 
 def _exact_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str) -> Floats:
-    """Return costs by the transforms, shape (2, 3, n): continuous and discrete, for w = 0, 1, 2."""
+    """Return continuous and discrete costs from the transforms, for w = 0, 1, 2, shape (2, 3, n)."""
     costs, left = np.empty((len(a), 2 * len(WEIGHTS))), np.arange(len(a))
 
     def weighted(sums: Floats, some: Integers) -> Floats:
@@ -138,7 +140,7 @@ def _exact_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str) -> Flo
 
 
 def _summed_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str, w: float) -> Floats:
-    """Return costs with any weighting, shape (2, n): continuous and discrete."""
+    """Return continuous and discrete costs with any exponent, shape (2, n)."""
     some = max(1, _TOGETHER // (_BLOCK_SAMPLES * loop.states))
     parts = [slice(first, first + some) for first in range(0, len(a), some)]
     if not parts:
@@ -148,10 +150,10 @@ def _summed_costs(loop: NormalisedLoop, a: Floats, b: Floats, signal: str, w: fl
 
 
 def _summed(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, w: float) -> Floats:
-    """Return sums with any weighting, potential and kinetic energy, continuous and discrete, shape (2, 2, n).
+    """Return sums with any exponent for potential and kinetic energy, continuous and discrete, shape (2, 2, n).
 
-    The sum runs in blocks of samples until it no longer changes: for non-integer w the transform of k^w is not
-    rational.
+    The transform of k^w is not rational for non-integer w. The sum is therefore computed in blocks of samples until it
+    no longer changes.
     """
     law, turn, state = loop.law(alpha, beta), loop.matrix(alpha, beta), loop.starts(alpha, signal)
     rows = [loop.seen(law, np.broadcast_to(np.eye(loop.states), turn.shape))]
@@ -194,9 +196,9 @@ def _weights_from(loop: NormalisedLoop, w: float, first: int) -> Floats:
 
 @lru_cache(maxsize=64)
 def _weights(loop: NormalisedLoop) -> Floats:
-    """Return the weights of `_sums` in potential and kinetic energy, continuous and discrete, by w.
+    """Return the weights of sums in potential and kinetic energy, continuous and discrete, for each w.
 
-    (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i: shape (2 2 3, 3 pairs).
+    They follow from (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i and have the shape (2 2 3, 3 pairs).
     """
     forms = energy_forms(loop)
     rows, columns = np.triu_indices(forms.shape[-1])
@@ -209,7 +211,7 @@ def _weights(loop: NormalisedLoop) -> Floats:
 
 
 def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) -> tuple[Floats, Booleans]:
-    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and which are good."""
+    """Return sums of k^w g_k g_k' of `NormalisedLoop.seen` over k, (n, 3, pairs of q numbers), and which are valid."""
     bottom, top = _transforms(loop, signal, np.float64)
     q, powers = top.shape[2:]
     pairs, chances = q * (q + 1) // 2, (_chances((powers + 1,)), _chances((q, powers)))
@@ -222,20 +224,20 @@ def _in_doubles(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str) 
 
 @inlined
 def part_of(polynomial: Floats, i: int) -> Five:
-    """Return a coefficient."""
+    """Return a coefficient of a polynomial."""
     return polynomial[i, 0], polynomial[i, 1], polynomial[i, 2], polynomial[i, 3], polynomial[i, 4]
 
 
 @inlined
 def times(x: Five, y: Five) -> Five:
-    """Return the product of two numbers of five parts."""
+    """Return the product of two numbers with five parts."""
     first, second = x[0] * y[1] + x[1] * y[0], x[0] * y[2] + x[1] * y[1] + x[2] * y[0]
     return x[0] * y[0], first, second, x[0] * y[3] + x[3] * y[0], x[0] * y[4] + x[4] * y[0]
 
 
 @inlined
 def inverse(x: Five) -> Five:
-    """Return the reciprocal of such a number."""
+    """Return the reciprocal of a number with five parts."""
     value = 1 / x[0]
     share = value * x[1]
     falls = -value * value
@@ -244,21 +246,21 @@ def inverse(x: Five) -> Five:
 
 @inlined
 def put(polynomial: Floats, i: int, x: Five) -> None:
-    """Set a coefficient."""
+    """Set a coefficient of a polynomial."""
     for part in range(5):
         polynomial[i, part] = x[part]
 
 
 @inlined
 def add(polynomial: Floats, i: int, x: Five, sign: float) -> None:
-    """Add such a number to a coefficient, or subtract it."""
+    """Add a number with five parts to a coefficient, with a sign."""
     for part in range(5):
         polynomial[i, part] += sign * x[part]
 
 
 @inlined
 def put_in(powers: Floats, chances: Floats, walls: Five, result: Floats) -> None:
-    """Set a polynomial at a wall: value, first and half the second derivative, two random perturbations."""
+    """Set a polynomial at a wall: value, first and half the second derivative, and two random perturbations."""
     for i in range(len(result)):
         for part in range(3):
             result[i, part] = 0.0
@@ -272,7 +274,7 @@ def put_in(powers: Floats, chances: Floats, walls: Five, result: Floats) -> None
 
 @compiled(f"void({POLYNOMIALS},UniTuple(f8[::1],2),{WORK},f8[:,:,::1],b1[::1])")
 def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floats, good: Booleans) -> None:
-    """Compute `_by_recursion` in doubles, point by point, by polynomials in w.
+    """Compute `_by_recursion` in doubles for each point, with polynomials in w.
 
     Parameters
     ----------
@@ -281,9 +283,9 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
     walls : tuple
         alpha and beta, shape (n,).
     work : tuple
-        Work arrays: polynomials at a wall, lowest powers of the numerator, the same over a scale, sums.
+        Work arrays: polynomials at a wall, lowest powers of the numerator, the same divided by a scale, and sums.
     sums, good : float64, shape (n, 3, pairs); bool, shape (n,)
-        Output: sums, and which of them are good.
+        Output: sums, and which of them are valid.
     """
     bottom, top, bottom_chances, top_chances = polynomials
     a, b, first, scaled, total = work
@@ -330,12 +332,12 @@ def sums_in_doubles(polynomials: Arrays, walls: Arrays, work: Arrays, sums: Floa
 
 
 def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str, kind: Any) -> tuple[Floats, Booleans]:
-    """Return the sums in a kind of numbers, and which are good: for stable points, without loss by rounding.
+    """Return the sums in a type of numbers, and which are valid, i.e. of stable points without large rounding errors.
 
-    With H the transform of a sequence h, sum_k k^w h_k^2 is the w-th derivative by s, at 0, of the sum for H(z
-    exp(-s/2)), an integral along the imaginary axis of w. Numbers have five parts: value, first and half the second
-    derivative, and the effects of two random relative perturbations of the polynomial terms on the value. Multiplied by
-    the rounding unit of this kind of numbers, these effects estimate the rounding error.
+    H is the transform of a sequence h. Then sum_k k^w h_k^2 is the w-th derivative, at s = 0, of the sum for H(z
+    exp(-s/2)), which is an integral along the imaginary axis of w. Numbers have five parts: value, first and half the
+    second derivative with respect to s, and the effects of two random relative perturbations of the polynomial terms on
+    the value. These effects times the rounding unit of the number type estimate the rounding error.
 
     Source: Astroem 1970, Introduction to Stochastic Control Theory, ch. 5, theorem 3.1.
     """
@@ -359,8 +361,11 @@ def _by_recursion(loop: NormalisedLoop, alpha: Floats, beta: Floats, signal: str
 
 
 def _step_in_w(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return coefficients whose product over a scale is a part of the sum, that scale, whether stable, and the
-    remainder."""
+    """Perform a step of the recursion in w, and return its results and the remaining polynomials.
+
+    The results are coefficients, a scale, and whether the points are stable. The product of the coefficients divided by
+    the scale is a part of the sum.
+    """
     first, odd = b[:, :, 0], a[:, 3::2]
     size, share, each = _times(a[:, 0], a[:, 1]), _ratio(a[:, 0], a[:, 1]), _ratio(first, a[:, None, 1])
     a, b = a[:, 1:], b[:, :, 1:]
@@ -370,7 +375,7 @@ def _step_in_w(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the same for polynomials in z, highest power first, with a monic denominator.
+    """Perform the same step for polynomials in z, highest power first, with a monic denominator.
 
     Source: Astroem 1970, theorem 2.1.
     """
@@ -382,8 +387,10 @@ def _step_in_z(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def _at(polynomials: np.ndarray, walls: np.ndarray) -> np.ndarray:
-    """Return polynomials at walls with two random perturbations as further parts; lowest power first, (5, ..., powers,
-    n)."""
+    """Return polynomials at walls with two random perturbations as further parts, shape (5, ..., powers, n).
+
+    The lowest power is first.
+    """
     found = np.tensordot(np.moveaxis(polynomials, 1, -1), walls, 1)
     terms = np.tensordot(np.moveaxis(np.abs(polynomials[0]), 0, -1), np.abs(walls), 1)
     return np.concatenate([found, terms * _as(found.dtype.type, _chances(terms.shape[:-1])[..., None])])
@@ -396,7 +403,7 @@ def _chances(shape: tuple[int, ...]) -> Floats:
 
 
 def _times(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return products of numbers with five parts along the first axis."""
+    """Return products of numbers with five parts, which are along the first axis."""
     result = x[0] * y
     result[1:] += x[1:] * y[0]
     result[2] += x[1] * y[1]
@@ -404,7 +411,7 @@ def _times(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return ratios of such numbers."""
+    """Return ratios of numbers with five parts."""
     result, parts = x / y[0], y[1:] / y[0]
     result[1:] -= result[0] * parts
     result[2] -= result[1] * parts[0]
@@ -413,11 +420,11 @@ def _ratio(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the transforms of an interval's inputs as ratios of polynomials in w, in a kind of numbers.
+    """Return the transforms of the inputs of an interval as ratios of polynomials in w, in a type of numbers.
 
-    The denominator, (3, 3, powers): value, first and half the second derivative by s; constant term, factor of alpha,
-    and factor of beta; a factor 1 + w turns the sum into an integral along the axis. The numerators, (3, 5, q, powers),
-    also have factors of alpha^2 and alpha beta.
+    The denominator has the shape (3, 3, powers). The axes are for the value, its first and half its second derivative
+    with respect to s; and for the constant term and the factors of alpha and beta. A factor 1 + w turns the sum into an
+    integral along the axis. The numerators, (3, 5, q, powers), also have factors of alpha^2 and alpha beta.
     """
     with many_digits(loop.digits):
         if kind is not np.object_:
@@ -443,7 +450,7 @@ def _transforms(loop: NormalisedLoop, signal: str, kind: Any) -> tuple[np.ndarra
 
 
 def _tops(loop: NormalisedLoop, parts: Digits, alpha: int, beta: int, signal: str) -> Digits:
-    """Return the numerators of an interval's inputs at a wall, shape (q, powers of w)."""
+    """Return the numerators of the inputs of an interval at a wall, shape (q, powers of w)."""
     long, bottom = loop.oldest_force > _LONG, parts[0] + alpha * parts[1] + beta * parts[2]
     bottom = bottom if long else from_w(bottom)[::-1]
     n = len(bottom) - 1
@@ -455,7 +462,7 @@ def _tops(loop: NormalisedLoop, parts: Digits, alpha: int, beta: int, signal: st
 
 
 def _by_s(polynomial: Digits) -> Digits:
-    """Return the derivative of p(w(z exp(-s/2))) by s, without its common factor, along the last axis."""
+    """Return the derivative of p(w(z exp(-s/2))) with respect to s along the last axis, without its common factor."""
     result: Digits = np.zeros_like(polynomial)
     k = np.arange(polynomial.shape[-1])
     result[..., :-1] -= polynomial[..., 1:] * k[1:] / 4
@@ -468,7 +475,7 @@ def _by_s_in_z(polynomial: Digits) -> Digits:
 
 
 def _as(kind: Any, values: np.ndarray) -> np.ndarray:
-    """Return Decimal numbers or doubles as numbers of a kind."""
+    """Return Decimal numbers or doubles as numbers of another type."""
     if kind is np.object_:
         return as_exact(values)
     found: np.ndarray = values.astype(np.float64).astype(kind)
@@ -478,7 +485,7 @@ def _as(kind: Any, values: np.ndarray) -> np.ndarray:
 
 
 def _sequences(loop: NormalisedLoop, alpha: int, beta: int, signal: str, count: int) -> Digits:
-    """Return the first samples of an interval's inputs, shape (count, q)."""
+    """Return the first samples of the inputs of an interval, shape (count, q)."""
     steps, p = loop.own, len(loop.device.sensor)
     start = as_exact(loop.starts(np.array([alpha]), signal)[0])
     state, forces = start[: len(steps.free)], list(start[len(steps.free) :][::-1])  # in order of time

@@ -1,22 +1,23 @@
-"""Simulation (march) of step responses, one wall at a time, in loops compiled by numba: settling, overshoot, rise.
+"""Simulate (march) step responses, one wall at a time, in loops compiled by numba: settling, overshoot and rise.
 
-A response is simulated exactly, sample by sample; between samples the motion is a polynomial over each piece of the
-interval (`pipeline.theory.motion`), evaluated where the velocity changes sign. After some samples the poles bound the
-remaining motion, in three steps.
+A response is simulated exactly from sample to sample. Between samples, the motion is a polynomial over each piece of
+the interval (`pipeline.theory.motion`), which is evaluated where the velocity changes sign. After some samples, the
+poles bound the remaining motion, in three steps.
 
-1. The poles are the roots of a polynomial in zeta = z - 1 and z, found from those of a neighbour (Ehrlich and Aberth);
-   the eigenvectors follow from the adjugate. Where roots coincide, eigenvectors of the whole matrix are passed in.
-2. With mode m of size c_m over a sampling interval (Bernstein's hull of its polynomials) and decay s_m, the deviation
-   from sample k on is at most sum_m c_m exp(-s_m k): once this sum is inside a band, the response stays inside.
-3. It is moved to some samples before that, by its modes, and simulated to the end, which gives the last entry into the
-   band. For the overshoot it is simulated as long as the sum of the modes that can exceed the final position exceeds
-   the peak.
+1. The poles are the roots of a polynomial in zeta = z - 1 and z, computed from those of a neighbouring wall (Ehrlich
+   and Aberth). The eigenvectors follow from the adjugate. If roots coincide, eigenvectors of the whole matrix are
+   inputs.
+2. Mode m has the size c_m over a sampling interval (hull of its Bernstein coefficients) and the decay s_m. The
+   deviation from sample k on is at most sum_m c_m exp(-s_m k). If this sum is inside a band, the response stays inside.
+3. The modes move the response to some samples before this time. It is then simulated to the end, which gives the last
+   entry into the band. For the overshoot, it is simulated while the sum of the modes that can exceed the final position
+   is larger than the peak.
 
-Deviations are relative to the final displacement, times in samples. A response that needs more samples than the limit
-ends with a status instead of a number. ``interval`` is the motion over a sampling interval (`motion.interval_motion`),
-``first`` the first three own states, which a march keeps in registers: sensed position, velocity and last sample.
-``state`` has a row for each mode: its own states and the wall forces of the last samples, newest first, at sample 0;
-``view`` is set by `outlook`.
+Deviations are relative to the final displacement, and times are in samples. A response that needs more samples than the
+limit ends with a status instead of a number. ``interval`` is the motion over a sampling interval
+(`motion.interval_motion`). ``first`` contains the first three own states, which a march keeps in registers: sensed
+position, velocity and last sample. ``state`` has a row for each mode, at sample 0: its own states, and the wall forces
+of the last samples, newest first. ``view`` is computed by `outlook`.
 """
 
 from __future__ import annotations
@@ -43,55 +44,56 @@ MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[::1],c16[:,::1],f8[:,::1]))"
 WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
 
 MOVING, STILL, LATE = 0, 1, 2
-"""End of a march: at its last sample, at rest, or at the cutoff outside all bands."""
+"""Ends of a march: at its last sample, at rest, or at the cutoff outside all bands."""
 
 KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
-"""Status of a response: complete; no settling time; no overshoot; needs modes from eigenvectors."""
+"""Status of a response: complete, no settling time, no overshoot, or modes from eigenvectors are needed."""
 
 CUTOFF_SAMPLES = 16
 """Number of samples between two checks of the cutoff."""
 
 TURN_STEPS = 5
-"""Number of Newton steps to a turning point, from a guess within a piece of at most one radian: each doubles the
-digits."""
+"""Number of Newton steps to a turning point from a guess within a piece of at most one radian. Each step doubles the
+number of digits."""
 
 PASSING_STEPS, PASSING_SHARE = 55, 1e-13
-"""Largest number of steps to a level crossing, by Newton or bisection, and the size of the last step, as a share of a
-piece."""
+"""Largest number of steps to a level crossing, by Newton's method or bisection, and size of the last step as a share of
+a piece."""
 
 ROOT_STEPS, FIRST_TURN, LAST_STEP = 30, 1e-5, 1e-9
-"""Largest number of iterations to the poles (about two from those of neighbours); the relative rotation of first
-guesses, as real ones would stay real; and the relative change at which iteration stops, as its third power remains."""
+"""Largest number of iterations to the poles (about two from the poles of a neighbour), relative rotation of the first
+guesses, since real guesses would stay real, and relative change at which the iteration ends. The remaining error is the
+third power of this change."""
 
 ROUNDED = 1e-12
-"""Tolerance for rounding: of a pole's step relative to its distance from z = 1, of a real pole's imaginary part, and of
-the relative difference between the state at sample 0 and its modes."""
+"""Tolerance for rounding of three numbers: the step of a pole relative to its distance from z = 1, the imaginary part
+of a real pole, and the relative difference between the state at sample 0 and its modes."""
 
 CANCELLED = 1e3
-"""Ratio of the sizes of all modes to the size of their sum above which cancellation costs too many digits: rounding
-grows as the square."""
+"""Ratio of the sum of all mode sizes to the size of their sum above which cancellation loses too many digits. The
+rounding error grows with the square of this ratio."""
 
 ROUNDED_SAMPLES = 64
-"""Number of samples in which a pole's rounding rotates its mode by the initial tolerance between modes and march."""
+"""Number of samples in which the rounding error of a pole rotates its mode by the initial tolerance of `agrees`."""
 
 GONE = 1e-30
-"""Pole of a motion that ends at once."""
+"""Pole of a motion that ends immediately."""
 
 OUTWEIGHED = 0.99
 """Largest sum of all other modes, relative to a leading negative mode, for which the sign stays negative."""
 
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
-"""Number of samples simulated before the end of an envelope, at first and at most (an eighth of the squared sample
-limit, if that is less): the envelope may lie far above the motion."""
+"""Initial and largest number of samples that are simulated before the end of an envelope, which may be far above the
+motion. An eighth of the squared sample limit is a further limit."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
-"""Number of samples between two checks whether a response may exceed its peak, and the smallest number of skipped
+"""Number of samples between two checks whether a response may exceed its peak, and smallest number of skipped
 samples."""
 
 
 @inlined
 def seen_by(rows: Floats, r: int, z: Floats, first: Three) -> float:
-    """Return a row times own states."""
+    """Return the product of a row and the own states."""
     value: float = rows[r, 0] * first[0] + rows[r, 1] * first[1] + rows[r, 2] * first[2]
     for i in range(3, len(z)):
         value += rows[r, i] * z[i]
@@ -100,14 +102,14 @@ def seen_by(rows: Floats, r: int, z: Floats, first: Three) -> float:
 
 @inlined
 def behind(rows: Floats, r: int, z: Floats, first: Three, forces: Forces) -> float:
-    """Return a row times own states and forces."""
+    """Return the product of a row and the own states and forces."""
     acting: float = rows[r, len(z)] * forces[0] + rows[r, len(z) + 1] * forces[1]
     return seen_by(rows, r, z, first) + acting
 
 
 @inlined
 def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
-    """Return the applied forces and the next index in the delay line; a new force replaces the oldest."""
+    """Return the applied forces and the next index in the delay line, in which a new force replaces the oldest."""
     if not len(line):
         return (force, force), 0
     after = at + 1 if at + 1 < len(line) else 0
@@ -118,7 +120,7 @@ def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
 
 @inlined
 def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Forces) -> Three:
-    """Return the first three own states at the next sample; write the others to ``moved``."""
+    """Return the first three own states at the next sample, and write the others to ``moved``."""
     for i in range(3, len(z)):
         moved[i] = behind(step, i, z, first, forces)
     return behind(step, 0, z, first, forces), behind(step, 1, z, first, forces), seen_by(step, 2, z, first)
@@ -126,7 +128,7 @@ def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Force
 
 @inlined
 def begun_again(z: Floats, moved: Floats, first: Three) -> Three:
-    """Set own states to those of the next sample; return the first three."""
+    """Set the own states to those of the next sample, and return the first three."""
     z[0], z[1], z[2] = first
     for i in range(3, len(z)):
         z[i] = moved[i]
@@ -135,14 +137,14 @@ def begun_again(z: Floats, moved: Floats, first: Three) -> Three:
 
 @inlined
 def copy(source: Floats, target: Floats) -> None:
-    """Copy numbers."""
+    """Copy an array."""
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @inlined
 def begin(start: Floats, force: float, z: Floats, line: Floats) -> None:
-    """Set own states and delayed forces at sample 0."""
+    """Set the own states and the delayed forces at sample 0."""
     copy(start, z)
     for i in range(len(line)):
         line[i] = force
@@ -150,7 +152,7 @@ def begin(start: Floats, force: float, z: Floats, line: Floats) -> None:
 
 @inlined
 def curve_of(curves: Floats, j: int, z: Floats, forces: Forces, curve: Floats) -> None:
-    """Set the coefficients of the position over a piece."""
+    """Compute the coefficients of the position over a piece."""
     for c in range(len(curve)):
         curve[c] = curves[j, c, len(z)] * forces[0] + curves[j, c, len(z) + 1] * forces[1]
         for i in range(len(z)):
@@ -159,7 +161,7 @@ def curve_of(curves: Floats, j: int, z: Floats, forces: Forces, curve: Floats) -
 
 @inlined
 def motion_at(curve: Floats, share: float) -> Three:
-    """Return a polynomial at a share of its piece, and its first and second derivative."""
+    """Return the value of a polynomial at a share of its piece, and its first and second derivatives."""
     value, slope, bend = 0.0, 0.0, 0.0
     for i in range(len(curve) - 1, -1, -1):
         bend = bend * share + 2 * slope
@@ -183,13 +185,13 @@ def turn_of(curve: Floats) -> float:
 
 @inlined
 def passing(curve: Floats, level: float) -> float:
-    """Return the share of a piece at which a motion passes a level, after its turning point."""
+    """Return the share of a piece at which a motion passes a level after its turning point."""
     share, low, high = turn_of(curve), 0.0, 1.0
     for number in range(PASSING_STEPS):
         value, slope, _ = motion_at(curve, share)
         miss, before = value - level, share
         low, high = (share, high) if miss * level > 0 else (low, share)
-        # at the turning point the slope is zero, so Newton's method cannot start there
+        # the slope is zero at the turning point, so Newton's method cannot start there
         tangent = number and slope and low <= before - miss / slope <= high
         share = before - miss / slope if tangent else 0.5 * (low + high)
         if abs(share - before) <= PASSING_SHARE:
@@ -199,28 +201,32 @@ def passing(curve: Floats, level: float) -> float:
 
 @part
 def march(
-    interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], asked: Arrays
+    interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], requested: Arrays
 ) -> tuple[int, int]:
-    """Simulate a response from one sample to another, or until rest; return the last sample and the kind of end.
+    """Simulate a response from one sample to another or until rest; return the last sample and the kind of end.
 
     Parameters
     ----------
     interval : tuple
-        Of `interval_motion`.
+        Result of `interval_motion`.
     body : tuple
-        Own states ``z``; delayed forces ``line``, that of sample k at k modulo the delay; two work arrays; for all
-        walls the rows of their laws, and the levers of own states on the position; the index of this wall; and two
-        arrays to save the first two in.
+        Own states ``z``; delayed forces ``line``, with that of sample k at k modulo the delay; two work arrays; for all
+        walls, the rows of their laws and the levers of own states on the position; the index of this wall; and two
+        arrays in which the first two are saved.
     notes : tuple
-        For each band the last sample outside (``settled``) and the interval, piece and start of the last passing into
-        it (``entry``); largest deviation between samples and of samples (``peak``); samples for which all motion was
-        small compared with the bands, and with the peak too (``calm``).
+        For each band, the last sample outside (``settled``), and the interval, piece and start of the last entry into
+        the band (``entry``). ``peak`` is the largest deviation between samples and that of samples. ``calm`` counts the
+        samples for which all motion was small compared with the bands, and compared with bands and peak.
     span : tuple of int
-        The two samples, the first band to check, and the one after the last.
-    asked : tuple
+        First and last sample, first band to check, and the band after the last one to check.
+    requested : tuple
         ``bands``, whether overshoot and motion between samples are requested, memory of the loop in samples, share of a
-        band or peak that counts as small, deviation that does not count as overshoot, and cutoff.
+        band or a peak below which motion is small, deviation that is not an overshoot, and cutoff.
 
+    Notes
+    -----
+    At a single sample, all states of the device may be small while a delayed force or a filter stores future motion. A
+    response is therefore at rest if all motion was small for as long as the memory of the loop.
     Notes
     -----
     At a single sample all states of the device may be small while a delayed force or a filter stores future motion. A
@@ -229,7 +235,7 @@ def march(
     step, ends, curves, timing = interval
     z, line, moved, curve, laws, levers, n, _, _ = body
     settled, entry, peak, calm = notes
-    bands, swings, between, memory, share, floor, cutoff = asked
+    bands, swings, between, memory, share, floor, cutoff = requested
     own, first, (k, end, low, high) = len(z), (z[0], z[1], z[2]), span
     narrowest, widest = 1.0 / share, 0.0
     for b in range(low, high):
@@ -255,7 +261,7 @@ def march(
                     extreme = motion_at(curve, turn_of(curve))[0]
                     peak[0] = max(peak[0], extreme)
             for b in range(low, high):
-                # another march may have found a later one
+                # another march may have found a later entry
                 if abs(after) <= bands[b] < max(abs(place), abs(extreme)) and not k < entry[b, 0]:
                     entry[b, 0], entry[b, 1] = k, j
                     entry[b, 2] = math.copysign(bands[b], extreme if abs(extreme) > bands[b] else place)
@@ -299,7 +305,7 @@ def power_of(base: complex, exponent: int) -> complex:
 
 @inlined
 def over(top: complex, bottom: complex) -> complex:
-    """Return a ratio; NaN where the denominator is 0."""
+    """Return a ratio; NaN if the denominator is 0."""
     return top * bottom.conjugate() * (1 / square(bottom))
 
 
@@ -311,7 +317,7 @@ def square(number: complex) -> float:
 
 @part
 def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
-    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether this converged.
+    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether the method converged.
 
     ``forces`` is a work array.
     """
@@ -348,10 +354,10 @@ def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats
 
 @compiled(f"void({MODAL},UniTuple(f8[::1],2),Tuple((c16[::1],c16[:,::1],b1[::1],f8[::1])))")
 def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
-    """Set z - 1 of all poles of each wall, and whether they converged.
+    """Compute z - 1 of all poles of each wall, and whether the search converged.
 
-    ``out``: poles of a first wall, from which each search begins and which are replaced; poles, shape (n, states);
-    whether they converged, shape (n,); a work array.
+    ``out`` contains the poles of a first wall, which are the start of each search and are replaced; the poles, shape
+    (n, states); whether they converged, shape (n,); and a work array.
     """
     guess, zeta, known, forces = out
     for n in range(len(known)):
@@ -363,8 +369,10 @@ def poles_of_walls(modal: Arrays, walls: Arrays, out: Arrays) -> None:
 
 @inlined
 def upper_half(zeta: Floats) -> int:
-    """Move real poles and those above the real axis to the front; return their number, 0 if the others are not
-    conjugates."""
+    """Move real poles and poles above the real axis to the front, and return their number.
+
+    The result is 0 if the other poles are not their conjugates.
+    """
     count, pairs = 0, 0
     for m in range(len(zeta)):
         place = zeta[m]
@@ -378,14 +386,12 @@ def upper_half(zeta: Floats) -> int:
 
 @part
 def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats, state: Floats) -> None:
-    """Set the part of each mode in the states at sample 0, by right and left eigenvectors; pole - 1 is given in
-    ``pole``.
+    """Compute the part of each mode in the states at sample 0, from right and left eigenvectors.
 
-    A mode above the real axis includes the part of its conjugate.
-
-    With s the states without forces, G the gains of the oldest force and of z times the newer one: right ones are
-    (adj G, D z^(delay - age)), left ones (law adj z^delay, law adj G z^(age - 1)); of the oldest force alone its own
-    gain counts.
+    ``pole`` contains the poles minus 1, which are replaced by the poles. A mode above the real axis includes the part
+    of its conjugate. The eigenvectors are expressed by the own states and their gains G of the oldest force and of z
+    times the newer one: right (adj G, D z^(delay - age)), left (law adj z^delay, law adj G z^(age - 1)). For the oldest
+    force, only its own gain is used.
     """
     determinant, rows, columns, _, gains, _ = modal
     own, delay = rows.shape[2], len(start) - rows.shape[2]
@@ -421,7 +427,7 @@ def shapes(modal: Arrays, wall: tuple[float, float], start: Floats, pole: Floats
 
 @inlined
 def are_complete(state: Floats, start: Floats) -> bool:
-    """Return whether modes sum to the state at sample 0, and are small enough not to cancel."""
+    """Return whether modes sum to the state at sample 0, and are small enough to avoid cancellation."""
     largest, off, sizes, size = 0.0, 0.0, 0.0, 0.0
     for i in range(len(start)):
         total, parts = 0.0, 0.0
@@ -435,10 +441,10 @@ def are_complete(state: Floats, start: Floats) -> bool:
 
 @part
 def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
-    """Set the contribution of modes to the motion in the interval after sample 0; return whether all decay.
+    """Compute the contribution of modes to the motion in the interval after sample 0; return whether all modes decay.
 
-    Columns of ``view``: decay per sample, real part of the pole, largest size, distance that it stays below zero (for a
-    real positive pole), a power of the pole (two), and its imaginary part.
+    The columns of ``view`` are the decay per sample, the real part of the pole, the largest size, the distance below
+    zero that the mode keeps (for a real positive pole), a power of the pole (two columns), and its imaginary part.
     """
     own, delay = law.shape[1], state.shape[1] - law.shape[1]
     for m in range(len(state)):
@@ -465,7 +471,7 @@ def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view
 
 @inlined
 def grow(view: Floats, sample: int) -> None:
-    """Set the powers of the poles."""
+    """Compute the powers of the poles."""
     for m in range(len(view)):
         power = power_of(complex(view[m, 1], view[m, 6]), sample)
         view[m, 4], view[m, 5] = power.real, power.imag
@@ -473,7 +479,7 @@ def grow(view: Floats, sample: int) -> None:
 
 @inlined
 def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
-    """Set own states and delayed forces at a sample, from"""
+    """Set own states and delayed forces to their values at a sample, computed from the modes."""
     z, line = body[0], body[1]
     grow(view, sample)
     for i in range(state.shape[1]):
@@ -488,7 +494,7 @@ def moved_to(sample: int, state: Floats, view: Floats, body: Arrays) -> None:
 
 @inlined
 def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: float) -> bool:
-    """Return whether a response agrees with its modes."""
+    """Return whether a response agrees with its modes at a sample."""
     z, levers, n = body[0], body[5], body[6]
     off, size = 0.0, 0.0
     grow(view, sample)
@@ -503,8 +509,10 @@ def agrees(state: Floats, view: Floats, body: Arrays, sample: int, reproduced: f
 
 @inlined
 def envelope_end(view: Floats, band: float, sample: float) -> float:
-    """Return a time, after a given sample, after which the sum of all sizes is inside the band; at most two samples too
-    late."""
+    """Return a time after ``sample`` from which the sum of all mode sizes is inside the band.
+
+    It is at most two samples too late.
+    """
     time, slowest = sample, 0
     for m in range(len(view)):
         slowest = m if view[m, 0] < view[slowest, 0] else slowest
@@ -516,7 +524,7 @@ def envelope_end(view: Floats, band: float, sample: float) -> float:
             part = view[m, 2] * math.exp(-view[m, 0] * time)
             total += part
             falls += view[m, 0] * part
-        # Newton's method on the logarithm, a convex function, comes from below
+        # Newton's method on the logarithm, which is convex, approaches from below
         change = math.log(total / band) * total / falls if total > band else 0.0
         time += change
         if change <= 0.5:
@@ -526,7 +534,7 @@ def envelope_end(view: Floats, band: float, sample: float) -> float:
 
 @inlined
 def outweighs(view: Floats, lead: int, sample: float) -> bool:
-    """Return whether a negative mode exceeds the sum of all modes that may be positive, for an interval."""
+    """Return whether a negative mode exceeds the sum of all modes that may be positive during an interval."""
     others = 0.0
     for m in range(len(view)):
         if view[m, 3] == 0:
@@ -537,12 +545,12 @@ def outweighs(view: Floats, lead: int, sample: float) -> bool:
 
 @inlined
 def below_a_peak(view: Floats, peak: float, sample: float) -> float:
-    """Return a number of samples, at least half of the largest, in which envelopes keep the motion below a peak;
-    infinity if they always do.
+    """Return a number of samples in which envelopes keep the motion below a peak; infinity if they always do.
 
-    They do if all modes that may rise above the final position are smaller than the peak, or while a real negative mode
-    outweighs them. The ratio of a sum of exponentials to one exponential is convex in time, so its values now and at
-    one later time suffice; once the other modes are below the peak it cannot be exceeded any more.
+    The number is at least half of the largest possible one. The envelopes keep the motion below a peak if all modes
+    that may rise above the final position are smaller than the peak, or while a real negative mode exceeds them. The
+    ratio of a sum of exponentials to one exponential is convex in time, so that its present value and one later value
+    suffice. Once the other modes are below the peak, the motion can no longer exceed it.
     """
     lead, largest, slowest, total = -1, -1.0, math.inf, 0.0
     for m in range(len(view)):
@@ -566,20 +574,21 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 
 
 @inlined
-def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays, b: int, cutoff: float) -> bool:
-    """Simulate a response into a band before its end, which is known from modes; return whether this is not too early.
+def settle(
+    interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requested: Arrays, b: int, cutoff: float
+) -> bool:
+    """Simulate a response into a band before its end, which is known from modes; return whether its entry was found.
 
-    A response outside the band at the cutoff is not simulated.
-
-    ``ahead``: ``state`` and ``view`` of its modes, a sample, and arguments of `climb`.
+    A response outside the band at the cutoff is not simulated. ``ahead`` contains ``state`` and ``view`` of its modes,
+    a sample, and arguments of `climb`.
     """
     state, view, since, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
     settled, _, _, calm = notes
-    last, window = math.ceil(envelope_end(view, asked[0][b], since)), WINDOW_SAMPLES
+    last, window = math.ceil(envelope_end(view, requested[0][b], since)), WINDOW_SAMPLES
     if last > cutoff > since:
         moved_to(math.ceil(cutoff), state, view, body)
-        if abs(z[0]) > asked[0][b]:
+        if abs(z[0]) > requested[0][b]:
             return False
     while window < min(MAX_WINDOW_SAMPLES, longest * longest // 8):
         first = max(last - window, since)
@@ -588,10 +597,10 @@ def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: 
         else:
             copy(begun, z)
             copy(begun_line, line)
-        if abs(z[0]) > asked[0][b]:
+        if abs(z[0]) > requested[0][b]:
             settled[b] = first
         calm[0] = calm[1] = 0.0
-        march(interval, body, notes, (first, last, b, b + 1), asked)
+        march(interval, body, notes, (first, last, b, b + 1), requested)
         if settled[b] >= first or first <= since:
             return True
         last, window = first, 2 * window
@@ -599,10 +608,10 @@ def settle(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: 
 
 
 @inlined
-def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: Arrays) -> bool:
-    """Simulate a response as long as it may exceed its peak; return whether it cannot any more.
+def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requested: Arrays) -> bool:
+    """Simulate a response while it may exceed its peak; return whether it can no longer exceed the peak.
 
-    ``ahead`` as in `settle`, with the number of samples to simulate.
+    ``ahead`` is as in `settle`, with the number of samples to simulate.
     """
     state, view, k, longest = ahead
     z, line, _, _, _, _, _, begun, begun_line = body
@@ -611,14 +620,14 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: A
     copy(begun_line, line)
     last = longest + k
     while k < last:
-        free = below_a_peak(view, max(peak[1], asked[5]), k)
+        free = below_a_peak(view, max(peak[1], requested[5]), k)
         if free == math.inf:
             return True
         if free >= MIN_JUMP_SAMPLES:
             k, last = k + int(free), last + int(free)
             moved_to(k, state, view, body)
         calm[0] = calm[1] = 0.0
-        k, how = march(interval, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), asked)
+        k, how = march(interval, body, notes, (k, min(k + CLIMB_SAMPLES, last), 0, 0), requested)
         if how == STILL:
             return True
     return False
@@ -628,28 +637,28 @@ def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, asked: A
     f"void({INTERVAL},{MODAL},{WALLS},Tuple(({RULE},Tuple((i8,i8,f8)))),Tuple((c16[:,::1],c16[:,:,::1])),"
     f"Tuple((f8[:,::1],i8[::1],{WORK})))"
 )
-def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, given: Arrays, out: Arrays) -> None:
-    """Compute settling times and overshoots of step responses.
+def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays, given: Arrays, out: Arrays) -> None:
+    """Compute the settling times and overshoots of step responses.
 
     Parameters
     ----------
     interval, modal : tuple
-        Of `interval_motion` and `polynomials`.
+        Results of `interval_motion` and `polynomials`.
     walls : tuple
-        Of `_walls`.
-    asked : tuple
-        That of `march`; largest number of samples of a response, number of samples before its modes are used, and
-        largest difference of a state and its modes, relative to its motion.
+        Result of `_walls`.
+    requested : tuple
+        Settings of `march`; and the largest number of samples of a response, the number of samples before its modes are
+        used, and the largest difference between a state and its modes, relative to its motion.
     given : tuple
-        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not give them; else n =
-        0.
+        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not provide them;
+        otherwise n = 0.
     out : tuple
-        Costs, shape (n, 2 bands + 2), as output: for the samples and for the motion, settling times, then overshoot;
+        Costs, shape (n, 2 bands + 2), as an output: settling times and overshoot of the samples, then of the motion;
         status, shape (n,); and arrays of `_work`.
     """
     _, _, curves, timing = interval
     alpha, beta, laws, levers, start, guess = walls
-    rule, (longest, looked, reproduced) = asked
+    rule, (longest, looked, reproduced) = requested
     _, swings, between, memory, _, _, _ = rule
     costs, status, (z, line, moved, curve, begun, begun_line), notes, (initial, forces, pole, former, state, view) = out
     settled, entry, peak, calm = notes
@@ -709,15 +718,15 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, asked: Arrays, gi
 
 
 @compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,i8,f8)),{BODY},f8[::1])")
-def late_deviations(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, largest: Floats) -> None:
-    """Set the largest deviation of each response from a given sample on.
+def late_deviations(interval: Arrays, walls: Arrays, requested: Arrays, body: Arrays, largest: Floats) -> None:
+    """Compute the largest deviation of each response from a given sample on.
 
-    ``asked``: these samples, shape (n,), the last sample, the memory of the loop, and the share of the largest
-    deviation below which all motion has to stay for that long.
+    ``requested`` contains these samples, shape (n,), the last sample, the memory of the loop, and a share of the
+    largest deviation. A response ends when all motion has been below this share for the memory of the loop.
     """
     step, _, _, _ = interval
     alpha, _, laws, levers, start, _ = walls
-    since, longest, memory, share = asked
+    since, longest, memory, share = requested
     z, line, moved, _ = body
     for n in range(len(alpha)):
         begin(start, alpha[n], z, line)
@@ -735,15 +744,15 @@ def late_deviations(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays
 
 
 @compiled(f"void({INTERVAL},{WALLS},Tuple((f8[::1],i8,b1)),{BODY},f8[:,:,::1])")
-def rises(interval: Arrays, walls: Arrays, asked: Arrays, body: Arrays, time: Floats) -> None:
-    """Set the times at which each response first reaches levels below zero, shape (2, levels, n): of the motion, and of
-    linearly interpolated samples.
+def rises(interval: Arrays, walls: Arrays, requested: Arrays, body: Arrays, time: Floats) -> None:
+    """Compute the times at which each response first reaches levels below zero, shape (2, levels, n).
 
-    ``asked``: levels, the last sample, and whether the motion between samples is requested.
+    The times are those of the motion and of linearly interpolated samples. ``requested`` contains the levels, the last
+    sample, and whether the motion between samples is requested.
     """
     step, ends, curves, timing = interval
     alpha, _, laws, _, start, _ = walls
-    levels, longest, between = asked
+    levels, longest, between = requested
     z, line, moved, curve = body
     for n in range(len(alpha)):
         begin(start, alpha[n], z, line)

@@ -1,4 +1,4 @@
-"""Modes of a closed loop as input of the march: polynomials for its poles, or eigenvectors."""
+"""Compute the modes of a closed loop for a march, from polynomials for its poles or from eigenvectors."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pipeline.theory.motion import DEGREE, interval_motion, own_basis
 Complexes = NDArray[np.complex128]
 
 _LONGEST = 8
-"""Largest number of states, without delayed forces, for which polynomials are accurate."""
+"""Largest number of states without delayed forces for which polynomials are accurate."""
 
 STILL_REPRODUCED = 1e-11
-"""Largest difference of a state and its modes, relative to its motion; it may grow by as much in every
+"""Largest difference between a state and its modes, relative to its motion. It may grow by this amount in every
 `march.ROUNDED_SAMPLES`."""
 
 
 def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[Complexes, Complexes]:
-    """Return poles, shape (n, modes), and the part of each mode in the states at sample 0, (n, modes, states), for
-    steps.
+    """Return poles, shape (n, modes), and the part of each mode in the states at sample 0 of steps.
 
-    States as in a march, then the wall forces of the last samples, newest first; nan if eigenvectors do not span them.
+    The parts have the shape (n, modes, states). States are those of a march, followed by the wall forces of the last
+    samples, newest first. Values are nan if the eigenvectors do not span the states.
     """
     pole, vectors = (part.astype(np.complex128) for part in np.linalg.eig(loop.matrix(alpha, beta)))
     apart = np.isfinite(np.linalg.slogdet(vectors)[1])
@@ -40,7 +40,7 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
 
 
 def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
-    """Return the same for zero points: a march then computes modes from polynomials."""
+    """Return the same for no points. A march then computes modes from polynomials."""
     n = loop.states
     return np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)
 
@@ -52,21 +52,23 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     Returns
     -------
     determinant : float64, shape (own + 1,)
-        Empty for a long filter, whose polynomials lose digits.
+        Empty for a long filter, since its polynomials lose digits.
     rows : float64, shape (2, own, own)
-        Position and velocity times the adjugate: powers, states.
+        Products of position and velocity with the adjugate: powers, states.
     columns : float64, shape (own + 1, own)
-        The adjugate times the gains of the forces, those of the newer one times z: powers, states.
+        Product of the adjugate and the gains of the forces, with those of the newer force times z: powers, states.
     walls : float64, shape (2, own + 1)
-        Position and velocity times the columns: the poles' equation is z^delay D + alpha walls_0 + beta walls_1 = 0.
+        Products of position and velocity with the columns. The poles solve z^delay D + alpha walls_0 + beta walls_1 =
+        0.
     gains : float64, shape (2, own)
-        Of the oldest force, and of the one after it.
+        Gains of the oldest force and of the next one.
     hull : float64, shape (coefficients, p + s)
-        Of the position over all pieces: it lies between the smallest and largest coefficient (Bernstein).
+        Bernstein coefficients of the position over all pieces. The position is between the smallest and the largest
+        one.
     """
     steps, n = loop.own, len(loop.own.free)
     curves = interval_motion(loop, True)[2]
-    # with a raised degree, whose coefficients lie closer to the curve
+    # a raised degree moves the coefficients closer to the curve
     rows, powers = range(DEGREE + 1), range(curves.shape[1])
     change = np.array([[math.comb(j, i) / math.comb(DEGREE, i) for i in powers] for j in rows])
     hull = np.ascontiguousarray((change @ curves).reshape(-1, curves.shape[2]))

@@ -1,8 +1,7 @@
-"""Motion of a device between samples: polynomials over pieces of a sampling interval.
+"""Describe the motion of a device between samples by polynomials over pieces of a sampling interval.
 
-A piece is short compared with the oscillations of the device, and pieces halve towards the start of a segment, where a
-fast lag settles; so a polynomial of degree 12 through exact points interpolates the motion to a relative error of
-1e-12.
+Each piece is short compared with the oscillations of the device. Pieces halve towards the start of a segment, where a
+fast lag settles. A polynomial of degree 12 through exact points therefore has a relative error of 1e-12.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 
 DEGREE = 12
-"""Degree of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
+"""Degree of the polynomials. A piece is at most one radian, so that the next term is below 1/13!."""
 
 _GAUSS = 14
 """Number of Gauss points that integrate the square of such a polynomial times tau^2 exactly."""
@@ -28,7 +27,7 @@ _GAUSS = 14
 WEIGHTS = (0, 1, 2)
 
 _NEGLIGIBLE = 1e-20
-"""Coefficients of a motion below this value, relative to the largest, are left out."""
+"""Coefficients of a motion, relative to the largest, below which they are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +39,11 @@ class Piece:
     age : int
         Delay of the wall force in samples.
     start, duration : float
-        Within the sampling interval [T].
+        Position within the sampling interval [T].
     transition, gain : float64, shapes (p, p), (p,)
         Exact motion of the device over the piece.
     place : float64, shape (13, p + 1)
-        Matrix from the device state at the start of the piece, and its input, to the coefficients of the sensed
+        Matrix that maps the device state at the start of the piece, and its input, to the coefficients of the sensed
         position over the share of the piece, lowest power first.
     """
 
@@ -57,7 +56,7 @@ class Piece:
 
     @cached_property
     def speed(self) -> Floats:
-        """Matrix like ``place``, for the velocity [1/T], shape (12, p + 1)."""
+        """Matrix like ``place`` for the velocity [1/T], shape (12, p + 1)."""
         return self.place[1:] * np.arange(1, DEGREE + 1)[:, None] / self.duration
 
 
@@ -81,8 +80,9 @@ def pieces(loop: NormalisedLoop) -> tuple[Piece, ...]:
 def energy_forms(loop: NormalisedLoop) -> Floats:
     """Return the contributions of an interval to the sums of e^2 and v^2, as quadratic forms of `NormalisedLoop.seen`.
 
-    Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
-    sample, or the way to the next, with its weight 1^w.
+    The shape is (2, 2, 3, q, q). The first axis is for position and velocity. The second axis is for integrals of tau^w
+    over the interval and for the first sample, or the change to the next one, with its weight 1^w. The third axis is
+    for w = 0, 1, 2.
     """
     p, q = len(loop.device.sensor), len(loop.device.sensor) + len(loop.segments)
     forms, (times, at) = np.zeros((2, 2, len(WEIGHTS), q, q)), forms_at_nodes(loop)
@@ -99,11 +99,11 @@ def energy_forms(loop: NormalisedLoop) -> Floats:
 
 @lru_cache(maxsize=64)
 def forms_at_nodes(loop: NormalisedLoop, power: float = 0.0) -> tuple[Floats, Floats]:
-    """Return nodes of an interval, shape (n,), and the quadratic forms whose sum over them is the integral with
-    tau^power.
+    """Return nodes of an interval, shape (n,), and quadratic forms whose sum is the integral with tau^power.
 
-    Shape (2, n, q, q): e^2 and v^2 as forms of `NormalisedLoop.seen`, times the weights of Gauss and Legendre; in the
-    first piece, where tau^power may have no derivative, of Gauss and Jacobi.
+    The forms have the shape (2, n, q, q), for e^2 and v^2 in terms of `NormalisedLoop.seen`. They include the weights
+    of Gauss-Legendre quadrature. In the first piece, where tau^power may not be differentiable, the weights are those
+    of Gauss-Jacobi quadrature.
     """
     times, forms, at_start = list[Floats](), list[list[Floats]](), leggauss(_GAUSS)
     if power:
@@ -149,7 +149,7 @@ def _edges(loop: NormalisedLoop, duration: float) -> Floats:
 
 
 def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floats]:
-    """Return transition, gain, and the coefficients of the polynomial through exact points."""
+    """Return the transition, the gain, and the coefficients of the polynomial through exact points."""
     with many_digits(loop.digits):
         transition, gain = loop.moved(duration / DEGREE)
         sensor = as_exact(loop.device.sensor)
@@ -162,8 +162,7 @@ def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floa
 
 
 def _through(values: Digits) -> Digits:
-    """Return the coefficients of the polynomials through values at equidistant points of [0, 1] (Newton's
-    differences)."""
+    """Return coefficients of the polynomials through values at equidistant points of [0, 1] (Newton's differences)."""
     differences = [values[0]]
     for order in range(1, len(values)):
         values = (values[1:] - values[:-1]) / order
@@ -175,23 +174,23 @@ def _through(values: Digits) -> Digits:
         longer[:-1] -= step * result
         longer[0] += differences[step]
         result = longer
-    # t counts steps: a share is t/DEGREE
+    # t counts steps, so that a share of the piece is t/DEGREE
     return np.asarray(result * as_exact([DEGREE**k for k in range(len(result))])[:, None], dtype=object)
 
 
 @lru_cache(maxsize=64)
 def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
-    """Return the motion over a sampling interval, from own states and two forces, as input of a march.
+    """Return the motion over a sampling interval, from own states and two forces, as an input of a march.
 
-    Own states are those without delayed forces, in the basis of `own_basis`. The wall forces in an interval are the
-    older and the newer one; the newer has no effect if the delay is an integer.
+    Own states are the states without delayed forces, in the basis of `own_basis`. The wall forces in an interval are
+    the older and the newer one. The newer one has no effect if the delay is an integer.
 
     Returns
     -------
     step : float64, shape (own, own + 2)
-        Own states at its end.
+        Own states at the end of the interval.
     ends : float64, shape (2 (pieces - 1), own + 2)
-        Sensed position and its velocity at the end of each piece except the last.
+        Sensed position and its velocity at the end of each piece, except the last one.
     curves : float64, shape (pieces, degree + 1, own + 2)
         Position over the share of each piece, lowest power first; zeros if only samples are requested.
     timing : float64, shape (2, pieces)
@@ -222,9 +221,10 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
 
 @lru_cache(maxsize=64)
 def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
-    """Return the matrix from own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
+    """Return the matrix that maps own states of `NormalisedLoop.matrix` to those of a march, and its inverse.
 
-    Sensed position and its velocity, last sample, the device states except the first two, the filter states.
+    Own states of a march are the sensed position and its velocity, the last sample, the device states except the first
+    two, and the filter states.
     """
     own, sensor = loop.states - loop.oldest_force, loop.device.sensor
     p = len(sensor)
@@ -234,7 +234,7 @@ def own_basis(loop: NormalisedLoop) -> tuple[Floats, Floats]:
 
 
 _MOST_POINTS = 1 << 22
-"""Largest number of points of one response; more would take seconds."""
+"""Largest number of points of a response. More points would take seconds."""
 
 
 def response(
@@ -248,19 +248,19 @@ def response(
     alpha, beta : float
         Normalised wall.
     signal : {"step", "impulse"}
-        A step is part of the command, an impulse an impact on the motor side.
+        A step is added to the command; an impulse is an impact on the motor side.
     samples, per_sample : int
-        Length [samples] and evenly spaced points in each sampling interval, both at least 1.
+        Length [samples], and number of evenly spaced points in each sampling interval, both at least 1.
 
     Returns
     -------
     float64
-        chi = x m/T^2 for a unit force, x m/T for a unit momentum; every ``per_sample``-th point is a sample.
+        chi = x m/T^2 for a unit force, or x m/T for a unit momentum. Every ``per_sample``-th point is a sample.
 
     Raises
     ------
     ParameterError
-        For another signal, sizes out of range, or a motion that overflows.
+        If the signal is unknown, a size is out of range, or the motion overflows.
 
     Source: Hulin 2017, secs. 3.1.5 and 5.2.
     """
@@ -275,12 +275,12 @@ def response(
     places = np.empty((per_sample, p + len(loop.segments)))
     for piece, given in zip(pieces(loop), starts(loop), strict=True):
         share = (times - piece.start) / piece.duration
-        some = share > 0  # later pieces overwrite
+        some = share > 0  # later pieces overwrite earlier ones
         places[some] = np.vander(share[some], DEGREE + 1, increasing=True) @ piece.place @ given
     pushed, state = np.zeros(loop.states), loop.starts(wall[0], "impulse")[0] * (1 - step)
     pushed[:p] = step * as_floats(np.sum(loop.pushes[1], axis=0))
     found = [loop.device.sensor @ state[:p]]
-    with np.errstate(over="ignore", invalid="ignore"):  # overflow is rejected below
+    with np.errstate(over="ignore", invalid="ignore"):  # an overflow is rejected below
         for _ in range(samples):
             seen = loop.seen(law, state[None, :, None])[0, :, 0]
             seen[p:] += step
@@ -290,6 +290,6 @@ def response(
     if not np.isfinite(result).all():
         last = int(np.argmin(np.isfinite(result))) // per_sample
         raise ParameterError(
-            f"this wall is unstable: after {last} samples its motion is beyond all numbers; ask for fewer."
+            f"this wall is unstable: its motion overflows after {last} samples. Request fewer samples."
         )
     return result

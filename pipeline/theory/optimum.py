@@ -1,9 +1,9 @@
-"""Optimal points of the loop for each criterion.
+"""Find the optimal wall of a loop for each criterion.
 
-Each kind of criterion has a search that suits its costs: energy is smooth; settling time jumps where an extremum of
-the response crosses the band, and its optimum sits in the corner of such a jump; the discrete settling time has steps;
-pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. `search` and
-`curves` explain why each search finds the global optimum.
+Each kind of criterion has a search that suits its costs. Energy is smooth. Settling time jumps where an extremum of the
+response crosses the band, and its optimum is in the corner of such a jump. The discrete settling time has steps. Pole
+radius and damping ratio have kinks where poles meet. The region without overshoot ends in cusps. `search` and `curves`
+explain why each search finds the global optimum.
 """
 
 from __future__ import annotations
@@ -39,16 +39,15 @@ from pipeline.theory.search import (
 from pipeline.theory.settling_overshoot import NO_OVERSHOOT, late_deviation, transient_costs
 
 UNDAMPED_LOSS = 1e-9
-"""Largest distance of a damping ratio from 1 that counts as rounding: splitting a triple pole by 1e-5 lowers the ratio
-by 2e-10."""
+"""Largest distance of a damping ratio from 1 that is attributed to rounding. If a triple pole splits by 1e-5, the ratio
+decreases by 2e-10."""
 
 _CLEAR = 1e-8
-"""Distance from the edge of the stable set, as a share of alpha + gamma, below which an optimum counts as lying on it;
-a search keeps a tenth of this distance."""
+"""Distance from the edge of the stable region, as a share of alpha + gamma, below which an optimum lies on the edge. A
+search keeps a tenth of this distance."""
 
 _ENDLESS = 60
-"""Number of samples, per d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d +
-1)."""
+"""Number of samples per d + 1 after which a response is not settled in a search. Optima settle in about 5 (d + 1)."""
 
 _ENDLESS_LOSS = 1e-9
 """Distance of the smallest pole radius from 1 below which no response settles in a search."""
@@ -57,50 +56,52 @@ _IMPULSE_INSET = 0.002
 """Distance of the first grid for an impulse from alpha = -gamma, as a share of the width."""
 
 _NEAR_LINE = 1e-4
-"""Distance from alpha = -gamma, relative to the width, from which the limit is extrapolated by a parabola: the cost is
-smooth in the distance, so the error is about 1e-10, as is that of sums over 1e4 samples and more."""
+"""Distance from alpha = -gamma, relative to the width, from which a parabola extrapolates the limit. The cost is smooth
+in the distance, so that the error is about 1e-10. Sums over 1e4 samples and more have the same error."""
 
 _CREEP = 1e-9
-"""Smallest (alpha + gamma) and |beta|, relative to the largest, in the search of the largest damping ratio: with delay
-it lies next to the line alpha = -gamma (5.1.2)."""
+"""Smallest (alpha + gamma) and |beta|, relative to the largest, in the search for the largest damping ratio. With a
+delay, this optimum is close to the line alpha = -gamma (5.1.2)."""
 
 _CORNER = 1e-5
 """Relative distance within which a closed form replaces the result of a search."""
 
 _KINK_LEVELS = 16
-"""0.35^16 = 5e-8 of a first step: below that, rounding of multiple poles decides between points."""
+"""Number of levels of a search near kinks, 0.35^16 = 5e-8 of a first step. With more levels, rounding of multiple poles
+would decide between points."""
 
 
 @lru_cache(maxsize=1024)
 def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Return the optimal point of a criterion.
+    """Return the optimal point for a criterion.
 
     Parameters
     ----------
     loop : NormalisedLoop
     criterion : str
-        One of `records.criteria.CRITERIA`; those of a response also with ``_discrete`` appended for the costs of
+        One of `records.criteria.CRITERIA`. For criteria of a response, ``_discrete`` may be appended for the costs of
         the sampled response.
 
     Returns
     -------
     OptimalPoint
-        Cost as printed in the tables: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
-        [samples]; overshoot; energy. If points tie: for the discrete settling time the centre of their bounding box;
-        for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False if the optimum is a limit: at
-        the edge of the stable set; E_0 of an impulse for alpha -> -gamma; with delay and gamma = 0 the damping ratio,
-        which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's own are real).
+        The cost is as printed in the tables: pole modulus, damping ratio (largest, instead of its negative of 5.3),
+        settling time [samples], overshoot, or energy. If several points are optimal, the discrete settling time uses
+        the centre of their bounding box; overshoot, and a damping ratio of 1, use the stiffest point. ``attained`` is
+        False if the optimum is a limit. This may be the edge of the stable region, or, for E_0 of an impulse, alpha ->
+        -gamma. With a delay and gamma = 0, the damping ratio tends to 1 for alpha, beta -> 0, since the additional
+        poles tend to 0 and the poles of the plant are real.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion.
+        If the criterion is unknown.
 
     Source: Hulin 2017, secs. 5.1 and 5.2; reproduces C.1 to C.3 and the theory rows of D.1 to D.6.
     """
     if not is_criterion(criterion, CRITERIA):
         raise ParameterError(
-            f"criterion {criterion!r} is unknown; expected one of {[*CRITERIA]}, those of a response also with "
+            f"criterion {criterion!r} is unknown; expected one of {[*CRITERIA]}, or a criterion of a response with "
             "_discrete appended."
         )
     found = SEARCHES.get(criterion_of(criterion).family.name, _least)(loop, criterion)
@@ -110,12 +111,14 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def _least(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Return the smallest cost inside the stable region or, as a limit, along its edge, where the cost must be
-    continuous."""
+    """Return the smallest cost inside the stable region, or, as a limit, along its edge.
+
+    The cost must be continuous at the edge.
+    """
     longest = int(_ENDLESS * (loop.delay + 1))
 
     def at(place: Floats) -> tuple[Floats, Floats]:
-        """Return the edge at given dampings."""
+        """Return the edge at the given dampings."""
         return stiffness_limit(loop, place), place
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
@@ -149,7 +152,7 @@ def _least_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def energy(loop: NormalisedLoop, criterion: str, lowest: float = -np.inf) -> Cost:
-    """Return the energy cost for a search: infinity below an alpha, where a limit replaces it."""
+    """Return the energy cost for a search. It is infinite below ``lowest``, where a limit replaces it."""
     of = criterion_of(criterion)
     return lambda a, b, _: np.where(a >= lowest, energy_costs(loop, a, b, of.signal, (of.weight,))[criterion], np.inf)
 
@@ -159,7 +162,7 @@ def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
         return _settling_region(loop, band_of(criterion), criterion)
     try:
         return search(loop, settling(loop, criterion, int(_ENDLESS * (loop.delay + 1))))
-    except ParameterError:  # no response of a first grid settles
+    except ParameterError:  # no response of the first grid settles
         slowest = _smallest_radius(loop)
         if slowest.cost < 1 - _ENDLESS_LOSS:
             raise
@@ -167,9 +170,9 @@ def _soonest_settled(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def band_of(criterion: str) -> float:
-    """Return the half width of the band of a settling time, relative to the final displacement."""
+    """Return the half-width of the band of a settling time, relative to the final displacement."""
     band = criterion_of(criterion).band
-    assert band is not None, "only settling times are searched here"
+    assert band is not None, "only settling times have a band"
     return band
 
 
@@ -201,9 +204,9 @@ def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
 
 
 def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
-    """Return the largest damping ratio; among points without any oscillation the stiffest.
+    """Return the largest damping ratio. Among points without oscillation, return the stiffest one.
 
-    With delay the best points lie close to alpha = -gamma and beta = 0, so both are searched on logarithmic scales.
+    With a delay, the best points are close to alpha = -gamma and beta = 0, so both are searched on logarithmic scales.
     """
     low, high = box(loop, inset=0.0)
     width, largest = float(high[0] - low[0]), float(max(high[1], -low[1]))
@@ -224,7 +227,7 @@ def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
     alpha, beta = -loop.gamma + width * float(np.exp(first)), unit * float(np.sinh(second))
     plant_is_real = loop.delta**2 >= 4 * loop.gamma
     if plant_is_real and (found > -1 or alpha < _CREEP * width):
-        # without a wall no pole oscillates; for gamma = 0 the one at z = 1 makes this a limit
+        # without a wall, no pole oscillates; for gamma = 0, the pole at z = 1 makes this a limit
         return OptimalPoint(0.0, 0.0, 1.0, attained=loop.gamma > 0)
     if found > -1:
         return OptimalPoint(alpha, beta, -found)
@@ -236,10 +239,9 @@ def _most_damped(loop: NormalisedLoop) -> OptimalPoint:
 
 
 def _least_impulse_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Return the optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside if the cost is lower
-    there."""
+    """Return the optimum of E_0 after an impulse, along the limit alpha -> -gamma or inside the stable region."""
     low, high = box(loop)
-    # closer to the line the limit replaces the cost, so that a search cannot profit from rounding
+    # closer to the line, the limit replaces the cost, so that a search cannot benefit from rounding errors
     inside = search(loop, energy(loop, criterion, nearest_to_line(loop)), SMOOTH, region(_IMPULSE_INSET))
     end = np.array([low[1]]), np.array([high[1]])
     line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
@@ -249,12 +251,12 @@ def _least_impulse_energy(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
 
 
 def nearest_to_line(loop: NormalisedLoop) -> float:
-    """Return the alpha below which the limit alpha -> -gamma replaces the impulse energy w = 0."""
+    """Return the alpha below which the limit alpha -> -gamma replaces the impulse energy with w = 0."""
     return _NEAR_LINE * (float(box(loop)[1][0]) + loop.gamma) - loop.gamma
 
 
 def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
-    """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity if unstable.
+    """Return the limit of the impulse energy with w = 0 for alpha -> -gamma from above; infinity if unstable.
 
     Parameters
     ----------
@@ -265,9 +267,9 @@ def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "e
 
     Notes
     -----
-    Towards the line the potential energy decreases with alpha + gamma, and the time for which it is stored increases
-    with the reciprocal: its integral has a positive limit, though it is zero on the line. The cost is a smooth function
-    of the distance; the limit is extrapolated by a parabola through three points close to the line.
+    Towards the line, the potential energy decreases with alpha + gamma, but it is stored for a time that increases with
+    the reciprocal. Its integral therefore has a positive limit, although it is zero on the line. The cost is a smooth
+    function of the distance. A parabola through three points close to the line extrapolates it to the limit.
 
     Source: Hulin 2017, sec. 5.2.3.
     """
@@ -281,17 +283,17 @@ def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "e
 
 
 def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> OptimalPoint:
-    """Return the smallest discrete settling time and the bounding box of all points that have it.
+    """Return the smallest discrete settling time, and the bounding box of all points that have it.
 
-    A number of samples n can be reached if somewhere the largest deviation of samples n, n+1, ... lies inside the band.
-    That deviation is continuous, so its minimum can be searched although the settling time has steps.
+    A number of samples n is possible if the largest deviation of samples n, n + 1, ... is inside the band for some
+    wall. This deviation is continuous, so its minimum can be searched for, although the settling time has steps.
     """
     longest = int(_ENDLESS * (loop.delay + 1))
 
     def deviation(alpha: Floats, beta: Floats, _: float, first: int) -> Floats:
         return late_deviation(loop, alpha, beta, first, longest)
 
-    # a first number that is certainly possible; then smaller numbers are tried in turn
+    # start with a number that is certainly possible, and then try smaller numbers in turn
     alpha, beta = chart(loop).wall(*grid(*region(), JUMPING.coarse))
     tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
     index = int(np.argmin(tried))
@@ -299,7 +301,7 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
         raise ParameterError(f"no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
-    while samples > 1:  # terminates: each further round needs one sample less
+    while samples > 1:  # terminates, since each further round needs one sample less
         better = search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break
@@ -313,14 +315,14 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
 
 
 POINT_CRITERIA = ("alpha_max", "beta_max", "ziegler_nichols")
-"""Points of the plane that are not an optimum of a cost."""
+"""Points of the plane that are not the optimum of a cost."""
 
 REFERENCE_DELAY = 8.0
 """Delay factor for the scaling factors of Table 5.1."""
 
 
 def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
-    """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point; its cost is nan.
+    """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point. Its cost is nan.
 
     Parameters
     ----------
@@ -330,13 +332,13 @@ def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
     Raises
     ------
     ParameterError
-        For another name.
+        If the name is unknown.
 
     Notes
     -----
-    Ziegler-Nichols for a PI controller of the velocity: critical gain beta_max, at which the loop oscillates with a
-    period of T_u = 2 pi/theta samples; 0.45 of it is the gain, T_u/1.2 the integral time, so
-    alpha = 0.54 beta_max/T_u. T_u = 4, 8, 12 for d = 0, 1, 2 without physical stiffness and damping.
+    The Ziegler-Nichols rule is for a PI controller of the velocity. At the critical gain beta_max, the loop oscillates
+    with a period of T_u = 2 pi/theta samples. The gain is 0.45 of it, and the integral time is T_u/1.2, so that
+    alpha = 0.54 beta_max/T_u. Without physical stiffness and damping, T_u = 4, 8, 12 for d = 0, 1, 2.
 
     Source: Hulin 2017, secs. 3.4 and 5.3 (Fig. 5.14); Tables C.1 to C.3.
     """
@@ -353,22 +355,22 @@ def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
 
 
 def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: float = 0.0, delta: float = 0.0) -> float:
-    """Return the scaling factor of the polynomial cost approximation: optimal cost/(d + 1)^(w + 1) at one delay.
+    """Return the scaling factor of the polynomial cost approximation, optimal cost/(d + 1)^(w + 1) at one delay.
 
     Parameters
     ----------
     criterion : str
-        Pole radius (for the settling time that it predicts, 5.4), settling time or energy; responses also with
-        ``_discrete`` appended.
+        Pole radius (for the settling time that it predicts, 5.4), settling time or energy. For criteria of a response,
+        ``_discrete`` may be appended.
     reference : float
-        Delay factor at which the approximation is made exact.
+        Delay factor at which the approximation is exact.
     gamma, delta : float
-        Normalised stiffness and damping of the device; 0 in the table.
+        Normalised stiffness and damping of the device, which are 0 in the table.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion, and for overshoot and damping ratio, whose optimal costs do not depend on delay.
+        If the criterion is unknown, or is overshoot or damping ratio, whose optimal costs do not depend on the delay.
 
     Source: Hulin 2017, eq. 5.19 and Table 5.1.
     """
@@ -380,32 +382,32 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
 
 
 _FAINT = 1e-60
-"""Deviation down to which a response is checked for overshoot of any size. Below it the slowest modes dominate: one
-that decays 10 % faster is smaller by six more decades."""
+"""Deviation down to which a response is checked for an overshoot of any size. Below it, the slowest modes dominate: a
+mode that decays 10 % faster is smaller by six more decades."""
 
 _FLOORS = (0.2, 0.05, 0.01)
-"""Lower ends of the search for the edge, as shares of the stable stiffness; it lies near 0.35, and softer walls
+"""Lower ends of the search for the edge, as shares of the stable stiffness. The edge is near 0.35, and softer walls
 creep."""
 
 _RIDGE = 73
-"""Number of samples of the edge of the region without overshoot around its highest part."""
+"""Number of points of the edge of the region without overshoot around its highest part."""
 
 _TIPS = 3
-"""Number of tips of that edge that are refined."""
+"""Number of tips of this edge that are refined."""
 
 _CLIMBS = 7
-"""Number of zooms onto a tip: its damping is found to 0.4^7 = 2e-3 of the spacing of the samples, its stiffness to
-1e-8."""
+"""Number of refinements of a tip. Its damping is then accurate to 0.4^7 = 2e-3 of the spacing of the points, and its
+stiffness to 1e-8."""
 
 _EQUAL = 1e-4
-"""Relative stiffness within which two tips count as equal; the thesis's tables print four digits."""
+"""Relative difference of stiffness below which two tips are equal. The tables of the thesis have four digits."""
 
 
 def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
-    """Return the stiffest point whose step response has no overshoot; its cost is 0.
+    """Return the stiffest point whose step response has no overshoot. Its cost is 0.
 
-    The criterion determines whether the motion between samples counts or only the samples, and whether overshoot of any
-    size is excluded (`never_overshoots`) or up to 1e-12 is allowed as in the thesis.
+    The criterion determines whether the motion between samples or only the samples are evaluated. It also determines
+    whether overshoot of any size is excluded (`never_overshoots`) or up to 1e-12 is allowed, as in the thesis.
 
     Source: Hulin 2017, sec. 5.2.2 with footnote 4.
     """
@@ -430,7 +432,7 @@ class CleanRegion:
     alpha_max: float
 
     def cost(self, alpha: Floats, beta: Floats, _: float) -> Floats:
-        """Return 0 without overshoot, else infinity."""
+        """Return 0 if there is no overshoot; otherwise infinity."""
         if self.at_all:
             none = never_overshoots(self.loop, alpha, beta, continuous=self.continuous)
         else:
@@ -439,14 +441,14 @@ class CleanRegion:
         return np.where(none, 0.0, np.inf)
 
     def contains(self, alpha: Floats, beta: Floats) -> Booleans:
-        """Return which stable walls have no overshoot."""
+        """Return whether each wall is stable without overshoot."""
         return np.isfinite(where_stable(self.loop, self.cost)(alpha, beta, np.inf))
 
     def edge(self, beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
-        """Return the largest alpha at each beta in [floor, top] (floor if none), by 24 sections per pass.
+        """Return the largest alpha at each beta in [floor, top] (floor if none), with 24 sections in each pass.
 
-        With increasing alpha the region is left only once: its lower part is free of overshoot throughout (checked by a
-        test).
+        With increasing alpha, the region is left only once, since its lower part is free of overshoot throughout (a
+        test checks this).
         """
         lower, upper = floor.copy(), top.copy()
         share, row = np.linspace(0, 1, 25), np.arange(len(beta))
@@ -459,7 +461,7 @@ class CleanRegion:
         return lower
 
     def stiffest(self, betas: Floats) -> OptimalPoint | None:
-        """Return the stiffest point between sorted dampings; None if every point overshoots."""
+        """Return the stiffest point between sorted dampings; None if all points have overshoot."""
         count, soft = len(betas), -self.loop.gamma
         stiff = self.alpha_max - soft
         for share in _FLOORS:
@@ -474,7 +476,7 @@ class CleanRegion:
         edges = self.edge(ridge, np.full(_RIDGE, floor), np.full(_RIDGE, ceiling), 3)
         tips = _local_maxima(edges)[:_TIPS]
         alpha, beta = self._climbed(edges[tips], ridge[tips], 1.5 * (ridge[1] - ridge[0]), 0.01 * highest)
-        # tips of practically equal stiffness: the smallest damping is reported, so that rounding does not decide
+        # of tips with practically equal stiffness, report the smallest damping, so that rounding does not decide
         known = self.contains(alpha, beta)  # a floor means that there is no edge
         if not known.any():
             return None
@@ -484,7 +486,7 @@ class CleanRegion:
         return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
 
     def _climbed(self, alpha: Floats, beta: Floats, half: float, width: float) -> tuple[Floats, Floats]:
-        """Return tips of the edge, refined by zooming."""
+        """Return refined tips of the edge."""
         for _ in range(_CLIMBS):
             window, middle = beta[:, None] + half * np.linspace(-1, 1, 19), np.repeat(alpha, 19)
             values = self.edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
@@ -497,7 +499,7 @@ class CleanRegion:
 
 
 def _local_maxima(values: Floats) -> list[int]:
-    """Return the indices of inner local maxima, highest first."""
+    """Return the indices of inner local maxima, the highest one first."""
     inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])) + 1
     if not len(inner):
         inner = np.array([int(np.argmax(values))])
@@ -505,23 +507,24 @@ def _local_maxima(values: Floats) -> list[int]:
 
 
 def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
-    """Return where the step response has no overshoot at all, however small.
+    """Return whether the step response of each wall has no overshoot of any size.
 
     Parameters
     ----------
     loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+        Normalised virtual stiffness and damping. Walls must be stable with alpha + gamma > 0.
     continuous : bool
-        Whether the motion between samples counts, or the samples only.
+        Whether the motion between samples is evaluated, or only the samples.
 
     Notes
     -----
-    Finally the slowest mode decides: with a pole that is not real and positive, the response crosses its final position
-    again and again, with decreasing amplitude. So the largest pole must be real and positive, and the response must
-    stay below its final position until it has shrunk to 1e-60, which is computed without loss of relative precision.
+    Finally, the slowest mode dominates. If its pole is not real and positive, the response crosses its final position
+    again and again, with decreasing amplitude. Therefore, the largest pole must be real and positive, and the response
+    must stay below its final position until its deviation is 1e-60. This is computed without loss of relative
+    precision.
 
-    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that extends 3 to 4 % further.
+    The thesis allows 1e-12 (footnote 4 of 5.2.2). Its region extends 3 to 4 % further.
     """
     a, b = as_points(alpha, beta)
     z = poles(loop, a, b)
@@ -537,4 +540,4 @@ def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, conti
 
 
 SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}
-"""Searches of the families that do not use the default search."""
+"""Searches for families of criteria that do not use the default search."""

@@ -1,16 +1,16 @@
-"""Passivity of a wall with lag, fractional delay and velocity filter.
+"""Compute the passivity of a wall with lag, fractional delay and velocity filter.
 
-The wall is sampled, so a motion of frequency omega causes forces at all aliases omega + 2 pi n/T. The damping that
-absorbs the energy which they can generate together is (with T = 1, u = 1/z, z = exp(j omega))
+Since the wall is sampled, a motion of frequency omega causes forces at all aliases omega + 2 pi n/T. The damping that
+absorbs the energy which these forces can generate together is (with T = 1, u = 1/z, z = exp(j omega))
 
-    [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)),
+    [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)).
 
-with S0, S1, S2 the sums of 1, L, |L|^2 over omega_n^2 and L = exp(-j omega_n d) G(j omega_n), G that of the actuator,
-such as 1/(1 + j omega_n lag). It is homogeneous and convex in alpha and beta, so the passive region is convex, contains
-0 and scales with the device's damping; mass, spring, hand, and a vibration mode with the sensor at the motor have no
-influence.
+S0, S1 and S2 are the sums of 1, L and |L|^2 over omega_n^2. L = exp(-j omega_n d) G(j omega_n), with the actuator G,
+such as 1/(1 + j omega_n lag). The required damping is homogeneous and convex in alpha and beta. The passive region is
+therefore convex, contains 0, and scales with the damping of the device. Mass, spring, hand, and a vibration mode with
+the sensor at the motor have no influence.
 
-Source: Hulin 2017, ch. 4, for integer delays without lag, where this is (4.6); the sums in closed form are ours.
+Source: Hulin 2017, ch. 4. For integer delays without lag, this is (4.6). The sums in closed form are an addition.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from pipeline.records.trials import Floats
 from pipeline.theory.search import search_lines
 
 _ANGLES = 40
-"""Number of angles per turn of the delayed force; maxima are searched between them."""
+"""Number of angles per turn of the delayed force. Maxima are searched for between these angles."""
 
 _NEAR_ZERO = 8e-3
-"""Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and the required damping, an even function of
-the angle, is extrapolated to 0 with an error of 1e-9."""
+"""Smallest angle times delay and lag. Below it, 1/angle^2 loses digits. The required damping is an even function of the
+angle, and is extrapolated to 0 with an error of 1e-9."""
 
 _SLOW, _STILL = 0.3, 1e-4
-"""Corner of a velocity filter [rad/sample] below which slow angles are examined, and the smallest angle relative to
-it."""
+"""Corner frequency of a velocity filter [rad/sample] below which small angles are examined, and smallest such angle
+relative to the corner."""
 
 _SLOW_ANGLES, _SLOW_STARTS = 241, 6
-"""Number of those angles, logarithmically spaced, and number of peaks that are refined."""
+"""Number of these angles, which are logarithmically spaced, and number of peaks that are refined."""
 
 _DIRECTIONS = 181
 
 _BISECTIONS = 40
-"""Number of bisections of a stiffness interval: to 1e-12 of it."""
+"""Number of bisections of a stiffness interval, for an accuracy of 1e-12 of the interval."""
 
 
 def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Floats:
-    """Return the normalised damping that walls need on the near side of the device, shape (n,); at least 0.
+    """Return the normalised damping that walls require on the motor side of the device, shape (n,), at least 0.
 
     Parameters
     ----------
     loop : NormalisedLoop
-        Loop; its delay, lag and filter matter.
+        Only its delay, lag and filter are used.
     alpha, beta : float64, shape (n,)
 
     Raises
     ------
     ParameterError
-        If the position is sensed at the far mass: no damping of the near one makes such a wall passive.
+        If the position is sensed at the load. No damping of the motor side makes such a wall passive.
     """
     if loop.plant.sensor_at_load:
         raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
@@ -63,14 +63,14 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
         lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
         *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
-        starts=loop.oldest_force + 2,  # one per turn: their peaks may be nearly equal
+        starts=loop.oldest_force + 2,  # one per turn, since their peaks may be nearly equal
     )
     most = np.maximum(-found.cost, 0.0)
     slowest = _slowest(loop)
     if slowest > _SLOW:
         near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
         return np.asarray(np.maximum(most, (4 * near - twice) / 3))
-    # the corner of a slow filter lies within few of the angles above, or below the first one
+    # the corner of a slow filter may be between two of the angles above, or below the first one
     slow = search_lines(
         lambda line, x, _: -_needed_slowly(loop, alpha[line], beta[line], np.exp(x), lowest),
         *(np.full(len(alpha), np.log(_STILL * slowest)), np.full(len(alpha), np.log(_SLOW))),
@@ -81,14 +81,16 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
 
 
 def _slowest(loop: NormalisedLoop) -> float:
-    """Return the smallest distance of a pole of the velocity filter from 1: its corner [rad/sample]; 1 without one."""
+    """Return the smallest distance of a filter pole from 1, which is its corner [rad/sample]; 1 without a filter."""
     poles = np.roots(loop.filter_in_z[1])
     return float(np.abs(1 - poles).min(initial=1.0))
 
 
 def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats, lowest: float) -> Floats:
-    """Return the required damping at angles possibly below the lowest, where the share of aliases grows as
-    1/angle^2."""
+    """Return the required damping at angles that may be below the lowest one.
+
+    There, the share of aliases grows with 1/angle^2.
+    """
     exact = _needed(loop, alpha, beta, np.maximum(angle, lowest))
     s0, s1, s2 = _alias_sums(loop, np.array([lowest]))
     rest = np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0) * (lowest / angle) ** 2
@@ -106,12 +108,12 @@ def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Flo
 
 
 def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:
-    """Return the outline of the passive region, alpha and beta, starting at (0, -delta); zeros if delta is 0."""
+    """Return alpha and beta of the outline of the passive region, starting at (0, -delta); zeros if delta is 0."""
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 
 def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
-    """Return alpha and beta of the stiffest passive wall; the region is convex and has one peak."""
+    """Return alpha and beta of the stiffest passive wall. The region is convex and has a single peak."""
     best = search_lines(
         lambda _, angle, __: -_reached(loop, delta, angle)[0], np.array([-0.5 * np.pi]), np.array([0.5 * np.pi])
     )
@@ -120,8 +122,8 @@ def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
 
 
 def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Floats:
-    """Return the largest passive alpha at each beta, shape (n,); 0 if no wall of that damping is passive."""
-    # slow motion needs delta + beta >= alpha (d + lag + 1/2)
+    """Return the largest passive alpha at each beta, shape (n,); 0 if no wall with this damping is passive."""
+    # slow motion requires delta + beta >= alpha (d + lag + 1/2)
     low, high = np.zeros(len(beta)), np.maximum(delta + beta, 0.0) / (loop.delay + loop.lag + 0.5)
     for _ in range(_BISECTIONS):
         alpha = 0.5 * (low + high)
@@ -131,9 +133,9 @@ def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Float
 
 
 def _reached(loop: NormalisedLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
-    """Return the last passive walls in given directions; direction 0 is that of alpha."""
-    # beta has a wider range than alpha by about the delay: directions are equidistant in alpha (delay + lag + 1/2),
-    # beta
+    """Return the last passive walls in the given directions. Direction 0 is that of alpha."""
+    # the range of beta exceeds that of alpha by about the delay, so directions are equidistant in
+    # alpha (delay + lag + 1/2) and beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
     reach = delta / required_damping(loop, alpha, beta)
     return alpha * reach, beta * reach
@@ -150,10 +152,10 @@ def _needed(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats) ->
 
 
 def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
-    """Return S0, S1, S2: sums over aliases as sums over samples (Poisson).
+    """Return S0, S1 and S2: sums over aliases, computed as sums over samples (Poisson).
 
-    With the actuator x' = A x + B u, f = C x of unit static gain, its ramp response is t - C A^-2 B + C exp(A t) A^-2
-    B; and with A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.
+    The actuator x' = A x + B u, f = C x has a static gain of 1 and the ramp response t - C A^-2 B + C exp(A t) A^-2 B.
+    With A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.
     """
     u = np.exp(-1j * angle)
     first = int(np.ceil(loop.delay))
@@ -172,7 +174,7 @@ def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray
 
 
 def _sampled(A: Floats, start: Floats, u: np.ndarray) -> np.ndarray:
-    """Return the sum over samples k >= 0 of u^k times the first entry of exp(A k) start."""
+    """Return the sum of u^k times the first entry of exp(A k) start over the samples k >= 0."""
     from scipy.linalg import expm
 
     # from the determinants of z - exp(A) with and without feedback of the entry

@@ -1,6 +1,6 @@
-"""Poles of a wall, quantities derived from them, and its stability margins.
+"""Compute the poles of a wall, quantities derived from them, and the stability margins of the wall.
 
-Source: Hulin 2017, secs. 3.4, 3.5 and 5.1; margins are ours.
+Source: Hulin 2017, secs. 3.4, 3.5 and 5.1. The margins are an addition.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pipeline.theory.crossings import (
 )
 
 _CHUNK = 8192
-"""Number of points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
+"""Number of points whose eigenvalues are computed together. It limits memory to about 40 MB at d = 16."""
 
 _FEW = 32
 """Largest number of points for which eigenvalues are faster than the polynomials of a loop."""
@@ -39,15 +39,15 @@ _FEW = 32
 def poles(loop: NormalisedLoop, alpha: object, beta: object) -> Complexes:
     """Return all poles z of each point, shape (n, states), complex, unsorted.
 
-    They are roots of the characteristic polynomial, found from those of the previous point; if that fails, and for few
-    points, they are computed as eigenvalues.
+    They are roots of the characteristic polynomial, computed from the poles of the previous point. If this fails, and
+    for few points, they are computed as eigenvalues.
     """
     a, b = as_points(alpha, beta)
     found, left = np.empty((len(a), loop.states), np.complex128), np.arange(len(a))
     if len(a) > _FEW and len(modal := modes.polynomials(loop)[0]):
         known, guess = np.empty(len(a), np.bool_), np.linalg.eigvals(loop.matrix(a[:1], b[:1]))[0] - 1.0 + 0j
         walls, work = (np.ascontiguousarray(a), np.ascontiguousarray(b)), np.empty(len(modal))
-        with np.errstate(all="ignore"):  # by a failing search
+        with np.errstate(all="ignore"):  # a failing search may overflow
             march.poles_of_walls(modes.polynomials(loop), walls, (guess, found, known, work))
         found += 1.0
         left = np.flatnonzero(~known)
@@ -76,7 +76,7 @@ def spectral_radius(loop: NormalisedLoop, alpha: object, beta: object) -> Floats
 
 
 def is_stable(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
-    """Return where all poles lie inside the unit circle.
+    """Return whether all poles of each point are inside the unit circle.
 
     Parameters
     ----------
@@ -95,32 +95,32 @@ def is_stable(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
 
 
 def stable_by_radius(loop: NormalisedLoop, alpha: Floats, radius: Floats) -> Booleans:
-    """Return where points of known alpha and spectral radius are stable, shape (n,) all.
+    """Return whether points with known alpha and spectral radius are stable, shape (n,).
 
-    With alpha + gamma <= 0 there is a real pole at or above z = 1 for any beta, which rounding may move just below 1.
-    There the sign of alpha + gamma decides, not the last bit of an eigenvalue.
+    With alpha + gamma <= 0, there is a real pole at or above z = 1 for any beta. Rounding may move it just below 1. The
+    sign of alpha + gamma therefore decides instead of the last bit of an eigenvalue.
     """
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
 _TIME_CONSTANTS = 4.0
-"""Number of time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
+"""Number of time constants of the slowest pole in a settling time (5.4), with exp(-4) = 1.8 %."""
 
 REAL = 1e-7
-"""Largest angle at which a pole counts as real: rounding splits a double pole by sqrt(1e-16) = 1e-8. Damping ratios do
-not depend on it."""
+"""Largest angle of a pole that is treated as real, since rounding splits a double pole by sqrt(1e-16) = 1e-8. Damping
+ratios do not depend on it."""
 
 _STEPS = 80
-"""Largest number of Newton steps; at a double pole each step only halves the distance, to 1e-20 in the end."""
+"""Largest number of Newton steps. At a double pole, each step only halves the distance, to 1e-20 at the end."""
 
 _FINE = Decimal("1e-20")
 
 _REACH = 0.04
-"""Relative range of z around the slowest pole in which a triple pole is searched."""
+"""Relative range of z around the slowest pole in which a triple pole is searched for."""
 
 
 def pole_settling_time(radius: object) -> Floats:
-    """Return the settling time [samples] predicted by the largest pole modulus: -4/ln r.
+    """Return the settling time [samples] that the largest pole modulus predicts, -4/ln r.
 
     Parameters
     ----------
@@ -130,22 +130,23 @@ def pole_settling_time(radius: object) -> Floats:
     Raises
     ------
     ParameterError
-        If a radius lies outside (0, 1): a response that does not decay has no settling time.
+        If a radius is outside (0, 1). A response that does not decay has no settling time.
 
     Notes
     -----
-    An approximation for a band of 2 %: at the optima of C.1 to C.3 the step response takes twice as long (5.2.1).
+    This is an approximation for a band of 2 %. At the optima of C.1 to C.3, the step response takes twice as long
+    (5.2.1).
 
     Source: Hulin 2017, eq. 5.4.
     """
     r = np.atleast_1d(np.asarray(radius, dtype=np.float64))
     if not np.all((r > 0) & (r < 1)):
-        raise ParameterError("pole radius: expected numbers between 0 and 1; ask for stable points only.")
+        raise ParameterError("pole radius: expected numbers between 0 and 1. Use stable points only.")
     return -_TIME_CONSTANTS / np.log(r)
 
 
 def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
-    """Return the damping ratio of each point: the smallest of -Re(ln z)/|ln z| over its poles z.
+    """Return the damping ratio of each point, i.e. the smallest -Re(ln z)/|ln z| of its poles z.
 
     Parameters
     ----------
@@ -156,13 +157,13 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     Returns
     -------
     float64, shape (n,)
-        1 if all poles are real and not negative, 0 or less if the loop is not stable. The logarithm is the
-        principal one, so a pole on the negative real axis counts as an oscillation with a period of two samples.
+        1 if all poles are real and not negative, and 0 or less if the loop is not stable. The logarithm is the
+        principal one, so that a pole on the negative real axis is an oscillation with a period of two samples.
 
     Notes
     -----
-    A pole at z = 0 (pure delay) has the ratio 1. A pole of multiplicity p has a rounding error of eps^(1/p), and a
-    ratio of 1 there an error of the square of that: 1e-10 at a triple pole.
+    A pole at z = 0 (pure delay) has the ratio 1. A pole of multiplicity p has a rounding error of eps^(1/p). A ratio of
+    1 at such a pole has the square of this error, 1e-10 for a triple pole.
 
     Source: Hulin 2017, eqs. 5.5 and 5.6.
     """
@@ -171,18 +172,18 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         decay = -np.log(size)
         ratio = decay / np.hypot(decay, np.angle(z))
-    ratio = np.where(size == 0, 1.0, np.nan_to_num(ratio, nan=0.0))  # 0/0: a pole at z = 1, which does not decay
+    ratio = np.where(size == 0, 1.0, np.nan_to_num(ratio, nan=0.0))  # 0/0 is a pole at z = 1, which does not decay
     return np.asarray(ratio.min(axis=1))
 
 
 def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, float] | None:
-    """Return alpha, beta and z of the triple real pole next to a modulus, or None if there is none within 4 %.
+    """Return alpha, beta and z of the triple real pole close to a modulus; None if there is none within 4 %.
 
     Notes
     -----
-    The characteristic polynomial is P + alpha W_0 + beta W_1. It has a triple root where the Wronskian of the three
-    vanishes, and alpha and beta follow from value and slope there. An eigenvalue solver splits such poles by eps^(1/3)
-    = 1e-5, differently on each processor; the Wronskian's root is simple.
+    The characteristic polynomial is P + alpha W_0 + beta W_1. It has a triple root where the Wronskian of P, W_0 and
+    W_1 is zero. alpha and beta follow from value and slope there. An eigenvalue solver splits such poles by eps^(1/3) =
+    1e-5, differently on each processor, whereas the root of the Wronskian is simple.
     """
     with many_digits(loop.digits):
         rows = [[part, polyder(part), polyder(polyder(part))] for part in characteristic_parts(loop)]
@@ -206,7 +207,7 @@ def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, flo
 
 
 def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
-    """Return the parts of the characteristic polynomial: without wall, factor of alpha, and factor of beta."""
+    """Return the parts of the characteristic polynomial: without a wall, factor of alpha, and factor of beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
     bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
@@ -218,30 +219,31 @@ _HALF_RATE = 82.0
 """Place (ln s) of half the sampling rate."""
 
 _DELAYS = 24
-"""Number of steps, up to the delay margin estimated from the phase margin, at which stability is checked."""
+"""Number of delays at which stability is checked, up to the delay margin estimated from the phase margin."""
 
 _FARTHEST = 4.0
-"""Largest added delay, in multiples of that estimate."""
+"""Largest additional delay, as a multiple of this estimate."""
 
 
 @dataclass(frozen=True)
 class Margins:
-    """Margins of a stable wall; None where there is no limit.
+    """Margins of a stable wall. A margin is None if there is no limit.
 
     Parameters
     ----------
     gain : float, optional
-        Smallest factor > 1 of stiffness and damping together at which the loop is on the limit.
+        Smallest common factor > 1 of stiffness and damping at which the loop is on the limit.
     gain_down : float, optional
-        Largest factor < 1 at which the loop is on the limit.
+        Largest such factor < 1.
     phase : float, optional
-        Smallest phase distance [rad] of the loop's frequency response from -1 where its gain is 1.
+        Smallest phase distance [rad] of the loop's frequency response from -1 at a gain of 1.
     delay : float, optional
         Smallest additional delay [samples] that makes the loop unstable.
     bandwidth : float, optional
-        Smallest angle [rad/sample] at which the position after a command is below 1/sqrt(2) of that at rest.
+        Smallest angle [rad/sample] at which the amplitude of the position, for a given command, is below 1/sqrt(2) of
+        its static value.
     left_out : tuple of str
-        Parts of a device that its loop does not include.
+        Parts of the device that its loop does not include.
     """
 
     gain: float | None
@@ -263,7 +265,7 @@ def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
     ----------
     loop : NormalisedLoop
     alpha, beta : float
-        Normalised.
+        Normalised virtual stiffness and damping.
 
     Raises
     ------
@@ -272,12 +274,12 @@ def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
 
     Notes
     -----
-    The loop's response is L = (alpha + beta N) G on the unit circle, with G the sampled device behind its delay and N
-    the velocity filter. The delay margin is that of the loop itself, whose input switches within a sampling interval,
-    not the phase margin over frequency.
+    The loop response is L = (alpha + beta N) G on the unit circle, with the sampled device G including its delay, and
+    the velocity filter N. The delay margin is that of the loop, whose input switches within a sampling interval. It is
+    not the phase margin divided by the frequency.
     """
     if not is_stable(loop, alpha, beta)[0]:
-        raise ParameterError("this wall is unstable: it has no margins.")
+        raise ParameterError("this wall is unstable and has no margins.")
 
     real, unit, slow = (np.log(roots) for roots in _margin_roots(loop, alpha, beta))
 
@@ -303,7 +305,7 @@ def _first(values: Floats, which: Callable[[Floats], float]) -> float | None:
 
 
 def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[Floats]:
-    """Yield the s at which the loop's response is real, is of size 1, and at which the bandwidth ends."""
+    """Yield the s at which the loop response is real, the s at which its size is 1, and the s of the bandwidth."""
     c, g = circle_condition(loop), loop.sampled
     with many_digits(loop.digits):
         a, b, one_more = Decimal(alpha), Decimal(beta), as_exact([1, 1])
@@ -320,12 +322,12 @@ def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[F
 
 
 def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:
-    """Return the smallest added delay [samples] that makes the loop unstable, near the values expected from phases."""
+    """Return the smallest additional delay [samples] that makes the loop unstable, near the values ``expected``."""
 
     def stable(delay: Floats) -> np.ndarray:
         try:
             return spectral_radius(replace(loop, delay=loop.delay + float(delay[0])), alpha, beta) < 1
-        except ParameterError:  # beyond the delays in the range of theory
+        except ParameterError:  # the delay exceeds the range of the theory
             return np.array([True])
 
     if not len(expected):

@@ -1,4 +1,4 @@
-"""Theoretical optima in physical units, computed in parallel and cached below `processed/theory/`."""
+"""Compute theoretical optima in physical units, in parallel, with a cache in `processed/theory/`."""
 
 from __future__ import annotations
 
@@ -30,16 +30,18 @@ from pipeline.theory.passivity import passive_outline
 from pipeline.theory.search import OptimalPoint
 
 _TURN = {"overshoot": 0, "energy": 2}
-"""Order of computation: families whose optima take the most time first; all others are 1."""
+"""Order of computation by family, since the optima of some families take the most time. Other families have 1."""
 
 BOUNDARY_POINTS = 160
-"""Number of points of a drawn boundary."""
+"""Number of points of a boundary in a figure."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost; region (K, K, B, B) if the optimum
-    is a region."""
+    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad] and cost.
+
+    ``region`` is (K, K, B, B) if the optimum is a region.
+    """
 
     stiffness: float
     damping: float
@@ -49,18 +51,18 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Theory:
-    """The theory of a loop."""
+    """Theory of a loop."""
 
     described: SourcedLoop
 
     @property
     def loop(self) -> Loop:
-        """The loop in SI."""
+        """Loop in SI."""
         return self.described.loop
 
     @property
     def source(self) -> str:
-        """Source of its parameters."""
+        """Source of the parameters."""
         return self.described.source
 
     @cached_property
@@ -70,24 +72,24 @@ class Theory:
 
     @cached_property
     def normalised(self) -> NormalisedLoop:
-        """The loop in normalised parameters."""
+        """Loop in normalised parameters."""
         return NormalisedLoop.of(self.loop)
 
     @cached_property
     def stabilised(self) -> bool:
-        """Whether any damping stabilises a soft wall; there is neither boundary nor optimum otherwise."""
+        """Whether some damping stabilises a soft wall. Otherwise, there is neither a boundary nor an optimum."""
         return stabilises(self.normalised)
 
     @cached_property
     def passive_outline(self) -> tuple[Floats, Floats] | None:
-        """Outline of the passive region, alpha and beta, for the damping of the device alone; None without one."""
+        """Outline of the passive region, alpha and beta, for the damping of the device only; None if there is none."""
         if self.loop.damping <= 0 or self.normalised.plant.sensor_at_load:
             return None
         return passive_outline(self.normalised, self.loop.passive_damping / self.units.damping)
 
     @cached_property
     def boundary(self) -> Boundary:
-        """Stability boundary, normalised."""
+        """Normalised stability boundary."""
         return boundary(self.normalised, BOUNDARY_POINTS)
 
     def physical(self, point: OptimalPoint) -> Prediction:
@@ -101,11 +103,11 @@ Request = tuple[NormalisedLoop, str]
 
 
 Found = OptimalPoint | str
-"""An optimum, or the reason why there is none."""
+"""Optimum, or the reason why there is none."""
 
 
 class _Kept(BaseModel):
-    """A file of cached optima; its loop is only for human readers."""
+    """File of cached optima. Its loop is only information for readers."""
 
     loop: str
     optima: dict[str, Found]
@@ -114,7 +116,7 @@ class _Kept(BaseModel):
 
 
 def _found(loop: NormalisedLoop, criterion: str) -> Found:
-    """Return an optimum, or why there is none: a criterion without optimum does not stop a comparison."""
+    """Return an optimum, or the reason why there is none. A criterion without an optimum does not stop a comparison."""
     try:
         return optimal_point(loop, criterion)
     except ParameterError as error:
@@ -123,12 +125,12 @@ def _found(loop: NormalisedLoop, criterion: str) -> Found:
 
 @dataclass
 class Predictions:
-    """Requested optima, looked up or computed; as a context manager it stops running computations on exit.
+    """Requested optima, from a cache or computed. As a context manager, it stops running computations on exit.
 
     Parameters
     ----------
     folder : Path
-        Folder of cached optima, one JSON file per loop.
+        Folder of the cached optima, with one JSON file per loop.
     """
 
     folder: Path
@@ -147,7 +149,7 @@ class Predictions:
     def costs_at(
         self, theory: Theory, stiffness: Floats, damping: Floats, criteria: Sequence[str]
     ) -> dict[str, Floats]:
-        """Return the costs of `maps.costs_at` at points in physical units; earlier results are cached.
+        """Return the costs of `costs.costs_at` at points in physical units. Earlier results are cached.
 
         Parameters
         ----------
@@ -177,7 +179,7 @@ class Predictions:
             self._store({request: _found(*request) for request in missing})
             return
         pool = self._pool.enter_context(process_pool(workers))
-        # slow ones first, so that processors finish at similar times
+        # slow computations first, so that processors finish at similar times
         order = sorted(missing, key=lambda r: (_TURN.get(criterion_of(r[1]).family.name, 1), -r[0].delay))
         self._pending = {request: pool.submit(_found, *request) for request in order}
 
@@ -186,24 +188,24 @@ class Predictions:
         try:
             found = {request: future.result() for request, future in self._pending.items()}
         except BrokenProcessPool:
-            # a process was killed, or could not import the caller's main program (typed in, or without a guard)
+            # a process was killed, or could not import the main program of the caller (interactive, or without a guard)
             found = {request: _found(*request) for request in self._pending}
         self._store(found)
         self._pending = {}
         self._pool.close()
 
     def get(self, theory: Theory, criterion: str) -> Prediction | None:
-        """Return a requested optimum in physical units; None if there is none."""
+        """Return a requested optimum in physical units; None if it does not exist."""
         found = self._known[theory.normalised, criterion]
         return None if isinstance(found, str) else theory.physical(found)
 
     def why(self, theory: Theory, criterion: str) -> str:
-        """Return why there is no requested optimum; empty if there is one."""
+        """Return why a requested optimum does not exist; empty if it exists."""
         found = self._known[theory.normalised, criterion]
         return found if isinstance(found, str) else ""
 
     def cost(self, loop: NormalisedLoop, criterion: str) -> float | None:
-        """Return the cost of a requested optimum; None if there is none."""
+        """Return the cost of a requested optimum; None if it does not exist."""
         found = self._known[loop, criterion]
         return None if isinstance(found, str) else found.cost
 
@@ -223,4 +225,4 @@ class Predictions:
         try:
             return {} if data is None else _Kept.model_validate_json(data).optima
         except ValueError:
-            return {}  # in another format: it is recomputed
+            return {}  # the file has another format and is recomputed

@@ -1,4 +1,4 @@
-"""The lowest cost that a delay allows: a polynomial in delay, with one factor per criterion.
+"""Compute the lowest cost that a delay allows: a polynomial in the delay, with one factor per criterion.
 
 Source: Hulin 2017, sec. 5.4.2, eqs. 5.19 and 5.20, Table 5.1.
 """
@@ -14,31 +14,31 @@ from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, SETTLING, crit
 from pipeline.theory.optimum import scaling_factor
 
 COST_OF_DELAY = tuple(c.name for c in CRITERIA.values() if c.family in (SETTLING, ENERGY))
-"""Criteria whose optimal cost is a power of the delay (Table 5.1); for poles, the predicted settling time."""
+"""Criteria whose optimal cost is a power of the delay (Table 5.1). For poles, this is the predicted settling time."""
 
 WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
-"""Smallest delays for which the polynomial has at most the given relative error in the optimal cost (5.20); checked by
-a test."""
+"""Pairs of a smallest delay and the largest relative error of the polynomial for such delays (5.20). A test checks
+them."""
 
 SAMPLED = 3.0
-"""Factor of these errors for costs of the samples only."""
+"""Factor of these errors for costs of samples only."""
 
 
 @dataclass(frozen=True)
 class Reachable:
-    """The lowest cost of any wall at a delay, for a device without damping and spring.
+    """Lowest cost of any wall at a delay, for a device without damping and spring.
 
     Parameters
     ----------
     criterion : str
     delay_samples : float
-        d.
+        Delay d [samples].
     cost : float
-        (d + 1)^(w + 1) times the factor of the criterion: samples, or 1 for energies.
+        (d + 1)^(w + 1) times the factor of the criterion, in samples, or 1 for energies.
     per_sample : float
-        Reduction of the cost by one sample less delay, in the same unit.
+        Reduction of the cost if the delay is shorter by one sample, in the same unit.
     within : float
-        Largest error relative to the optimal cost. Damping and a spring of the device only lower the optimum.
+        Largest relative error of the cost. Damping and a spring of the device can only lower the optimum.
     """
 
     criterion: str
@@ -54,20 +54,20 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
     Parameters
     ----------
     criterion : str
-        A settling time, such as ``settle_2pct``, an energy, such as ``energy_step_w0``, or ``pole_radius`` (the
-        settling time that it predicts, 5.4).
+        A settling time such as ``settle_2pct``, an energy such as ``energy_step_w0``, or ``pole_radius``, for the
+        settling time that it predicts (5.4).
     delay_samples : float
-        d, from 0 to 256.
+        Delay d, from 0 to 256.
 
     Raises
     ------
     ParameterError
-        For an unknown criterion, one whose optimal cost does not depend on delay, or a delay out of range.
+        If the criterion is unknown, its optimal cost does not depend on the delay, or the delay is out of range.
 
     Notes
     -----
-    It is accurate to 1 % for delays of at least two samples; sampling costs as much as one more sample of delay. The
-    time from command to force plus one sampling period must stay below 20 % of the required settling time.
+    The error is at most about 1 % for delays of at least two samples. Sampling costs as much as one more sample of
+    delay. The time from command to force plus one sampling period must stay below 20 % of the required settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
 
@@ -83,7 +83,7 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
         raise ParameterError(f"criterion {criterion!r} is unknown; expected a settling time, an energy or pole_radius.")
     factor, power = _factor(criterion), criterion_of(criterion).weight + 1
     cost = factor * (delay_samples + 1) ** power
-    # with less than a sample of delay, the saving of the remaining delay
+    # for a delay below one sample, this is the saving without the remaining delay
     saved = cost - factor * max(delay_samples, 1.0) ** power
     within = next(error for delay, error in WITHIN if delay_samples >= delay)
     if criterion.endswith(DISCRETE):
@@ -94,5 +94,5 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
 
 @lru_cache(maxsize=64)
 def _factor(criterion: str) -> float:
-    """Return the factor of a criterion, from its optimum at a delay of eight samples (Table 5.1)."""
+    """Return the factor of a criterion from its optimum at a delay of eight samples (Table 5.1)."""
     return scaling_factor(criterion)

@@ -1,4 +1,4 @@
-"""Search for the smallest cost over the stable region, by grids that contract around the best points."""
+"""Search for the smallest cost over the stable region with grids that contract around the best points."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, float], Floats]
-"""Cost of points; the last argument is the best known cost: the cost of worse points may be infinity."""
+"""Cost of points. The last argument is the best known cost; the cost of worse points may be infinite."""
 
 
 @dataclass(frozen=True)
 class OptimalPoint:
-    """Optimal normalised stiffness and damping with the cost there, and the bounding box of equally good points."""
+    """Optimal normalised stiffness and damping, the cost there, and the bounding box of equally good points."""
 
     alpha: float
     beta: float
     cost: float
     box: tuple[float, float, float, float] | None = None
-    """alpha_low, alpha_high, beta_low, beta_high where the optimum is a region."""
+    """alpha_low, alpha_high, beta_low, beta_high if the optimum is a region."""
     attained: bool = True
-    """False where the optimum is a limit on the edge of the stable region, which no stable point reaches."""
+    """False if the optimum is a limit on the edge of the stable region that no stable point reaches."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class Grids:
     Parameters
     ----------
     coarse : int
-        Number of lines of the first scan, and of points on each.
+        Number of lines of the first scan, and number of points on each line.
     looks : int
         Number of refinements of the best two minima on each line.
     closer : int
         Number of refinements of the lines around the best point.
     fine : int
-        Number of points per axis of each later grid.
+        Number of points per axis in each later grid.
     starts : int
         Number of best points that are refined.
     """
@@ -57,46 +57,48 @@ class Grids:
 
 
 SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=2)
-"""For costs that are smooth and have few minima: a mode may bring a second."""
+"""Grids for smooth costs with few minima. A mode may cause a second minimum."""
 
 JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
-"""For costs with jumps: a corner must contain grid points at every scale, and a better valley must not be missed. A
-valley ends in a cliff along a curve, on which many corners lie: only floors of lines across it show the lowest."""
+"""Grids for costs with jumps. A corner must contain grid points at every scale, and a better valley must not be missed.
+A valley ends in a cliff along a curve with many corners. Only the minima of lines across the cliff show the lowest
+one."""
 
 SHRINK = 0.45
-"""Size of a grid relative to its predecessor; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
+"""Size of a grid relative to the previous one. With 11 (9) points, it spans 4.5 (3.6) cells of the previous grid."""
 
 LEVELS_IN_PLANE = 24
-"""0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
+"""Number of levels of a search, 0.45^24 = 5e-9 of a first cell. The optimum has an accuracy of 1e-10 of the region."""
 
 _INSET = 0.05
-"""Initial distance of a search from alpha = -gamma, as a share of the width: every step response creeps there."""
+"""Initial distance of a search from alpha = -gamma, as a share of the width. Closer to it, every step response
+creeps."""
 
 
 _SOFTEST = 0.0005
-"""The same for costs with jumps: a mode's limit may be a hundred times the stiffness that settles soonest."""
+"""The same distance for costs with jumps. The limit of a mode may be a hundred times the stiffness of the optimum."""
 
 
 _LINES = 11
-"""Number of lines of each refinement next to the best line minimum."""
+"""Number of lines in each refinement next to the best line minimum."""
 
 _NARROWER = 0.25
-"""Range that they cover, relative to the previous one: 2.5 lines of it."""
+"""Range of these lines relative to the previous range, i.e. 2.5 previous line distances."""
 
 _REACH = 8
-"""Number of cells of the first scan along a line over which minima move from one line to the next."""
+"""Number of cells of the first scan along a line by which minima may move between two lines."""
 
 _NEAR_BEST = 1.1
-"""Largest cost, relative to the best, of a point that is refined to the end; refinement gains less than that."""
+"""Largest cost, relative to the best, of a point that is refined to the end. A refinement improves a cost by less."""
 
 _DEAR = 2.0
-"""Cost, relative to the lowest known, above which the minimum of a line is not needed."""
+"""Cost, relative to the lowest known one, above which the minimum of a line is not needed."""
 
 
 def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:
-    """Return the cost, replaced by infinity if the loop or a softer wall is unstable, or the cost is not defined.
+    """Return the cost, with infinity if the loop or a softer wall is unstable or the cost is not defined.
 
-    Arguments after the best known cost have one number per point.
+    Arguments after the best known cost have one value per point.
     """
 
     def guarded(alpha: Floats, beta: Floats, best: float, *more: Floats) -> Floats:
@@ -117,7 +119,7 @@ def grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
 
 
 def box(loop: NormalisedLoop, inset: float = _INSET) -> tuple[Floats, Floats]:
-    """Return the lower and upper corner (alpha, beta) of the stable region, a little inside the line alpha = -gamma."""
+    """Return the lower and upper corners (alpha, beta) of the stable region, slightly inside alpha = -gamma."""
     border = boundary(loop)
     width = border.alpha_max + loop.gamma
     return (
@@ -133,17 +135,18 @@ def region(inset: float = _INSET) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Coordinates of a loop's searches, both from 0 to 1.
+    """Coordinates for the searches of a loop, both from 0 to 1.
 
-    The root of the share of alpha's stable interval, from alpha = -gamma if it begins there, which is uniform in the
-    frequency of oscillation, since a mode's limit may be many times the stiffness with the fastest settling; and the
-    path along the outline as a share of its length, with the region's height and width as units.
+    The first coordinate is the square root of the position of alpha in its stable interval, which starts at alpha =
+    -gamma if it begins there. It is uniform in the oscillation frequency, since the limit of a mode may be many times
+    the stiffness of the fastest settling. The second coordinate is the path along the outline as a share of its length,
+    relative to the height and the width of the region.
 
     Parameters
     ----------
     loop : NormalisedLoop
     beta, way : float64, shape (n,)
-        Sorted dampings of the outline, and the path length to each.
+        Sorted dampings of the outline, and path lengths up to them.
     """
 
     loop: NormalisedLoop
@@ -151,7 +154,7 @@ class Chart:
     way: Floats
 
     def wall(self, root: Floats, way: Floats) -> tuple[Floats, Floats]:
-        """Return alpha and beta of coordinates, shape (n,) each."""
+        """Return alpha and beta for coordinates, shape (n,) each."""
         rows, of = np.unique(way, return_inverse=True)
         beta = np.interp(rows, self.way, self.beta)
         edge = limits(self.loop, beta, exact=False)
@@ -159,7 +162,7 @@ class Chart:
 
 
 def chart(loop: NormalisedLoop) -> Chart:
-    """Return the coordinates of a loop's searches."""
+    """Return the coordinates for the searches of a loop."""
     beta = np.sort(boundary(loop).beta)
     beta = beta[np.isfinite(beta)]
     alpha = limits(loop, beta, exact=False).alpha
@@ -171,7 +174,7 @@ def chart(loop: NormalisedLoop) -> Chart:
 
 @dataclass(frozen=True, eq=False)
 class Landscape:
-    """Cost over the coordinates of a chart; infinity off it, and where the loop is not stable."""
+    """Cost over the coordinates of a chart. It is infinite outside the chart and for unstable loops."""
 
     chart: Chart
     cost: Callable[..., Floats]
@@ -181,13 +184,13 @@ class Landscape:
         return np.where((way >= 0) & (way <= 1), self.cost(*self.chart.wall(root, way), best), np.inf)
 
     def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
-        """Return the cost along lines, each at one position along the outline."""
+        """Return the cost along lines. Each line has one position along the outline."""
         return self(root, way[line], best)
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Starting points of a search: coordinates, costs, and half the size of the region to examine around each."""
+    """Starting points of a search: coordinates, costs, and half the size of the region to examine around each point."""
 
     root: Floats
     way: Floats
@@ -204,15 +207,15 @@ def search(
     ----------
     loop : NormalisedLoop
     cost : Cost
-        Asked for stable points only.
+        Function that is evaluated at stable points only.
     grids : Grids
     bounds : tuple of float64, shape (2,), optional
-        Corners of the first grid, in coordinates of the chart; the stable region if not given.
+        Corners of the first grid in coordinates of the chart; by default, those of the stable region.
 
     Raises
     ------
     ParameterError
-        If no point of the first grid is stable and has this cost.
+        If no stable point of the first grid has this cost.
     """
     landscape, corners = Landscape(chart(loop), where_stable(loop, cost)), bounds or region(_SOFTEST)
     cell = (corners[1] - corners[0]) / (grids.coarse - 1)
@@ -267,7 +270,7 @@ def _first_look(landscape: Landscape, grids: Grids, corners: tuple[Floats, Float
 def _closer_look(
     landscape: Landscape, grids: Grids, corners: tuple[Floats, Floats], cell: float, starts: Starts
 ) -> Starts:
-    """Return the lowest minima of lines next to each start, over all starts, with smaller regions around them."""
+    """Refine all starts by the minima of lines next to them, with smaller regions around the new starts."""
     ways = starts.way[:, None] + starts.half[:, 1:] * np.linspace(-1, 1, _LINES)
     begin, end = (np.clip(starts.root + side * _REACH * cell, corners[0][0], corners[1][0]) for side in (-1, 1))
     floors = search_lines(
@@ -295,8 +298,7 @@ def _closer_look(
 def refine(
     cost: Cost, centre: Floats, value: float, half: Floats, size: int = JUMPING.fine, levels: int = LEVELS_IN_PLANE
 ) -> OptimalPoint:
-    """Return the best point of contracting grids; a grid moves instead of contracting if its best point lies on its
-    rim.
+    """Return the best point of contracting grids. A grid moves instead if its best point is on its rim.
 
     Grids are sheared along the best points of their rows, since a valley that ends in a cliff is narrow and inclined.
     """
@@ -317,8 +319,7 @@ def refine(
 
 
 def _lean(values: Floats, first: Floats, second: Floats, row: int, known: float) -> float:
-    """Return the shear of the best points in the rows next to a given one; the known shear if fewer than two rows have
-    any."""
+    """Return the shear of the best points in rows near the given one; ``known`` if fewer than two rows have one."""
     some = np.arange(max(row - 2, 0), min(row + 3, len(second)))
     some = some[np.isfinite(values[some]).any(axis=1)]
     if len(some) < 2:
@@ -329,10 +330,10 @@ def _lean(values: Floats, first: Floats, second: Floats, row: int, known: float)
 def bounding_box(
     feasible: Cost, inside: Floats, corners: tuple[Floats, Floats], size: int = 61
 ) -> tuple[float, float, float, float]:
-    """Return alpha_low, alpha_high, beta_low, beta_high of the connected set of cost 0 around a point of it."""
+    """Return alpha_low, alpha_high, beta_low, beta_high of the connected set of cost 0 around a point inside it."""
     half = (corners[1] - corners[0]) * 1e-4
     corner = np.array([inside, inside])
-    for _ in range(40):  # grow by 1.6 until the set no longer touches the rim: 1.6^40 covers any region
+    for _ in range(40):  # grow by a factor of 1.6 until the set no longer touches the rim; 1.6^40 covers any region
         alpha, beta = grid(corner[0] - half, corner[1] + half, size)
         good = feasible(alpha, beta, np.inf) == 0
         found = (
@@ -347,7 +348,7 @@ def bounding_box(
         half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
     span = corner[1] - corner[0]
     known_alpha, known_beta = alpha[good], beta[good]
-    # twice: in the thin tip of a corner the grids of one edge may stall; the point of another edge helps
+    # twice: in the thin tip of a corner, the grids of one edge may stall, and the point of another edge helps
     for _ in range(2):
         edges = []
         for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
@@ -365,8 +366,8 @@ def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Float
 
 
 LineCost = Callable[[Integers, Floats, float], Floats]
-"""Cost of points given by the index of their line and their place on it; infinity without a cost. The cost of points
-worse than the last argument may be infinity."""
+"""Cost of points given by the index of their line and their position on it; infinite without a cost. The last argument
+is a cost; the cost of worse points may be infinite."""
 
 COARSE = 121
 """Number of points of the first scan of a line."""
@@ -375,18 +376,18 @@ _STARTS = 3
 """Number of local minima that are refined."""
 
 _FINE = 9
-"""Number of points of each refinement, over two cells of the previous scan: half a cell between neighbours."""
+"""Number of points of each refinement. The first one covers four cells of the scan with two points per cell."""
 
 _SHRINK = 0.35
-"""Length of a refinement relative to the previous one: 1.4 cells to either side of the best point."""
+"""Length of a refinement relative to the previous one, i.e. 1.4 cells on either side of the best point."""
 
 LEVELS = 20
-"""0.35^20 = 1e-9 of a first step."""
+"""Number of levels of a line search, 0.35^20 = 1e-9 of a first step."""
 
 
 @dataclass(frozen=True, eq=False)
 class LineOptima:
-    """Best point of each line and its cost; NaN and infinity if no point of a line has a cost."""
+    """Best point of each line and its cost; NaN and infinity if no point of the line has a cost."""
 
     place: Floats
     cost: Floats
@@ -411,9 +412,9 @@ def search_lines(
     low, high : float64, shape (n,)
         Ends of each line.
     coarse, starts, levels : int
-        Number of points of the first scan, of refined local minima, and of refinements of each.
+        Number of points of the first scan, number of local minima that are refined, and number of refinements of each.
     dear : float, optional
-        Cost, relative to the lowest of all lines and the known one, above which the minimum of a line is not needed.
+        Cost above which the minimum of a line is not needed, relative to the lowest cost of all lines and ``known``.
     known : float
     """
     lines = len(low)
@@ -453,11 +454,10 @@ def search_lines(
 
 
 def _hopes(values: Floats) -> Floats:
-    """Return a lower estimate of costs along lines before the next point: a decrease by the factor of the previous
-    step.
+    """Return a lower estimate of costs along lines before the next point: a decrease by the ratio of the previous step.
 
     A cost with jumps decreases towards a cliff, beyond which it is high again. Its minimum usually lies between two
-    examined points, neither of which need be lower than its neighbours.
+    examined points, and neither of them need be lower than its neighbours.
     """
     known = np.isfinite(values) & (values > 0)
     step = np.divide(values[:, 1:], values[:, :-1], out=np.ones_like(values[:, 1:]), where=known[:, 1:] & known[:, :-1])
@@ -480,11 +480,11 @@ def search_plane(
     Parameters
     ----------
     cost : callable
-        Cost of points given by their two coordinates; infinity without a cost.
+        Cost of points given by two coordinates; infinite without a cost.
     low, high : float64, shape (2,)
-        Corners.
+        Corners of the rectangle.
     coarse : tuple of int
-        Number of lines, and of points on each, of the first scan.
+        Number of lines of the first scan, and number of points on each line.
     levels : int
         Number of refinements.
     """
@@ -510,7 +510,7 @@ def search_plane(
 def extents(
     cost: LineCost, found: LineOptima, low: Floats, high: Floats, coarse: int = 241, halvings: int = 40
 ) -> tuple[Floats, Floats]:
-    """Return the ends of the range around each best point with at most the best cost.
+    """Return the ends of the range around each best point in which the cost is at most the best cost.
 
     Gaps narrower than a step of the scan (1/240 of a line) are ignored.
     """

@@ -1,9 +1,9 @@
-"""Settling time, overshoot and rise time of the step response, from the exact motion between samples.
+"""Compute settling time, overshoot and rise time of the step response from the exact motion between samples.
 
-Each response is simulated separately, until no requested result can change any more (`march`). A slow one is simulated
-for some samples; then its modes show after which time it stays inside a band, and whether it may still exceed its peak:
-it is moved there (`modes`). A motion counts as small only if all states of the device are small, so that a node of a
-beat is not mistaken for its end.
+Each response is simulated separately until no requested result can change (`march`). A slow response is simulated for
+some samples. Its modes then show after which time it stays inside a band, and whether it may still exceed its peak, and
+they move the response to that time (`modes`). A motion is small only if all states of the device are small, so that a
+node of a beat is not mistaken for its end.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from pipeline.theory.march import Arrays
 from pipeline.theory.motion import interval_motion, own_basis
 
 LONGEST = 1 << 18
-"""Largest number of samples of a response (then it has no settling time): spectral radius about 1 - 1e-5."""
+"""Largest number of samples of a response, after which it has no settling time, for a spectral radius of 1 - 1e-5."""
 
 NO_OVERSHOOT = OVERSHOOT.none
-"""Largest overshoot, as a fraction, that counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
+"""Largest overshoot, as a fraction, that is not an overshoot by definition (Hulin 2017, footnote 4 of 5.2.2)."""
 
 QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer simulated for overshoot."""
 
 _FIRST, _LOOK = 24, 0.25
-"""Number of samples before modes are computed: a constant, and a factor of the squared number of states, as computing
-modes takes that long."""
+"""Number of samples before modes are computed: a constant, and a factor of the squared number of states. A computation
+of modes takes about as long."""
 
 _SETTLED = 0.1
-"""Share of the band (or of the overshoot) below which all motion has to stay for the memory of the loop."""
+"""Share of the band (or of the overshoot) below which all motion must stay for the memory of the loop."""
 
 _FADED = 0.25
-"""The same for the largest deviation from a sample on."""
+"""The same share for the largest deviation from a sample on."""
 
 _ENTRIES = 1 << 22
-"""Number of eigenvector entries computed at a time."""
+"""Number of eigenvector entries that are computed together."""
 
 
 def transient_costs(
@@ -56,44 +56,44 @@ def transient_costs(
     cutoff: float = np.inf,
     unfinished_overshoot: bool = False,
 ) -> dict[str, Floats]:
-    """Return settling times and overshoot of the step response of stable points.
+    """Return the settling times and overshoots of the step responses of stable points.
 
     Parameters
     ----------
     loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+        Normalised virtual stiffness and damping. Points must be stable with alpha + gamma > 0.
     bands : sequence of float
-        Half widths of the settling bands relative to the final displacement, in (0, 1).
+        Half-widths of the settling bands relative to the final displacement, in (0, 1).
     overshoot : bool
-        Whether the overshoot is requested; without it responses are simulated only until they have settled.
+        Whether the overshoot is requested. Without it, responses are simulated only until they have settled.
     continuous : bool
-        Whether the motion between samples is requested, in addition to the samples.
+        Whether the motion between samples is requested in addition to the samples.
     longest : int
-        Number of samples after which a point gets no result if it still moves and its modes are inconclusive.
+        Number of samples after which a point has no result if it still moves and its modes are inconclusive.
     quiet : float
-        Deviation below which a response without overshoot so far is no longer simulated; a drawn map needs less than
-        the default accuracy.
+        Deviation below which a response without overshoot so far is no longer simulated. A map for a figure needs less
+        accuracy than the default.
     cutoff : float
-        Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far: a response
-        still outside all bands then is given up.
+        Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far. A response
+        that is outside all bands at this time is not simulated further.
     unfinished_overshoot : bool
-        Whether points that still move after ``longest`` samples get the overshoot found so far instead of none.
+        Whether points that still move after ``longest`` samples have the overshoot up to this time instead of none.
 
     Returns
     -------
     dict of float64, shape (n,)
-        ``settle_<band in percent>pct_discrete`` [samples]: smallest k with all samples from k on inside the band;
-        ``settle_<..>pct`` [samples]: last entry of the continuous position into the band; ``overshoot`` and
-        ``overshoot_discrete``: largest excess over the final position relative to the final displacement, >= 0.
-        NaN if the response still moves too much after ``longest`` samples; the settling time may be known even if the
-        overshoot, with its finer limit, is not.
+        ``settle_<band in percent>pct_discrete`` [samples] is the smallest k for which all samples from k on are inside
+        the band. ``settle_<..>pct`` [samples] is the last entry of the continuous position into the band. ``overshoot``
+        and ``overshoot_discrete`` are the largest excess over the final position relative to the final displacement,
+        >= 0. A cost is NaN if the response still moves too much after ``longest`` samples. The settling time may be
+        known although the overshoot, which has a finer limit, is not.
 
     Source: Hulin 2017, eqs. 5.10 to 5.12.
     """
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
-        raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
+        raise ParameterError("step responses require alpha + gamma > 0: without stiffness, there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
     rule = np.array(bands, dtype=np.float64), overshoot, continuous, _memory(loop), _SETTLED, quiet, float(cutoff)
@@ -109,56 +109,55 @@ def transient_costs(
 def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: object, longest: int) -> Floats:
     """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
 
-    A discrete settling time of at most ``first`` is possible if this lies inside the band; unlike the settling time
-    it is continuous in alpha and beta.
+    A discrete settling time of at most ``first`` is possible if this deviation is inside the band. Unlike the settling
+    time, it is continuous in alpha and beta.
 
     Parameters
     ----------
     loop : NormalisedLoop
     alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+        Normalised virtual stiffness and damping. Points must be stable with alpha + gamma > 0.
     first : array_like, shape (n,)
-        First sample that counts, >= 1.
+        First sample that is evaluated, at least 1.
     longest : int
-        Samples after which the largest deviation so far is returned.
+        Number of samples after which the largest deviation so far is returned.
     """
     a, b = as_points(alpha, beta)
     largest, since = np.empty(len(a)), np.broadcast_to(np.asarray(first, dtype=np.float64), a.shape).copy()
-    interval, asked = interval_motion(loop, False), (since, longest, _memory(loop), _FADED)
-    march.late_deviations(interval, _walls(loop, a, b), asked, _work(loop, interval, 0)[0][:4], largest)
+    interval, requested = interval_motion(loop, False), (since, longest, _memory(loop), _FADED)
+    march.late_deviations(interval, _walls(loop, a, b), requested, _work(loop, interval, 0)[0][:4], largest)
     return largest
 
 
 def first_reached(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
 ) -> tuple[Floats, Floats]:
-    """Return the times at which a step's motion first reaches deviations below zero, shape (levels, n); nan if it does
-    not.
+    """Return the times at which a step response first reaches deviations below zero, shape (levels, n); nan if never.
 
-    First for the exact motion (nan unless requested by ``between``), then for its linearly interpolated samples.
+    The first array is for the exact motion (nan unless ``between``), the second one for linearly interpolated samples.
     """
     time = np.empty((2, len(levels), len(alpha)))
-    interval, asked = interval_motion(loop, between), (np.array(levels), longest, between)
-    march.rises(interval, _walls(loop, alpha, beta), asked, _work(loop, interval, 0)[0][:4], time)
+    interval, requested = interval_motion(loop, between), (np.array(levels), longest, between)
+    march.rises(interval, _walls(loop, alpha, beta), requested, _work(loop, interval, 0)[0][:4], time)
     return time[0], time[1]
 
 
 def _followed(
     loop: NormalisedLoop, walls: tuple[Floats, Floats], rule: Arrays, longest: int
 ) -> tuple[Floats, Integers]:
-    """Return costs and status of responses, as set by `march.step_costs`, for the settings of a march."""
+    """Return costs and status of responses from `march.step_costs`, for the settings ``rule`` of a march."""
     alpha, beta = walls
     interval, count = interval_motion(loop, rule[2]), len(rule[0])
     costs, status = np.empty((len(alpha), 2 * count + 2)), np.full(len(alpha), march.UNFINISHED)
     work, together = _work(loop, interval, count), max(1, _ENTRIES // loop.states**2)
-    asked = rule, (longest, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
+    requested = rule, (longest, max(_FIRST, int(_LOOK * loop.states**2)), modes.STILL_REPRODUCED)
     parts, by_eigenvectors = [np.arange(len(alpha))], False
     while parts:
         for part in parts:
             given = modes.by_eigenvectors(loop, alpha[part], beta[part]) if by_eigenvectors else modes.none(loop)
             results, of_part = (costs[part], status[part]), _walls(loop, alpha[part], beta[part])
             with np.errstate(all="ignore"):  # NaN modes are inconclusive
-                march.step_costs(interval, modes.polynomials(loop), of_part, asked, given, (*results, *work))
+                march.step_costs(interval, modes.polynomials(loop), of_part, requested, given, (*results, *work))
             costs[part], status[part] = results
         unknown = np.flatnonzero(status == march.NO_MODES)
         parts, by_eigenvectors = [unknown[i : i + together] for i in range(0, len(unknown), together)], True
@@ -166,8 +165,7 @@ def _followed(
 
 
 def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
-    """Return walls, their laws, the largest effect of each own state on the position, initial states, poles of the
-    first wall."""
+    """Return walls, their laws, largest effects of own states on the position, initial states, and poles of a wall."""
     basis, inverse = own_basis(loop)
     own = len(basis)
     laws, start = loop.law(alpha, beta)[:, :own] @ inverse, basis @ loop.starts(np.ones(1), "step")[0, :own]
@@ -176,7 +174,7 @@ def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
 
 
 def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
-    """Return the work arrays of each point: of the march, its records, and of the modes."""
+    """Return the work arrays of a point: those of the march, its records, and those of the modes."""
     n, delay = loop.states, loop.oldest_force
     own = n - delay
     marched = tuple(np.zeros(size) for size in (own, delay, own, interval[2].shape[1], own, delay))
@@ -191,8 +189,7 @@ def _memory(loop: NormalisedLoop) -> int:
 
 
 def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
-    """Return the largest effect of each own state on the position, shape (n, own); zero for filters and the last
-    sample."""
+    """Return the largest effect of own states on the position, shape (n, own); 0 for filters and the last sample."""
     lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
     rows = [np.ones_like(lever), lever]
     if loop.plant.has_mode:

@@ -147,7 +147,7 @@ def test_walls_that_are_none():
             FALCON.points(K, B)
     with pytest.raises(ParameterError, match="expected a list"):
         FALCON.map(criteria="overshoot")
-    with pytest.raises(ParameterError, match="supported are"):
+    with pytest.raises(ParameterError, match="expected one of"):
         FALCON.optimum("speed")
 
 

@@ -193,8 +193,8 @@ def test_signal_and_suffix_mean_the_same():
     ("criterion", "signal", "message"),
     [
         ("speed", None, "'speed'; supported are alpha_max.*energy_step_w2"),
-        ("damping_discrete", None, "supported are"),
-        ("alpha_max_discrete", None, "supported are"),
+        ("damping_discrete", None, "expected one of"),
+        ("alpha_max_discrete", None, "expected one of"),
         ("overshoot_discrete", "continuous", "signal is continuous"),
         ("overshoot", "digital", "expected continuous or discrete"),
     ],
