@@ -1,1 +1,1 @@
-"""Errors, units, atomic files, hashes, processes and compiled functions, used by all other folders."""
+"""Errors, units, atomic files, hashes, processes and compiled functions, for all other folders."""

@@ -1,9 +1,9 @@
 """Loops that numba compiles at their first call and stores on disk for later processes.
 
-A command that calls none of them does not import numba. With ``NUMBA_DISABLE_JIT=1`` the plain Python functions run:
-slowly, with the same numbers, for a debugger. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default in
-the user's cache folder. If that is read-only, each process compiles in memory. Several processes that index the
-same folder would damage it (numba issue 4807), so only one compiles or loads at a time.
+A command that calls no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions run for a
+debugger: slowly, with the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default in the
+cache folder of the user. If this folder is read-only, each process compiles in memory. Several processes that index the
+same folder would damage it (numba issue 4807), so only one process compiles or loads at a time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
 
 WAIT_S = 60.0
-"""Longest wait for another process that compiles [s]; after it, compile in memory."""
+"""Longest wait for another process that compiles [s]. After it, the function is compiled in memory."""
 
 NOTICED_S = 1.0
 """Time after which the user is informed about a compilation [s]."""
@@ -34,22 +34,22 @@ _ONE_THREAD = threading.Lock()
 """Lock on numba's cache folder, which is one setting for the whole process."""
 
 _loaders: dict[str, list[Callable[[], object]]] = {}
-"""Loaders of the machine code of each compiled function, by module."""
+"""Loaders of the machine code of compiled functions, with module names as keys."""
 
 _parts: list[tuple[Callable[..., Any], bool]] = []
 """Functions to register with numba before their callers are compiled, and whether they are inlined."""
 
 _listeners: list[tuple[Callable[[str], None], float]] = []
-"""The callback for the first compilation that takes longer than some seconds."""
+"""Callback for the first compilation that takes longer than the given time [s]; empty if there is none."""
 
 
 def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that compiles a function for signatures such as ``"f8(f8[::1])"`` at its first call.
 
-    The Python function remains available as ``__wrapped__``. A compiled function takes arrays of the signature's types
-    only. It cannot call another compiled function, only functions marked with `inlined` or `part`. Divisions by zero
-    give infinity or NaN, as in numpy. A function that returns nothing (one signature, ``"void(...)"``) is loaded
-    without numba (`pipeline.base.machine_code`), unless it ``allocates`` arrays.
+    The Python function remains available as ``__wrapped__``. A compiled function accepts only arrays of the types in
+    its signatures. It cannot call another compiled function, but only functions marked with `inlined` or `part`.
+    Divisions by zero return infinity or NaN, as in numpy. A function without a return value (one signature,
+    ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`), unless it ``allocates`` arrays.
 
     Examples
     --------
@@ -81,9 +81,9 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
 
 
 def inlined(function: F) -> F:
-    """Inline this function into compiled functions of the same module; called from elsewhere it is plain Python.
+    """Inline this function into compiled functions of the same module. Other callers run it as plain Python.
 
-    Numba invalidates cached machine code only when the file of the compiled function changes. Functions that it calls,
+    Numba invalidates cached machine code only if the file of the compiled function changes. Functions that it calls,
     and constants that both use, must therefore be in the same module.
     """
     _parts.append((function, True))
@@ -97,9 +97,9 @@ def part(function: F) -> F:
 
 
 def load_compiled(*modules: str) -> None:
-    """Load or compile all compiled functions in those of the given modules or packages that are imported.
+    """Load or compile all compiled functions of the given modules or packages, as far as these are imported.
 
-    By default in all. Called before a pool starts, so that one process compiles and the workers only load.
+    By default, all functions are loaded. Called before a pool starts, so that one process compiles and workers load.
     """
     for module, loaders in list(_loaders.items()):
         if not modules or any(f"{module}.".startswith(f"{name}.") for name in modules):
@@ -108,13 +108,13 @@ def load_compiled(*modules: str) -> None:
 
 
 def on_compiling(listener: Callable[[str], None] | None, after_s: float = NOTICED_S) -> None:
-    """Call a function with a message, once, when a compilation takes longer than ``after_s``; None removes it."""
+    """Call a function once with a message if a compilation takes longer than ``after_s``; None removes the function."""
     _listeners[:] = [] if listener is None else [(listener, after_s)]
 
 
 @contextmanager
 def _noticed() -> Iterator[None]:
-    """Notify the listener if the block takes long."""
+    """Call the listener if the block takes long."""
     if not _listeners:
         yield
         return
@@ -134,7 +134,7 @@ def _noticed() -> Iterator[None]:
 
 
 def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocates: bool) -> Callable[P, R]:
-    """Return a function as machine code, loaded from disk if it was compiled before."""
+    """Return a function as machine code, which is loaded from disk if it has been compiled before."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         import numpy
 
@@ -153,13 +153,13 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocat
             with _one_process(folder), _numba_folder(config, folder):
                 kept: Callable[P, R] = numba.njit(cache=True, **options)(function)
                 return kept
-        except Exception:  # a full disk, an invalid file, a folder of another user: numba raises all of them
+        except Exception:  # various exceptions: full disk, invalid file, folder of another user
             made: Callable[P, R] = numba.njit(**options)(function)
             return made
 
 
 def _register_inlined() -> None:
-    """Register with numba the functions that compiled ones may call."""
+    """Register the functions that compiled functions may call with numba."""
     from numba.extending import register_jitable
 
     while _parts:
@@ -188,18 +188,18 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
             with _one_process(folder):
                 code = kept(folder) or made()
                 write_result(folder, name, ".o", key + b"\n" + code)
-    except (OSError, RuntimeError):  # a full disk, a folder of another user, no folder
+    except (OSError, RuntimeError):  # the disk is full, or there is no usable folder
         code = made()
     return machine_code.loaded_object(code, signature)
 
 
 def cache_folder() -> Path:
-    """Return the folder for machine code, created if necessary.
+    """Return the folder for machine code, and create it if necessary.
 
     Raises
     ------
     OSError
-        If it cannot be created.
+        If the folder cannot be created.
     RuntimeError
         If the user has no home directory.
     """
@@ -216,7 +216,7 @@ def cache_folder() -> Path:
 
 @contextmanager
 def _one_process(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes; the lock ends with the process."""
+    """Lock a folder against other processes. The lock ends with the process."""
     from filelock import lock_descriptor
 
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)
@@ -233,7 +233,7 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _numba_folder(config: Any, folder: Path) -> Iterator[None]:
-    """Set numba's cache folder for the block; functions of other packages keep theirs."""
+    """Set numba's cache folder for the block. Functions of other packages keep their folder."""
     former, config.CACHE_DIR = config.CACHE_DIR, os.fspath(folder)
     try:
         yield

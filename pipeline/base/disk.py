@@ -1,12 +1,12 @@
-"""Atomic files, named by the hash of their content: they appear whole or not at all, even after a power failure.
+"""Atomic files, named by the hash of their content. They appear completely or not at all, even after a power failure.
 
 A new file is written under a temporary name, synced and renamed; then its folder is synced. The file is invisible
 before the rename and durable after it. A file with the hash of its content in its name needs no other checksum, and two
 writers of the same content write the same file.
 
-One command at a time writes in `processed/`. It locks the file ``processed/.lock``; the kernel releases the lock when
-the process ends, however it ends. The file itself remains. Readers need no lock, because stored files are always
-complete. Works on Linux, macOS and Windows, on local disks and on NFS 4 or newer.
+Only one command at a time writes to `processed/`. It locks the file ``processed/.lock``. The kernel releases the lock
+when the process ends, for any reason, and the file remains. Readers need no lock, because stored files are always
+complete. This works on Linux, macOS and Windows, on local disks and on NFS 4 or newer.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 TEMPORARY_ENDING = ".tmp"
-"""File extension of an incomplete file; readers ignore it."""
+"""File extension of an incomplete file, which readers ignore."""
 
 _TEMPORARY = f".*.{'[0-9a-f]' * 16}{TEMPORARY_ENDING}"
 """Name pattern of incomplete files."""
 
 _ABANDONED_S = 7 * 86400.0
-"""Age above which a temporary file counts as abandoned [s]: even a large map is written within hours."""
+"""Age above which a temporary file is abandoned [s]. Even a large map is written within hours."""
 
 _LONGEST_NAME = 200
-"""Number of bytes of the final name in the temporary one: file systems allow 255."""
+"""Number of bytes of the final name in the temporary name. File systems allow 255."""
 
 _SYNCS = 16
-"""Number of files synced at the same time: 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 at a time."""
+"""Number of files that are synced together. 500 files took 2.5 s in sequence on ext4, and 0.1 s with 16 together."""
 
 _OPEN = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
 _NEW = _OPEN | os.O_EXCL | getattr(os, "O_BINARY", 0)
@@ -56,11 +56,11 @@ READABLE = 0o666
 """Mode bits of a file that is not executable."""
 
 READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
-"""Error numbers of a read-only folder."""
+"""Error numbers of write operations in a read-only folder."""
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and its missing parents, durably."""
+    """Create a folder and its missing parents, and sync them."""
     if not folder.is_dir():
         make_folder(folder.parent)
         with suppress(FileExistsError):  # another process may have created it in the meantime
@@ -69,7 +69,7 @@ def make_folder(folder: Path) -> None:
 
 
 def readable_in(folder: Path, mode: int = READABLE) -> int:
-    """Return the mode of a new file or folder: readable only by users who may enter the folder it is created in."""
+    """Return the mode of a new file or folder that is readable only by users who may enter its parent folder."""
     around = os.stat(folder).st_mode & 0o777
     return mode & (around | 0o600 | around >> 2 & 0o111)
 
@@ -77,7 +77,7 @@ def readable_in(folder: Path, mode: int = READABLE) -> int:
 def sync_folder(folder: Path) -> None:
     """Sync a folder, so that added, renamed and removed names are durable.
 
-    Windows cannot open folders; there the journal of the file system keeps the order.
+    Windows cannot open folders. There, the journal of the file system keeps the order.
     """
     if hasattr(os, "O_DIRECTORY"):
         descriptor = os.open(folder, os.O_RDONLY)
@@ -88,7 +88,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:
-    """Apply an I/O-bound function to each item in a thread pool; results are in the order of the items."""
+    """Apply an I/O-bound function to each item in a thread pool; the results are in the order of the items."""
     if len(items) < 2:
         return [work(item) for item in items]
     with ThreadPoolExecutor(min(at_once, len(items))) as pool:
@@ -96,7 +96,7 @@ def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_onc
 
 
 def remove_all(files: Iterable[Path]) -> None:
-    """Remove those of the files that exist, durably."""
+    """Remove the files that exist, and sync their folders."""
     folders = set()
     for file in files:
         with suppress(FileNotFoundError):
@@ -109,7 +109,7 @@ def remove_all(files: Iterable[Path]) -> None:
 
 @dataclass
 class NewFile:
-    """A file being written: its stream, and its path, which is temporary until the file is complete."""
+    """A file that is being written: its stream, and its path, which is temporary until the file is complete."""
 
     stream: BinaryIO
     path: Path
@@ -119,25 +119,25 @@ class NewFile:
 def new_file(
     folder: Path, stem: str = "", ending: str = "", *, name: str | None = None, mode: int | None = None
 ) -> Iterator[NewFile]:
-    """Open a file that becomes visible when the block ends without an exception, and is removed otherwise.
+    """Open a file that becomes visible if the block ends without an exception, and is removed otherwise.
 
-    Abandoned temporary files in its folder are removed, too.
+    Abandoned temporary files in the same folder are also removed.
 
     Parameters
     ----------
     folder : Path
-        Folder of the file, created if necessary.
+        Folder of the file, which is created if necessary.
     stem, ending : str
-        Parts of its name, ``<stem><SHA-256><ending>``.
+        Parts of the name ``<stem><SHA-256><ending>``.
     name : str, optional
-        Its full name, if it has no hash.
+        Full name of a file without a hash.
     mode : int, optional
-        Permissions, limited by the ``umask``; by default all users who may read the folder may read the file.
+        Permissions, limited by the ``umask``. By default, all users who may read the folder may read the file.
     """
     make_folder(folder)
     remove_temporary(folder, _ABANDONED_S)
     label = os.fsdecode(os.fsencode(name or f"{stem}new")[-_LONGEST_NAME:])
-    # threads may write one file at a time
+    # several threads may write the same file
     path = folder / f".{label}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
     number = os.open(path, _NEW, readable_in(folder) if mode is None else mode)
     new = NewFile(os.fdopen(number, "wb", 1 << 20), path)
@@ -157,14 +157,14 @@ def new_file(
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a new file that becomes ``path`` when the block ends without an exception, and is removed otherwise."""
+    """Open a new file that becomes ``path`` if the block ends without an exception, and is removed otherwise."""
     with new_file(path.parent, name=path.name) as new:
         yield new.stream
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the file's path to errors of calls that only have its descriptor, such as a full disk."""
+    """Add the path of a file to errors of calls that have only its descriptor, such as a full disk."""
     try:
         yield
     except OSError as error:
@@ -174,7 +174,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
+    """Write a text file (UTF-8). A reader sees either the complete file or nothing."""
     with replacing(path) as stream:
         stream.write(text.encode())
 
@@ -186,13 +186,13 @@ def file_hash(file: Path) -> str:
 
 
 def hash_in_name(name: str) -> str | None:
-    """Return the SHA-256 of the content in the name of a file; None if there is none."""
+    """Return the SHA-256 in the name of a file; None if the name contains none."""
     found = _CONTENT.fullmatch(name)
     return found[1] if found else None
 
 
 def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
-    """Store a result as ``<stem>-<SHA-256><ending>``, replacing former ones with the same stem."""
+    """Store a result as ``<stem>-<SHA-256><ending>``, and remove former results with the same stem."""
     with new_file(folder, f"{stem}-", ending, mode=mode) as new:
         new.stream.write(data)
     remove_all(file for file in result_files(folder, stem, ending) if file != new.path)
@@ -200,7 +200,7 @@ def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | 
 
 
 def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
-    """Return the files that store a result: usually one, two while it is being replaced."""
+    """Return the files that store a result: usually one, and two while it is being replaced."""
     try:
         names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):
@@ -210,7 +210,7 @@ def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
 
 
 def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
-    """Return a stored result, or None if it is missing or damaged and has to be recomputed."""
+    """Return a stored result; None if it is missing or damaged and must be recomputed."""
     for file in result_files(folder, stem, ending):
         with suppress(FileNotFoundError):
             data = file.read_bytes()
@@ -222,7 +222,7 @@ def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
 def shared_mode(like: Sequence[os.stat_result], folder: Path) -> int:
     """Return the permission mode common to several files, for a new file with data from all of them.
 
-    A user who may not read one of them may not read the new one: a file of another group gives its group no rights.
+    A user who may not read one of them may not read the new file. A file of another group gives no rights to its group.
     """
     mode = READABLE
     there = os.stat(folder) if like else None
@@ -239,7 +239,7 @@ def readers_of(mode: int) -> int:
 
 @contextmanager
 def if_writable() -> Iterator[None]:
-    """Skip the writes of a block if the folder is read-only: their content can be recomputed."""
+    """Skip the writes of a block if the folder is read-only, since their content can be recomputed."""
     try:
         yield
     except OSError as error:
@@ -248,9 +248,9 @@ def if_writable() -> Iterator[None]:
 
 
 def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> None:
-    """Remove, if possible, the leftovers of interrupted writers from a folder, and its subfolders if `deep`.
+    """Remove leftovers of interrupted writers from a folder, if possible, and from its subfolders if `deep` is true.
 
-    Use age 0 only if no other process may write there.
+    Use an age of 0 only if no other process may write there.
     """
     for file in (folder.rglob if deep else folder.glob)(_TEMPORARY):
         with suppress(OSError):
@@ -262,14 +262,14 @@ def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> No
 LOCK_FILE = ".lock"
 
 WAIT_S = 60.0
-"""How long a command waits for the lock by default [s]: an ingest of thousands of logs takes seconds, so two commands
-that a script starts together both succeed, and a command that hangs is reported within a minute."""
+"""Default waiting time for the lock [s]. An ingest of thousands of logs takes seconds, so two commands that a script
+starts together both succeed, and a command that does not end is reported within a minute."""
 
 _GRACE_S = 0.05
-"""Waiting time without a message [s]: most writers are done by then."""
+"""Waiting time without a message [s], in which most writers end."""
 
 _LONGEST_NOTE = 4096
-"""Number of bytes read from a lock file; the note in it has about 100."""
+"""Number of bytes that are read from a lock file. Its note has about 100."""
 
 _LOCKED = 1
 """Number of bytes at the beginning of the lock file that only the locking process can read on Windows."""
@@ -279,21 +279,21 @@ _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
 
 @contextmanager
 def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None) -> Iterator[None]:
-    """Hold the lock of a store; make its folder if needed.
+    """Hold the lock of a store, and create its folder if necessary.
 
     Parameters
     ----------
     processed : Path
     wait_s : float
-        How long to wait for another holder [s]; 0 refuses at once.
+        Waiting time for another process [s]; with 0, the call fails immediately.
     say : callable, optional
-        Called with one line when waiting begins.
+        Function that is called with one line when waiting begins.
 
     Raises
     ------
     StoreError
         If another process still holds the lock after that time, the file system has no locks, or the block fails to
-        write; data already stored remain valid.
+        write. Data that are already stored remain valid.
     """
     file = -1
     try:
@@ -309,8 +309,8 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
         os.ftruncate(file, 0)
     except OSError as error:
         raise StoreError(
-            f"{processed}: cannot be written ({error}). What is stored is whole; make room or correct the permissions, "
-            "and run the command again."
+            f"{processed}: cannot be written ({error}). Stored data are complete. Free disk space or correct the "
+            "permissions, and run the command again."
         ) from error
     finally:
         if file >= 0:
@@ -318,7 +318,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
 
 
 def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] | None) -> None:
-    """Take the lock on a file, which is released when the file is closed or its process ends."""
+    """Lock a file. The lock is released when the file is closed or its process ends."""
     from filelock import lock_descriptor  # saves 0.07 s in commands that only read
 
     began, announced = time.monotonic(), False
@@ -338,12 +338,12 @@ def _take(file: int, processed: Path, wait_s: float, say: Callable[[str], None] 
         if error.errno not in _UNSUPPORTED:
             raise
         raise StoreError(
-            f"this file system has no locks ({error.strerror}), so that two commands could damage each other's work. "
+            f"this file system has no locks ({error.strerror}), so two commands could overwrite each other's data. "
             "Choose a folder on a local disk (--processed)."
         ) from error
 
 
 def _noted(file: int) -> str:
-    """Return the note in the lock file on the process that writes."""
+    """Return the note in the lock file about the process that writes."""
     os.lseek(file, _LOCKED, os.SEEK_SET)
     return os.read(file, _LONGEST_NOTE).decode("utf-8", "replace").strip() or "another process"

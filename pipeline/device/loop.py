@@ -326,7 +326,7 @@ def _check(name: str, value: float | None) -> None:
         return
     parameter, number = PARAMETERS[name], as_number(value)
     if not math.isfinite(number) or number < parameter.lower or (parameter.positive and number <= parameter.lower):
-        expected = "a positive, finite number" if parameter.positive else "a finite number that is not negative"
+        expected = "a finite positive number" if parameter.positive else "a finite nonnegative number"
         if parameter.lower < 0:
             expected = "a finite number"
         raise ParameterError(f"{name} = {value}: expected {expected}.")

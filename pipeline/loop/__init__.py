@@ -1,1 +1,1 @@
-"""The sampled, delayed loop: its only definition, and the exact motion over a sampling interval."""
+"""Definition of the sampled, delayed loop, and of the exact motion over a sampling interval."""

@@ -1,17 +1,16 @@
-"""Simulation of one trial at a wall, row by row: sensor, velocity, wall law, delayed command, exact motion with
-friction.
+"""Simulate one trial at a wall row by row: sensor, velocity, wall law, delayed command, and exact motion with friction.
 
-The compiled run follows a controller that samples at t_k = k T:
+The compiled run models a controller that samples at t_k = k T:
 
     y[k] = round((p(t_k) + n[k])/q) q        F[k] = E[k] - K (y[k] - y[0] + s) - B v[k]
 
-with the sensor's position p, noise n, resolution q, external force E, depth s in the wall at the first row, and the
-velocity v estimated from y. F, limited and amplified, reaches the plant after the delay. While F is constant, the plant
-moves by x(t + h) = e^(A h) x(t) within its region of friction: see `pipeline.loop.motion`.
+The position p of the sensor has the noise n and the resolution q. E is the external force, s the depth in the wall at
+the first row, and v the velocity estimated from y. F is limited and amplified, and reaches the plant after the delay.
+While F is constant, the plant moves by x(t + h) = e^(A h) x(t) within its region of friction (`pipeline.loop.motion`).
 
-The parts of a row (velocity estimator, step of motion) are separate functions, which numba inlines into the loops that
-call them; elsewhere they run as plain Python. To detect outdated machine code, numba checks only the file of the loop
-itself. Therefore these functions and their constants are in this module.
+The parts of a row (velocity estimator, step of motion) are separate functions. Numba inlines them into the loops that
+call them; in other calls they run as plain Python. To detect outdated machine code, numba checks only the file of the
+loop. These functions and their constants must therefore be in this module.
 
 Source: Hulin 2017, sec. 3.1 and 6.1.1.
 """
@@ -26,40 +25,39 @@ from pipeline.base.compiled import compiled, inlined
 from pipeline.records.trials import Booleans, Floats, Integers
 
 STICK, CREEP, SLIDE = 0, 1, 2
-"""Regions of friction. Without a Stribeck effect there is no `SLIDE`: every motion is a `CREEP` at constant force."""
+"""Regions of friction. Without a Stribeck effect there is no `SLIDE`: all motion is a `CREEP` at constant friction."""
 
 CELLS = 32
-"""Number of cells of a time grid on which a change of region is searched."""
+"""Number of cells of a time grid in which a change of region is searched for."""
 
 TERMS = 17
 """Number of terms of the power series within a cell."""
 
 MOST_EVENTS = 400
-"""Largest number of region changes and examined cells; after that a motion stays in its region, which ends any
-chatter."""
+"""Largest number of region changes. After that, a motion stays in its region, which ends any chatter."""
 
 SETTLED = 2.0**-50
-"""Newton step, relative to a cell, that counts as rounding."""
+"""Newton step, relative to a cell, that is a rounding error."""
 
 MOST_STEPS = 60
-"""Largest number of steps to a zero: bisection alone needs 53 for a double."""
+"""Largest number of steps to a zero. Bisection alone needs 53 for a double."""
 
 FILTER, DIFFERENCE, WINDOW, LEVANT = 0, 1, 2, 3
-"""Estimators of velocity: a linear filter, the difference over several samples, the adaptive window, and Levant's."""
+"""Velocity estimators: a linear filter, the difference over several samples, the adaptive window, and Levant's."""
 
 Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
-"""Exact motion over a time interval, with the data to stop within it, for R regions of friction and n states.
+"""Exact motion over a time interval, with data for a stop within it, for R regions of friction and n states.
 
-- ``whole`` (R, n + 4, n + 3): state at the end, then guard and its slope at the start and at the end; without friction
-  R is 1 and only the state is stored.
-- ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): state, guard and slope at the edges of cells; each level divides one
+- ``whole`` (R, n + 4, n + 3): state at the end, then guard at the start and the end, and its slope at both. Without
+  friction, R is 1 and only the state is stored.
+- ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): state, guard and slope at the edges of cells. Each level divides one
   cell of the level above.
 - ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid.
-- ``bounds`` (2, R): lower and upper bound of the guard in its region; (2, 0) without friction.
+- ``bounds`` (2, R): lower and upper bounds of the guard in each region; (2, 0) without friction.
 - ``force`` (n + 3,): force on the motor without friction.
 - Duration [s], and whether the motion is slow enough for its end points to show whether it may leave a region.
 
-All are multiplied by z: state, command, additional force, direction of friction.
+All are multiplied by z: state, command, additional force, and direction of friction.
 """
 
 _INTERVAL = "Tuple((f8[:,:,::1],f8[:,:,:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[::1],f8,b1))"
@@ -103,7 +101,7 @@ def derivative(series: Floats) -> Floats:
 
 @inlined
 def last_zero(series: Floats, end: float) -> float:
-    """Return the last zero of a polynomial that is not negative at 0 and negative at ``end``."""
+    """Return the last zero of a polynomial that is nonnegative at 0 and negative at ``end``."""
     slopes, low, high = derivative(series), 0.0, end
     # start from the parabola through value and slope at 0 and value at the end
     first, rate = series[0], series[1] * end
@@ -127,10 +125,10 @@ def last_zero(series: Floats, end: float) -> float:
 
 @inlined
 def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[float, int]:
-    """Return the time at which a polynomial leaves its bounds within [0, span], and its direction: down (-1) or up (1).
+    """Return the time at which a polynomial leaves its bounds within [0, span], and the direction: down (-1) or up (1).
 
     If it stays inside, the direction is 0 and the time is the span. If it starts on a bound, its further motion
-    decides. It may turn once within the span.
+    decides. It may turn only once within the span.
     """
     start, slope, until = series[0], series[1], span
     slopes = derivative(series)
@@ -154,7 +152,7 @@ def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[fl
 
 @inlined
 def extent(guard: float, later: float, slope: float, later_slope: float, span: float) -> tuple[float, float]:
-    """Return lower and upper bound of a guard over a span of time, by value and slope at both ends."""
+    """Return the lower and upper bounds of a guard over a time span, from value and slope at both ends."""
     # between the ends, a turning guard is never steeper than the sum of both end slopes
     reach = span * (abs(slope) + abs(later_slope)) if slope * later_slope < 0 else 0.0
     return min(guard, later) - reach, max(guard, later) + reach
@@ -162,7 +160,7 @@ def extent(guard: float, later: float, slope: float, later_slope: float, span: f
 
 @inlined
 def region_behind(z: Floats, region: int, upwards: bool, bounds: Floats, force: Floats) -> int:
-    """Return the region that a motion enters when its guard reaches a bound; set its velocity to the bound."""
+    """Return the region that a motion enters when its guard reaches a bound, and set its velocity to the bound."""
     stops = region == CREEP and not upwards
     if not stops and region != STICK:
         z[1] = bounds[1, CREEP] * z[-1]
@@ -238,19 +236,20 @@ def advance(z: Floats, interval: Interval) -> None:
 
 @inlined
 def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position: Floats, row: int) -> float:
-    """Return the velocity estimated from the positions up to a row, and update the estimator's memory.
+    """Return the velocity estimated from the positions up to a row, and update the memory of the estimator.
 
     Parameters
     ----------
     kind : int
         `FILTER` (transposed direct form), `DIFFERENCE`, `WINDOW` or `LEVANT`.
     numbers : float64, shape (2, m)
-        For a filter, b and a in powers of 1/z, with a zero appended to each; else, in the first row: samples of the
-        difference; bound and longest length of the window; acceleration of Levant's differentiator.
+        For a filter, b and a in powers of 1/z, with a zero appended to both. Otherwise the first row contains the
+        number of samples of the difference, the bound and the longest length of the window, or the acceleration of
+        Levant's differentiator.
     period : float
         T [s].
     memory : float64, shape (m,)
-        Memory of the estimator, zero before the first row.
+        Memory of the estimator, which is zero before the first row.
     position : float64, shape (rows,)
     row : int
     """
@@ -258,7 +257,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
     if kind == DIFFERENCE:
         return float(position[row] - position[max(row - int(first), 0)]) / period / first
     if kind == WINDOW:
-        # the slope over the longest window whose samples all lie within the bound of its line
+        # the slope over the longest window whose samples are all within the bound of its line
         for count in range(1, min(row, int(numbers[0, 1])) + 1):
             slope = (position[row] - position[row - count]) / count
             for i in range(1, count):
@@ -284,7 +283,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
 
 @compiled(f"void(f8[:,::1],{_INTERVAL})", allocates=True)
 def advance_states(z: Floats, interval: Interval) -> None:
-    """Advance states, each a row of z (see `advance`), over an interval."""
+    """Advance states over an interval. Each state is a row of z (see `advance`)."""
     for i in range(len(z)):
         advance(z[i], interval)
 
@@ -301,27 +300,28 @@ def run_trial(
     estimator: tuple[int, Floats, float],
     motion: tuple[Floats, int, tuple[Interval, Interval]],
 ) -> tuple[Floats, Floats]:
-    """Return command [N, Nm] and position [m, rad] of each row of a trial; it ends with the first row beyond its
-    travel.
+    """Return command [N, Nm] and position [m, rad] of each row of a trial, up to the first row beyond its travel.
 
     Parameters
     ----------
     wall : K, B, depth, side
-        Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], depth of the first position in the wall, and the sign of the
-        depth at which a one-sided wall pushes; 0 for a two-sided wall.
+        Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], depth of the first position in the wall, and sign of the depth
+        at which a one-sided wall pushes; 0 for a two-sided wall.
     signals : external, push, noise, repeats, slots
         For each row: external force in the command, force on the device in addition to the command [N, Nm], noise of
-        the reading [m, rad], whether the sensor repeats its reading; and for each part of the interval after the row
-        (parts, rows) the row of the applied command, counted from 1. 0 is the command before the first row.
+        the reading [m, rad], and whether the sensor repeats its reading. ``slots`` (parts, rows) is the row of the
+        applied command, counted from 1, for each part of the interval after the row; 0 is the command before the first
+        row.
     place : start, centre, travel, stop
-        Position at the start, the middle of the range, largest distance from it, and distance of rigid stops [m, rad].
+        Position at the start, middle of the range, largest distance from the middle, and distance of rigid stops [m,
+        rad].
     ranges : quantum, limit, gain
         Sensor resolution [m, rad], 0 if ideal, limit of the command [N, Nm], and force per unit of command.
     estimator : kind, numbers, period
-        See `velocity`.
+        Arguments of `velocity`.
     motion : rest, sensed, intervals
-        Steady state per unit of a constant command, index of the sensed state, and both parts of an interval; the
-        second part is unused if ``slots`` has only one.
+        Steady state per unit of a constant command, index of the sensed state, and both parts of an interval. The
+        second part is unused if ``slots`` has only one part.
     """
     K, B, depth, side = wall
     external, push, noise, held, slots = signals

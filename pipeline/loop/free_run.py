@@ -1,4 +1,4 @@
-"""Free run of a device with Coulomb friction on its motor and its load under logged commands, row by row."""
+"""Simulate the free run of a device with Coulomb friction on motor and load, for logged commands, row by row."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ def free_run(
 ) -> Floats:
     """Return the sensor positions of a device in a free run, shape (N,).
 
-    Side i (0 the motor, 1 the load of a mode) has position and velocity as states 2 i and 2 i + 1, and the friction c_i
-    against its direction s_i. In each sub-step of each piece of an interval, in which the command u is constant,
+    Side i (0 for the motor, 1 for the load of a mode) has position and velocity as states 2 i and 2 i + 1, and friction
+    c_i against its direction s_i. In each sub-step of each piece of an interval, the command u is constant:
 
         x <- F x + G_1 u + G_2 (f - c_1 s_1) - G_3 c_2 s_2
 
     A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side whose velocity
-    changes sign in a sub-step stops there if |a| <= c_i; otherwise its friction is reversed from the crossing on, found
-    by interpolation. Without friction the run is exact, and one sub-step is enough.
+    changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is reversed after the crossing, which
+    is found by interpolation. Without friction, the run is exact, and one sub-step is enough.
 
     Parameters
     ----------
     device : C, A, b
-        Output row of the sensor (n,), and the forces on the sides by the states (sides, n) and by a unit command
+        Output row of the sensor (n,), and forces on the sides per unit of the states (sides, n) and of the command
         (sides,), for a device of mass 1.
     pieces : F, G, place
-        Transitions (2^sides, m, n, n) over a sub-step and gains (2^sides, m, n, 1 + sides) of a unit command and of
-        forces on the sides; the bits of the first index are sides at rest. ``place`` (P, N) is the index (of these m)
-        for each piece of the interval after each row.
+        Transitions (2^sides, m, n, n) over a sub-step, and gains (2^sides, m, n, 1 + sides) of a unit command and of
+        forces on the sides. The bits of the first index are sides at rest. ``place`` (P, N) is the second index for
+        each piece of the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
     forces : f, c
-        Constant force on the motor, and friction (sides,) of the sides, per mass of the device.
+        Constant force on the motor, and friction of the sides (sides,), per mass of the device.
     start : float64, shape (n,)
         State at the first row.
     sub_steps : int
@@ -51,7 +51,7 @@ def free_run(
 
     Examples
     --------
-    A mass of 1 slides to rest under a friction of 2: v^2/(2 c) = 1/4, after half a unit of time.
+    A mass of 1 slides until it rests under a friction of 2, after v^2/(2 c) = 1/4 and half a unit of time.
 
     >>> F, G = np.zeros((2, 1, 2, 2)), np.zeros((2, 1, 2, 2))
     >>> F[:, 0] = [[[1.0, 0.125], [0.0, 1.0]], np.eye(2)]

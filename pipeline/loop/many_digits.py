@@ -1,7 +1,7 @@
-"""Small matrices and polynomials in many digits, for quantities computed once per loop without cancellation.
+"""Compute small matrices and polynomials with many digits, for quantities computed once per loop without cancellation.
 
-Matrices and polynomials are numpy arrays of `decimal.Decimal`, polynomials lowest power first. The decimal context, set
-by `many_digits`, determines the number of digits.
+Matrices and polynomials are numpy arrays of `decimal.Decimal`. Polynomials have the lowest power first. The decimal
+context of `many_digits` determines the number of digits.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ Digits = NDArray[np.object_]
 """Array of Decimal."""
 
 _SMALL = 1.0
-"""Norm to which a matrix is scaled down by halving before its exponential is summed."""
+"""Norm to which a matrix is scaled down by halving before the series of its exponential is summed."""
 
 exact = np.frompyfunc(Decimal, 1, 1)
-"""Decimal of each float, without rounding."""
+"""Function that converts floats to Decimal without rounding."""
 
 
 def many_digits(digits: int) -> AbstractContextManager[Context]:
@@ -32,7 +32,7 @@ def many_digits(digits: int) -> AbstractContextManager[Context]:
 
 
 def as_exact(values: Any) -> Digits:
-    """Return numbers or arrays of them as an array of Decimal."""
+    """Return numbers or arrays of numbers as an array of Decimal."""
     return np.asarray(exact(np.asarray(values, dtype=object)), dtype=object)
 
 
@@ -49,7 +49,7 @@ def derivative(polynomial: Digits) -> Digits:
 
 
 def value_at(polynomial: Digits, x: Decimal) -> Decimal:
-    """Return the value of a polynomial."""
+    """Return the value of a polynomial at x."""
     value = Decimal(0)
     for c in polynomial[::-1].tolist():
         value = value * x + c
@@ -57,7 +57,9 @@ def value_at(polynomial: Digits, x: Decimal) -> Decimal:
 
 
 def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
-    """Return determinant and adjugate of x - matrix as polynomials in x, shapes (n + 1,), (n, n, n) by power.
+    """Return determinant and adjugate of x - matrix as polynomials in x, shapes (n + 1,) and (n, n, n).
+
+    The first axis is the power.
 
     Source: Faddeev and LeVerrier.
     """
@@ -71,10 +73,10 @@ def resolvent(matrix: Digits) -> tuple[Digits, Digits]:
 
 
 def exponential(matrix: Digits, digits: int) -> Digits:
-    """Return exp of a square matrix: power series of the scaled matrix, then repeated squaring.
+    """Return the exponential of a square matrix, from the power series of the scaled matrix and repeated squaring.
 
-    Powers of n rows and more are combinations of the lower ones (Cayley and Hamilton), so that terms of the series are
-    vectors of n coefficients.
+    Powers n and above of an n x n matrix are combinations of lower powers (Cayley and Hamilton). Terms of the series
+    are therefore vectors of n coefficients.
     """
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
@@ -131,7 +133,7 @@ def shifted(polynomial: Digits, by: int) -> Digits:
 
 
 def bilinear(polynomial: Digits, degree: int) -> Digits:
-    """Return (1 - w)^degree p(z) as a polynomial in w, z = (1 + w)/(1 - w); the unit circle is w = j tan(theta/2)."""
+    """Return (1 - w)^degree p(z) as a polynomial in w, with z = (1 + w)/(1 - w). On the unit circle, w is imaginary."""
     return np.asarray(_bilinear(degree)[:, : len(polynomial)] @ polynomial, dtype=object)
 
 
@@ -148,7 +150,7 @@ def _bilinear(degree: int) -> Digits:
 
 
 def from_w(polynomial: Digits) -> Digits:
-    """Return (1 + z)^degree p(w) as a polynomial in z, w = (z - 1)/(z + 1)."""
+    """Return (1 + z)^degree p(w) as a polynomial in z, with w = (z - 1)/(z + 1)."""
     back = bilinear(polynomial, len(polynomial) - 1)[::-1]
     return np.asarray(back * _signs(len(back))[::-1], dtype=object)
 

@@ -1,9 +1,10 @@
 """Matrices of the exact motion of a device under constant forces, with vibration mode, actuator lag and friction.
 
-The compiled loops of `pipeline.loop.closed_loop` use them. Without friction the motion is that of
-`pipeline.loop.state_space`, and a step of time is one product with its exponential. Friction makes it piecewise linear:
-the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a change of region is found
-on the exact motion. Between stiction at rest and Coulomb friction at the Stribeck velocity the force falls linearly.
+The compiled loops of `pipeline.loop.closed_loop` use them. Without friction, the motion is that of
+`pipeline.loop.state_space`, and a time step is one product with its exponential. Friction makes the motion piecewise
+linear: the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a region change is
+found on the exact motion. Between rest and the Stribeck velocity, friction decreases linearly from stiction to Coulomb
+friction.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command takes 
     from pipeline.device.parts import Friction
 
 BREAKAWAY = 1e-12
-"""Force beyond stiction, relative to it, that sets a resting device in motion, so that rounding alone does not."""
+"""Force beyond stiction, relative to stiction, that sets a resting device in motion. It exceeds rounding errors."""
 
 LEFT_OUT = 1e-17
 """Largest truncation error of the power series, relative to the motion."""
 
 QUARTER = pi / 4
-"""Largest phase [rad] of the fastest oscillation over an interval for which evaluating the ends suffices."""
+"""Largest phase [rad] of the fastest oscillation over an interval for which the ends show whether a region is left."""
 
 
 @dataclass(frozen=True)
@@ -40,15 +41,15 @@ class FrictionalMotion:
     Parameters
     ----------
     plant : Plant
-        Linear motion with forces as inputs, in SI; its spring is relaxed at the initial position.
+        Linear motion with forces as inputs, in SI. Its spring is relaxed at the initial position.
     friction : Friction or None
         Coulomb friction and stiction [N, Nm] on the motor.
 
     Notes
     -----
-    The state has one row per quantity and one column per trial: displacement [m, rad] and velocity of the motor, then
-    of the load, then the actuator's force. Rates and motions refer to z: state, command, additional force, direction of
-    friction.
+    The state has one row per quantity and one column per trial: displacement [m, rad] and velocity of the motor, those
+    of the load, and the force of the actuator. Rates and motions refer to z, which consists of state, command,
+    additional force and direction of friction.
 
     Examples
     --------
@@ -62,7 +63,7 @@ class FrictionalMotion:
 
     @classmethod
     def of(cls, loop: Loop) -> Self:
-        """Return the motion of a device with its operator; inputs are forces, after the gain of the loop."""
+        """Return the motion of a device with its operator. The inputs are forces after the gain of the loop."""
         friction = loop.friction
         if friction is not None and max(friction.coulomb, friction.stiction or 0.0) == 0:
             friction = None
@@ -70,7 +71,7 @@ class FrictionalMotion:
 
     @property
     def motor_mass(self) -> float:
-        """Mass of the motor and all parts rigidly attached to it [kg, kg m^2]."""
+        """Mass of the motor and all parts that are rigidly attached to it [kg, kg m^2]."""
         return self.plant.mass - self.plant.load_mass
 
     @property
@@ -100,7 +101,7 @@ class FrictionalMotion:
         return _interval(self, time_s)
 
     def rates(self) -> list[Floats]:
-        """Return A of z' = A z in each region, with z without the region; the last row is the direction."""
+        """Return A of z' = A z for each region. The last row of z is the direction."""
         n, linear = self.states, _of_motor_and_load(self.plant)
         free = np.zeros((n + 3, n + 3))
         free[:n, : n + 2] = np.column_stack((linear.matrix, linear.command, linear.force))
@@ -116,21 +117,19 @@ class FrictionalMotion:
 
     @property
     def levels(self) -> tuple[float, float, float]:
-        """Coulomb friction, stiction [N, Nm] and the decrease of friction per unit of speed below the Stribeck
-        velocity."""
+        """Coulomb friction, stiction [N, Nm], and decrease of friction per speed below the Stribeck velocity."""
         assert self.friction is not None
         stiction = self.friction.coulomb if self.friction.stiction is None else self.friction.stiction
         return self.friction.coulomb, stiction, (stiction - self.friction.coulomb) / self.friction.stribeck_velocity
 
     def motor_force(self) -> Floats:
-        """Return the row that gives the force on the motor without friction [N, Nm] from z."""
-        # the acceleration of a motor of mass 1
+        """Return the row that maps z to the force on the motor without friction [N, Nm]."""
+        # the force equals the acceleration of a motor of mass 1
         linear = _of_motor_and_load(replace(self.plant, mass=1.0 + self.plant.load_mass))
         return np.concatenate((linear.matrix[1], [linear.command[1], linear.force[1], 0.0]))
 
     def guards(self) -> list[tuple[Floats, float, float]]:
-        """Return for each region a row C and two bounds: inside the region, C z times the direction lies between
-        them."""
+        """Return a row C and two bounds for each region: inside it, C z times the direction is between the bounds."""
         assert self.friction is not None
         velocity = np.zeros(self.states + 3)
         velocity[1] = 1.0
@@ -144,9 +143,9 @@ class FrictionalMotion:
 
 @lru_cache(maxsize=64)
 def _of_motor_and_load(plant: Plant) -> StateSpace:
-    """Return the state space in coordinates of motor and load, while `state_space` uses the centre of mass.
+    """Return the state space in coordinates of motor and load. (`state_space` uses the centre of mass.)
 
-    The motor is at x_1 = c - (m_2/m_1) y, the load at x_2 = c + y, so that with the load's share s of the mass
+    The motor is at x_1 = c - (m_2/m_1) y, and the load at x_2 = c + y. With the share s of the load in the mass,
     c = (1 - s) x_1 + s x_2 and y = (1 - s)(x_2 - x_1).
     """
     linear = state_space(plant)

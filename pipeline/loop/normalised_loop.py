@@ -1,10 +1,10 @@
-"""The sampled, delayed loop of virtual wall and device: its only definition on the theory side.
+"""Define the sampled, delayed loop of virtual wall and device for the theory, in normalised quantities.
 
-Everything is normalised (Table 3.1): time by the sampling period T, alpha = K T^2/m, beta = B T/m,
-gamma = k T^2/m, delta = b T/m, d = t_d/T. The wall force of sample k acts on [k + d, k + 1 + d), also for
-fractional d, where the plant input switches inside an interval (modified z-transform); an external step or impulse
-acts at sample 0 without delay. Responses are written as deviations from the final position, relative to the final
-displacement: they obey the homogeneous equation and lose no digits while they decay.
+Normalised quantities (Table 3.1) are time/T, alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m, and d =
+t_d/T, with the sampling period T. The wall force of sample k acts on [k + d, k + 1 + d). For fractional d, the plant
+input switches inside an interval (modified z-transform). An external step or impulse acts at sample 0 without delay.
+Responses are deviations from the final position, relative to the final displacement. They obey the homogeneous equation
+and keep their relative precision while they decay.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command takes 
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
 LARGEST_DELAY = 256
-"""Largest delay factor; with longer delays the loop matrices of a map need too much memory."""
+"""Largest delay factor. For longer delays, the loop matrices of a map would need too much memory."""
 
 LARGEST_FILTER = 96
-"""Longest memory of a velocity filter in samples; longer ones make boundaries and modes take seconds."""
+"""Longest memory of a velocity filter in samples. For longer ones, boundaries and modes would take seconds."""
 
 SMALLEST, LARGEST = 1e-60, 1e60
 """Range of a mass per unit of command, and of a sampling period, in which units of stiffness and damping neither
-overflow nor vanish. The parameters of a device have narrower ranges (`device.parts`)."""
+overflow nor underflow. The parameters of a device have narrower ranges (`device.parts`)."""
 
 LARGEST_RATE = 1e7
-"""Largest entry of the device's normalised matrix; a lag below 1e-7 samples counts as none."""
+"""Largest entry of the normalised matrix of the device. A lag below 1e-7 samples is ignored."""
 
 _DIGITS = 100
-"""Number of digits of quantities computed once per loop; one more is added per order, for the binomials. Boundaries
+"""Number of digits of quantities computed once per loop. One digit is added per order, for the binomials. Boundaries
 need 16 digits at angles of 1e-6, where products of ten factors of 1e-6 are added to terms of size 1."""
 
 
@@ -58,7 +58,7 @@ class LoopUnits:
     mass : float
         Effective mass m of the device at the wall, per unit of command [kg, kg m^2], > 0.
     sampling_period_s : float
-        T [s], > 0.
+        Sampling period T [s], > 0.
     """
 
     mass: float
@@ -73,23 +73,23 @@ class LoopUnits:
 
     @classmethod
     def of(cls, loop: Loop) -> LoopUnits:
-        """Return the units of the walls of a device."""
+        """Return the units of walls for a device."""
         return cls(loop.apparent().mass, loop.sampling_period_s)
 
     @property
     def stiffness(self) -> float:
-        """Stiffness [N/m, Nm/rad] for alpha = 1: m/T^2."""
+        """Stiffness [N/m, Nm/rad] for alpha = 1, m/T^2."""
         return self.mass / self.sampling_period_s**2
 
     @property
     def damping(self) -> float:
-        """Damping [Ns/m, Nms/rad] for beta = 1: m/T."""
+        """Damping [Ns/m, Nms/rad] for beta = 1, m/T."""
         return self.mass / self.sampling_period_s
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of a sampling interval with constant plant input: duration [T] and delay of the applied force in samples."""
+    """Part of a sampling interval with constant plant input: duration [T] and delay of the applied force [samples]."""
 
     duration: float
     age: int
@@ -97,11 +97,10 @@ class Segment:
 
 @dataclass(frozen=True)
 class Sampled:
-    """Delayed device and filter as ratios of polynomials in w, of equal degree within a pair; Decimal, lowest power
-    first.
+    """Delayed device and filter as ratios of polynomials in w with Decimal coefficients, lowest power first.
 
-    Position over wall force is z^-delay force/motion, filtered velocity over position
-    2 w/(1 + w) velocity/filter.
+    The polynomials of a ratio have equal degree. The ratio of position to wall force is z^-delay force/motion. The
+    ratio of filtered velocity to position is 2 w/(1 + w) velocity/filter.
     """
 
     delay: int
@@ -113,9 +112,9 @@ class Sampled:
 
 @dataclass(frozen=True)
 class OwnSteps:
-    """Transition over a sample of all states except delayed forces: ``free`` (own, own), and ``gains`` of the segments.
+    """Transition over a sample of all states except delayed forces: ``free`` (own, own) and ``gains`` of the segments.
 
-    ``position`` and ``velocity`` are the rows (own,) of sensed position and filtered velocity; all Decimal.
+    ``position`` and ``velocity`` are the rows (own,) of sensed position and filtered velocity. All have type Decimal.
     """
 
     free: Digits
@@ -126,15 +125,15 @@ class OwnSteps:
 
 @dataclass(frozen=True)
 class NormalisedLoop:
-    """A plant with delay, without its wall; alpha and beta are arguments of its methods.
+    """Plant with delay, without its wall. alpha and beta are arguments of its methods.
 
     The loop is linear: a continuous device with two to five states, and a wall law with a filter.
 
     Parameters
     ----------
     plant : Plant
-        Plant of mass 1, with the sampling period as unit of time: stiffness gamma = k T^2/m, damping delta = b T/m;
-        gamma <= pi^2 + delta^2/4, both >= 0 and <= 1e7.
+        Plant of mass 1, with the sampling period as the unit of time: stiffness gamma = k T^2/m and damping delta =
+        b T/m, with gamma <= pi^2 + delta^2/4, both >= 0 and <= 1e7.
     delay : float
         Delay factor d = t_d/T, integer or fractional, 0 <= d <= 256.
     velocity : LinearFilter, optional
@@ -147,12 +146,12 @@ class NormalisedLoop:
 
     Notes
     -----
-    States: those of the device, the last sampled position, those of the filter, the wall forces of the last samples,
-    newest first; d + 3 states for an ideal loop with integer d (eq. 3.18).
+    The states are those of the device, the last sampled position, those of the filter, and the wall forces of the last
+    samples, newest first. An ideal loop with integer d has d + 3 states (eq. 3.18).
 
-    With w = (z - 1)/(z + 1) the unit circle is the imaginary axis, and no digits are lost at either end (slow motion at
-    w = 0, half the sampling rate at w = infinity). The transfer functions of device and filter are therefore kept as
-    polynomials in w, exact to many digits: `Sampled`.
+    With w = (z - 1)/(z + 1), the unit circle is the imaginary axis, and both of its ends have full precision (slow
+    motion at w = 0, half the sampling rate at w = infinity). The transfer functions of device and filter are therefore
+    polynomials in w, with many digits (`Sampled`).
 
     Examples
     --------
@@ -171,8 +170,7 @@ class NormalisedLoop:
 
     @classmethod
     def of(cls, loop: Loop) -> NormalisedLoop:
-        """Return the normalised loop of a device, without the parts that linear theory cannot include
-        (`Loop.left_out`).
+        """Return the normalised loop of a device, without parts that linear theory cannot include (`Loop.left_out`).
 
         Raises
         ------
@@ -186,25 +184,25 @@ class NormalisedLoop:
         numbers = {"gamma": self.gamma, "delta": self.delta, "delay": self.delay, "lag": self.plant.lag}
         for name, value in numbers.items():
             if not math.isfinite(value) or value < 0:
-                raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
+                raise ParameterError(f"{name} = {value}: expected a finite nonnegative number.")
         if self.delay > LARGEST_DELAY:
             raise ParameterError(f"delay = {self.delay} samples: expected at most {LARGEST_DELAY}.")
         order = filter_order(self.velocity)
         if order > LARGEST_FILTER:
-            raise ParameterError(f"the velocity filter remembers {order} samples: expected at most {LARGEST_FILTER}.")
+            raise ParameterError(f"the velocity filter uses {order} past samples: expected at most {LARGEST_FILTER}.")
         if self.delta > LARGEST_RATE:
             raise ParameterError(f"delta = {self.delta}: expected at most {LARGEST_RATE:g}.")
         largest = math.pi**2 + self.delta**2 / 4
         if self.gamma > largest:
             raise ParameterError(
-                f"gamma = {self.gamma}: expected at most pi^2 + delta^2/4 = {largest:.6g} (4.15); above it the plant "
-                "swings faster than it is sampled."
+                f"gamma = {self.gamma}: expected at most pi^2 + delta^2/4 = {largest:.6g} (4.15). Above it, the plant "
+                "oscillates faster than it is sampled."
             )
         rate = float(np.abs(self.device.matrix).max())
         if rate > LARGEST_RATE:
             raise ParameterError(
-                f"the device changes within {1 / rate:.2g} sampling periods: expected no faster than "
-                f"{1 / LARGEST_RATE:g}. Leave out the lag or mode that is so fast."
+                f"the device changes within {1 / rate:.2g} sampling periods: expected at least "
+                f"{1 / LARGEST_RATE:g}. Remove the lag or mode that is so fast."
             )
 
     @property
@@ -219,8 +217,7 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """Delay that the actuator adds to a slow command, in sampling periods; for a first-order lag, its time
-        constant."""
+        """Delay of a slow command by the actuator, in sampling periods; for a first-order lag, its time constant."""
         return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:
@@ -229,7 +226,7 @@ class NormalisedLoop:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """Parts of a sampling interval, in order: one for an integer delay, two for a fractional one."""
+        """Parts of a sampling interval in order: one for an integer delay, two for a fractional delay."""
         whole = math.floor(self.delay)
         fraction = self.delay - whole
         if fraction == 0:
@@ -248,7 +245,7 @@ class NormalisedLoop:
 
     @property
     def digits(self) -> int:
-        """Number of digits of quantities computed once per loop."""
+        """Number of digits of quantities that are computed once per loop."""
         return _DIGITS + int(self.delay) + filter_order(self.velocity)
 
     def moved(self, duration: float) -> tuple[Digits, Digits]:
@@ -274,26 +271,26 @@ class NormalisedLoop:
 
     @cached_property
     def sampled(self) -> Sampled:
-        """Transfer functions in w; exact."""
+        """Exact transfer functions in w."""
         with many_digits(self.digits):
             whole, gains = self.pushes
             bottom, adjugate = resolvent(whole)
             tops = [as_exact(self.device.sensor) @ adjugate @ gain for gain in gains]
-            # the newer force is one sample ahead: z times its polynomial
+            # the newer force is one sample ahead, so its polynomial is multiplied by z
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
             return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *filter_in_w(self.velocity))
 
     @cached_property
     def filter_in_z(self) -> tuple[Floats, Floats]:
-        """Coefficients b and a of the velocity filter in powers of 1/z, a[0] = 1."""
+        """Coefficients b and a of the velocity filter in powers of 1/z, with a[0] = 1."""
         with many_digits(self.digits):
             b, a = filter_in_z(self.velocity)
             return as_floats(b), as_floats(a)
 
     @cached_property
     def own(self) -> OwnSteps:
-        """Transition of all states except the delayed forces over a sample; exact."""
+        """Exact transition of all states except the delayed forces over a sample."""
         whole, gains = self.pushes
         with many_digits(self.digits):
             b, a, keep, rise = filter_steps(self.velocity)
@@ -313,11 +310,10 @@ class NormalisedLoop:
 
     @cached_property
     def open_loop(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """State matrix (n, n) without wall, input column of the wall force, output rows of sensed position and filtered
-        velocity.
+        """State matrix (n, n) without a wall, input column of the wall force, and output rows of position and velocity.
 
-        States: those of the device, the last sampled position, those of the filter, and the wall forces of the last
-        samples, newest first.
+        The position is sensed, and the velocity is filtered. The states are those of the device, the last sampled
+        position, those of the filter, and the wall forces of the last samples, newest first.
         """
         steps, delay = self.own, self.oldest_force
         own = len(steps.free)
@@ -351,9 +347,9 @@ class NormalisedLoop:
         return np.asarray(-np.asarray(alpha)[:, None] * position - np.asarray(beta)[:, None] * velocity)
 
     def seen(self, law: Floats, values: NDArray[_Number]) -> NDArray[_Number]:
-        """Return the inputs of a sampling interval's motion, shape (n, q, m), for states of shape (n, states, m).
+        """Return the inputs of the motion in a sampling interval, shape (n, q, m), for states of shape (n, states, m).
 
-        They are the device state at the start, and the wall force in each of `segments`, by the ``law`` of each point.
+        They are the device state at the start and the wall force in each of `segments`, from the ``law`` of each point.
         """
         p, newest = len(self.device.sensor), self.states - self.oldest_force - 1
         forces = [
@@ -364,7 +360,7 @@ class NormalisedLoop:
     def starts(self, alpha: Floats, signal: str) -> Floats:
         """Return z_0 of each point, shape (n, states).
 
-        A ``step`` (deviation -1 from the final position, at rest) is part of the command, so it passes the lag; an
+        A ``step`` (deviation -1 from the final position, at rest) is part of the command and passes through the lag. An
         ``impulse`` is an impact of unit momentum on the motor side.
         """
         p = len(self.device.sensor)
@@ -386,7 +382,7 @@ def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
     Raises
     ------
     ParameterError
-        If lengths differ or a value is not finite.
+        If the lengths differ, or a value is not finite.
     """
     a, b = np.broadcast_arrays(
         np.atleast_1d(np.asarray(alpha, dtype=np.float64)), np.atleast_1d(np.asarray(beta, dtype=np.float64))

@@ -1,6 +1,7 @@
-"""The linear motion of a device as a state space: the only place that turns a loop's mechanics into matrices.
+"""Express the linear motion of a device as a state space.
 
-Theory, estimators, simulator and checks all take their matrices from `state_space`.
+Only this module turns the mechanics of a loop into matrices. Theory, estimators, simulator and checks use
+`state_space`.
 """
 
 from __future__ import annotations
@@ -17,25 +18,25 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command takes 
     from pipeline.device.loop import Loop
 
 LEAST_RATIO = 1e-12
-"""Damping ratio assumed for an undamped mode: without loss the zeros of the device lie on the unit circle, and doubles
-cannot separate the crossings next to them. It moves a limit by less than 1e-9 of it, and a pole by less than its
-rounding error."""
+"""Damping ratio that is assumed for an undamped mode. Without loss, the zeros of the device are on the unit circle, and
+doubles cannot separate the crossings next to them. The assumption changes a limit by less than a relative 1e-9, and a
+pole by less than its rounding error."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """Parameters of a linear motion, in any consistent units: SI, or units in which mass and sampling period are 1.
+    """Parameters of a linear motion in consistent units: SI, or units in which mass and sampling period are 1.
 
-    They are not checked: in a search they may be negative, and for derivatives complex.
+    They are not checked. They may be negative in a search, and complex for derivatives.
 
     Parameters
     ----------
     mass, damping, stiffness : float
         m, b, k of the whole device, per unit of command if the input is a command.
     lag : float
-        Time constant of the actuator, 0 for none.
+        Time constant of the actuator; 0 for no lag.
     load_mass, load_damping : float
-        Parts of mass and damping that belong to the load of a vibration mode; no mode if ``load_mass`` is 0.
+        Parts of mass and damping that belong to the load of a vibration mode. There is no mode if ``load_mass`` is 0.
     spring, spring_damping : float
         Stiffness and damping between load and motor.
     sensor_at_load : bool
@@ -54,15 +55,15 @@ class Plant:
 
     @property
     def has_mode(self) -> bool:
-        """Whether it has a load on a spring."""
+        """Whether the plant has a load on a spring."""
         return self.load_mass != 0
 
 
 def plant_of(loop: Loop) -> Plant:
-    """Return the linear motion of a device at the wall, operator included, per unit of command.
+    """Return the linear motion of a device at the wall, including the operator, per unit of command.
 
-    For a mode with free-free resonance w, damping ratio z and masses m_1 (motor) and m_2 (load), the spring is
-    M w^2 and its damping 2 z w M with the reduced mass M = m_1 m_2/(m_1 + m_2). Friction is not included.
+    For a mode with free-free resonance w, damping ratio z, and masses m_1 (motor) and m_2 (load), the spring is M w^2
+    and its damping is 2 z w M, with the reduced mass M = m_1 m_2/(m_1 + m_2). Friction is not included.
     """
     device = loop.apparent()
     mode = device.mode
@@ -84,22 +85,22 @@ def plant_of(loop: Loop) -> Plant:
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x' = matrix x + command u + force f, position = sensor x; u is the delayed command, f a force on the motor.
+    """State space x' = matrix x + command u + force f, position = sensor x, with delayed command u and motor force f.
 
-    States: position and velocity of the centre of mass; with a mode the distance of the load from it, and its rate;
-    with a lag the actuator's force.
+    The states are position and velocity of the centre of mass. With a mode, the distance of the load from the centre of
+    mass and its rate follow; with a lag, the force of the actuator follows.
 
     Parameters
     ----------
     matrix : ndarray, shape (n, n)
     command, force : ndarray, shape (n,)
-        Input columns of the command, through the actuator, and of a force on the motor itself.
+        Input columns of the command, through the actuator, and of a force on the motor.
     sensor : ndarray, shape (n,)
         Output row of the sensed position.
     at_rest : ndarray, shape (n,)
-        State per unit of a constant actuator force while the device cannot move.
+        State per unit of a constant actuator force if the device cannot move.
     mechanical : int
-        Number of states of the mechanics, which come first; the others are those of the actuator.
+        Number of states of the mechanics, which come first. The other states are those of the actuator.
     """
 
     matrix: Floats
@@ -123,7 +124,7 @@ class StateSpace:
 
     @property
     def mean_lag(self) -> float:
-        """Delay of a slow command by the actuator: C A^-2 B, tau of a first-order lag."""
+        """Delay of a slow command by the actuator, C A^-2 B, which is the time constant of a first-order lag."""
         A, B, C = self.actuator
         return float(C @ np.linalg.solve(A, np.linalg.solve(A, B))) if len(A) else 0.0
 
@@ -134,17 +135,17 @@ def state_space(plant: Plant) -> StateSpace:
     Parameters
     ----------
     plant : Plant
-        Real or complex parameters; an imaginary part of 1e-20 gives the derivative by a parameter (Squire, Trapp 1998).
+        Real or complex parameters. An imaginary part of 1e-20 gives a derivative (Squire and Trapp 1998).
 
     Returns
     -------
     StateSpace
-        In the units of the plant.
+        State space in the units of the plant.
 
     Notes
     -----
-    Coordinates are about the centre of mass, so that an impulse on the motor, however light it is, changes each state
-    by 1/m: with the motor at x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l
+    Coordinates are relative to the centre of mass, so that an impulse on the motor, however light, changes each state
+    by 1/m. With the motor at x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l
     x_2'.
 
     Examples

@@ -1,4 +1,4 @@
-"""Velocity filters as ratios of polynomials, in w = (z - 1)/(z + 1) and in powers of 1/z; exact."""
+"""Express velocity filters exactly as ratios of polynomials, in w = (z - 1)/(z + 1) or in powers of 1/z."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
-    """Return a filter with frequencies relative to the sampling rate; None for the plain difference and nonlinear
-    filters."""
+    """Return the filter with its cutoff relative to the sampling rate; None for a difference or nonlinear filter."""
     if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
     if velocity.kind == "difference" and velocity.samples == 1:
@@ -42,7 +41,7 @@ def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> Lin
 
 
 def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
-    """Return numerator and denominator of a velocity filter as polynomials in w, of equal degree."""
+    """Return numerator and denominator of a velocity filter as polynomials in w of equal degree."""
     if velocity is None:
         return as_exact([1]), as_exact([1])
     if velocity.kind == "butterworth":
@@ -62,14 +61,14 @@ def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
         b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
     else:
         b, a = as_exact(velocity.b), as_exact(velocity.a)
-    # in powers of 1/z = (1 - w)/(1 + w): reversed, they are powers of z over z^n
+    # reversed polynomials in 1/z = (1 - w)/(1 + w) are polynomials in z divided by z^n
     top, bottom = (bilinear(np.append(c, as_exact([0] * (n + 1 - len(c))))[::-1], n) for c in (b, a))
     return top, bottom
 
 
 def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter in powers of 1/z, normalised to a[0] = 1."""
-    # w = (1 - 1/z)/(1 + 1/z): the same change of variable leads back, to powers of -1/z
+    # w = (1 - 1/z)/(1 + 1/z), so the same substitution leads back to powers of -1/z
     b, a = (
         bilinear(part, len(part) - 1) * as_exact([(-1) ** k for k in range(len(part))])
         for part in filter_in_w(velocity)
@@ -80,8 +79,9 @@ def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
 def filter_steps(velocity: LinearFilter | None) -> tuple[Digits, Digits, float, float]:
     """Return a realisation by states s_i: v = b_0 u + s_1 and s_i(k + 1) = keep s_i + rise s_{i+1} + b_i u - a_i v.
 
-    The realisation in powers of 1/z has keep = 0 and rise = 1. It loses all digits for a low cut-off, whose poles lie
-    close to z = 1; therefore a Butterworth filter is realised in powers of z - 1, with states in units of the cut-off.
+    The realisation in powers of 1/z has keep = 0 and rise = 1. It loses all digits for a low cut-off frequency, whose
+    poles are close to z = 1. A Butterworth filter is therefore realised in powers of z - 1, with states in units of the
+    cut-off.
     """
     b, a = filter_in_z(velocity)
     if velocity is None or velocity.kind != "butterworth":

@@ -1,1 +1,1 @@
-"""Checks of a recorded log, made before anything is computed from it."""
+"""Checks of a recorded log before it is used in a computation."""

@@ -1,4 +1,4 @@
-"""Check of whether the position responds before its command; if so, the log shows neither delay nor wall limit."""
+"""Check whether the position responds before its command. Such a log shows neither delay nor wall limit."""
 
 from __future__ import annotations
 
@@ -10,67 +10,68 @@ from pipeline.recording.samples import LAW_RESIDUAL, Samples, middle
 from pipeline.records.findings import Finding, FindingCode
 
 BASELINE = 8
-"""Smallest number of rows at rest before an edge for which an early departure from rest can be detected."""
+"""Smallest number of rows at rest before an edge for the detection of an early departure from rest."""
 
 LIKELIER = 6.0
-"""Log-likelihood ratio of growth from rest to decay above which filtered noise is excluded as the cause."""
+"""Log-likelihood ratio of growth to decay, from rest, above which filtered noise is excluded as the cause."""
 
 SURE = {False: 10.0, True: 18.0}
 """Threshold of the acceleration of a growth at an edge, in standard errors, for plain and for oscillating growth. It is
-high because noise filtered in one direction is correlated."""
+high because noise that was filtered in one direction is correlated."""
 
 OF_THE_ANSWER = {False: 0.15, True: 0.015}
-"""Threshold of the same acceleration, relative to that of the response to the edge. A zero-phase filter produces up to
-0.5, less if a vibration mode responds later; noise, which is no part of the response, produces almost nothing."""
+"""Threshold of the same acceleration, relative to the acceleration of the response to the edge. A zero-phase filter
+causes a ratio of up to 0.5, or less if a vibration mode responds later. Noise is not part of the response and causes
+almost none."""
 
 CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
-"""Displacement at the edge relative to the largest one in the first half of the rows before it (2 for a drift), above
-which a growth need not be likelier than a decay, because there are few rows; then the two thresholds above for this
-case."""
+"""Thresholds for few rows. The first one is the displacement at the edge, relative to the largest one in the first half
+of the rows before it (2 for a drift). Above it, a growth need not be more likely than a decay. The others replace the
+two thresholds above in this case."""
 
 SURELY = 30.0
-"""Threshold of the log-likelihood ratio of growth to decay before edges within a motion."""
+"""Threshold of the log-likelihood ratio of growth to decay before edges during a motion."""
 
 BETTER = 4.0
-"""Threshold of the residual sum of squares of the decay relative to that of the growth; below it, both are poor models
-of the device."""
+"""Threshold of the ratio of the residual sums of squares of decay and growth. Below it, both are poor models of the
+device."""
 
 SPREAD = (0.1, 0.75)
-"""Smallest and largest acceleration of such a growth, relative to that of the response."""
+"""Smallest and largest acceleration of such a growth, relative to the acceleration of the response."""
 
 EARLY = 0.75
-"""Number of rows by which a fitted delay must be negative for the position to come first."""
+"""Smallest lead of the position [rows], as a negative fitted delay, that is reported."""
 
 CLEARLY = (1.15, 1.6)
-"""Threshold of the residual of the best non-negative delay relative to that of the best delay: if only noise remains,
+"""Thresholds of the ratio of the residuals for the best non-negative delay and the best delay: if only noise remains,
 and if unmodelled parts of the device remain."""
 
 BY_CHANCE = 20.0
 """Log-likelihood ratio above which a difference is not attributed to chance."""
 
 MOST_RESIDUAL = 0.06
-"""Largest residual of the best delay, relative to the motion. Above it, unmodelled parts of the device may look like a
+"""Largest residual of the best delay, relative to the motion. Above it, unmodelled parts of the device may act like a
 delay."""
 
 CLEARLY_LATE = 5.0
-"""Threshold of the residual of the wall law with the logged rows, relative to that with the command shifted to earlier
+"""Threshold of the ratio of the residuals of the wall law with the logged rows and with commands shifted to earlier
 rows."""
 
 MOST_LATE = 128
-"""Largest lateness of a command that is searched for [rows]."""
+"""Largest lateness of a command in the search [rows]."""
 
 REMEDY = (
-    "Shift the command column {shift} (or take the time stamps of both channels), and leave out zero-phase filters "
-    "(filtfilt) and interpolation."
+    "Shift the command column {shift} (or use the time stamps of both channels), and do not use zero-phase filters "
+    "(filtfilt) or interpolation."
 )
 
 
 def moves_before_command(samples: Samples) -> Finding | None:
-    """Return whether the position responds before its command, and by how many rows.
+    """Return a finding if the position responds before its command, with the number of rows.
 
-    A position at rest must not leave its baseline before the edge of the command, and a moving one must not leave its
-    path before a later edge. In free motion the best-fit delay of the whole log, searched over both signs, must not be
-    negative. If the command of a wall matches the position in its row, the controller acted on that reading.
+    A position at rest must not leave its baseline before the edge of the command, and a moving position must not leave
+    its path before a later edge. In free motion, the best-fit delay of the whole log, searched for over both signs,
+    must not be negative. If the command of a wall matches the position in its row, the controller used that reading.
     """
     if samples.obeys_wall:
         return None
@@ -87,14 +88,14 @@ def moves_before_command(samples: Samples) -> Finding | None:
         found = f"The position leaves its rest in row {row}, {edge - row} rows before the command changes (row {edge})."
         return _noncausal(samples, found, shift or f"at least {edge - row} rows earlier", row)
     if shift is not None:
-        found = f"The command obeys the wall with the position {late} rows before: it was logged that much late."
+        found = f"The command obeys the wall with the position of {late} rows before: the command was logged late."
         return _noncausal(samples, found, shift, None, "command_shifted")
     ahead = _turns_early(samples)
     if ahead is not None:
         edges, constant = ahead
         found = (
-            f"Before each of {edges} edges of the command the position already turns towards its answer, within about "
-            f"{constant:.2g} rows: it was filtered in both directions."
+            f"Before each of {edges} edges of the command, the position already turns towards its response, within "
+            f"about {constant:.2g} rows: it was filtered in both directions."
         )
         return _noncausal(samples, found, "if it was logged late", None)
     return None
@@ -107,11 +108,11 @@ def _noncausal(
 
 
 def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
-    """Return the first edge and the row before it in which the position leaves rest; None if it does not."""
+    """Return the first edge and an earlier row in which the position leaves rest; None if it does not leave early."""
     edge = _first_edge(samples)
     if edge < BASELINE or edge >= len(samples) - 2:
         return None
-    if samples.is_free and samples.command[0] != 0:  # moves the device from the first row on
+    if samples.is_free and samples.command[0] != 0:  # the command moves the device from the first row on
         return None
     answer = acceleration(samples, edge)
     x = samples.position[: last_at_rest(samples, edge) + 1]
@@ -124,7 +125,7 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
 
 
 def _grows(samples: Samples, edge: int, turning: bool, answer: float, is_convex: bool) -> bool:
-    """Return whether the position grows from rest towards an edge like part of the response to that edge."""
+    """Return whether the position grows from rest towards an edge, like a part of the response to that edge."""
     growth = growth_from_rest(samples, edge, turning=turning)
     if growth is None or growth.acceleration <= OF_THE_ANSWER[turning] * answer:
         return False
@@ -147,7 +148,7 @@ def _turns_early(samples: Samples) -> tuple[int, float] | None:
 
 
 def _first_edge(samples: Samples) -> int:
-    """Return the row in which the command of a log without wall first changes or that of a wall steps; 0 if none."""
+    """Return the row in which the command first changes (log without wall) or steps (with wall); 0 if it does not."""
     if samples.is_free:
         changes = np.flatnonzero(samples.jumps)
         return int(changes[0]) + 1 if len(changes) else 0
@@ -155,7 +156,7 @@ def _first_edge(samples: Samples) -> int:
 
 
 def _negative_delay(samples: Samples) -> float | None:
-    """Return the lead of the position in free motion [rows]; None if a non-negative delay fits as well."""
+    """Return the lead of the position in free motion [rows]; None if a non-negative delay fits equally well."""
     response = free_response(samples)
     if response is None or not response.is_driven or response.gain <= 0 or response.delay > -EARLY:
         return None
@@ -168,10 +169,10 @@ def _negative_delay(samples: Samples) -> float | None:
 
 
 def _late_command(samples: Samples) -> int | None:
-    """Return how many rows the command of a wall lags its position; None if it does not, or if no law fits.
+    """Return by how many rows the command of a wall lags its position; None if it does not, or no law fits.
 
     If the controller applies the wall law u_k = F - K (x_k - x_0) - B (x_k - x_(k-1))/T, the command of a row belongs
-    to the position of that row. A filter, clipping or another wall leaves a larger residual at any shift.
+    to the position of that row. A filter, clipping or another wall leaves a larger residual for every shift.
     """
     if samples.is_free or samples.obeys_wall:
         return None

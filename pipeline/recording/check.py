@@ -1,4 +1,4 @@
-"""All checks of one log for faults of the recording itself, made before anything is computed from it."""
+"""Check one log for all faults of the recording, before it is used in a computation."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ CHECKS: tuple[Callable[[Samples], Finding | None], ...] = (
 """Checks of a log that contains motion, in the order in which their findings are shown."""
 
 SCREENED = {REPEATED_ROWS: repeated_rows, TRAVEL_STOP: travel_stop}
-"""Checks to run on a log for which the screen has excluded findings of all other checks, in the same order."""
+"""Checks of a log for which the screen has excluded the findings of all other checks, in the same order."""
 
 
 def check_recording(samples: Samples) -> tuple[Finding, ...]:
-    """Return the faults of the recording of a log; empty for a good one.
+    """Return the recording faults of a log; empty for a good one.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
     Notes
     -----
-    A log without motion, or one too short for any model, has only that finding and possibly that of its sampling
-    period. A position interpolated linearly between fewer readings also seems to move before its command and to change
-    its speed abruptly; these effects are not reported as separate findings.
+    For a log without motion, or one that is too short for any model, only this is reported, possibly with a fault of
+    its sampling period. A position that is interpolated linearly between fewer readings also seems to move before its
+    command and to change its speed abruptly. These effects are not reported as separate findings.
     """
     nothing = unusable_signal(samples)
     if nothing is None:
@@ -56,7 +56,7 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
 
 def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
-    """Return the findings of each log, like `check_recording`, in a tenth of the time for hundreds of logs.
+    """Return the findings of each log like `check_recording`, ten times as fast for hundreds of logs.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
 
 
 def check_trial(trial: Trial) -> tuple[Finding, ...]:
-    """Return the faults of the recording of a trial, like `check_recording`."""
+    """Return the recording faults of a trial, like `check_recording`."""
     return check_recording(
         Samples(
             *(trial.time, trial.command, trial.position, trial.sampling_period_s),

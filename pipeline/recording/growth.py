@@ -1,8 +1,8 @@
-"""Growth of a position towards edges of its command, which cannot be caused by anything before the edge.
+"""Fit a growth of the position towards edges of its command, which no earlier cause can explain.
 
-Before an edge a device is at rest or continues its motion, along a parabola or with a decaying transient. A zero-phase
+Before an edge, a device is at rest or continues its motion along a parabola or with a decaying transient. A zero-phase
 filter spreads the response over the rows before the edge, where it grows as exp((k - edge)/tau). The start of a motion
-whose command was logged late looks similar. Either is compared with a decay from the first of these rows.
+whose command was logged late looks similar. Both are compared with a decay from the first of these rows.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from pipeline.recording.samples import Samples, middle
 from pipeline.records.trials import Floats
 
 TIME_CONSTANTS = (1.5, 2.5, 4.0, 6.0, 10.0, 16.0, 25.0, 40.0)
-"""Time constants of a growth [rows]. Faster filters spread a response only over the one row before an edge."""
+"""Time constants of a growth [rows]. Faster filters spread a response only over one row before an edge."""
 
 MOST_AT_REST = 96
-"""Largest number of rows at rest before the first edge that are used; over more rows, sensors drift."""
+"""Largest number of rows at rest before the first edge that are used. Over more rows, sensors drift."""
 
 MOST_EDGES = 60
-"""Largest number of edges examined. Each costs time, and a dozen give a clear result."""
+"""Largest number of edges that are examined. Each edge costs time, and a dozen give a clear result."""
 
 LARGE = 0.1
-"""Smallest jump of a command, relative to the largest one, that counts as an edge."""
+"""Smallest jump of a command, relative to the largest one, that is treated as an edge."""
 
 SETTLING = 16
-"""Number of rows after an edge in which its response begins; they are left out before the next edge."""
+"""Number of rows after an edge in which its response begins. They are excluded from the window of the next edge."""
 
 WINDOW = 5.0
 """Length of the window before an edge, in time constants."""
 
 FEWEST, MOST = 16, 64
-"""Smallest and largest length of this window in rows: any curve fits fewer, and a parabola does not fit the motion over
-more."""
+"""Smallest and largest length of this window in rows. Any curve fits fewer rows, and a parabola does not fit the motion
+over more rows."""
 
 BEHIND = 64
 """Number of rows after an edge from which the acceleration due to the edge is estimated."""
 
 SINGULAR = 1e-10
-"""Energy of a curve, relative to that of the other one of a pair, below which it consists of rounding errors."""
+"""Energy of a curve, relative to the energy of the other curve of its pair, below which it is a rounding error."""
 
 LATEST = 32
-"""Largest delay of this acceleration [rows]."""
+"""Largest delay in the estimate of this acceleration [rows]."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +57,14 @@ class Growth:
     score : float
         Log-likelihood ratio of growth to decay, for white noise.
     ratio : float
-        Residual sum of squares of the decay relative to that of the growth.
+        Ratio of the residual sums of squares of decay and growth.
     acceleration, error : float
-        Acceleration of the growth in the row of the edge with the largest jump, in the direction of the jump, and its
-        standard error for white noise [position/row^2].
+        Acceleration of the growth at the edge with the largest jump, in the direction of the jump, and its standard
+        error for white noise [position/row^2].
     time_constant : float
         Time constant of the growth [rows].
     edges : int
-        Number of edges examined.
+        Number of edges that were examined.
     """
 
     score: float
@@ -78,8 +78,8 @@ class Growth:
 def last_at_rest(samples: Samples, edge: int) -> int:
     """Return the last row in which a device at rest must not have moved: the edge, or one row earlier if polled.
 
-    A controller reads the position before it commands, so that a command in row k moves nothing until row k + 1.
-    Between two polled rows the command may have changed, and moved the device, before the second one.
+    A controller reads the position before it sends a command, so a command in row k has no effect until row k + 1.
+    Between two polled rows, the command may have changed and moved the device before the second row.
     """
     return edge if samples.is_even else edge - 1
 
@@ -87,8 +87,8 @@ def last_at_rest(samples: Samples, edge: int) -> int:
 def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | None:
     """Return the maximum-likelihood growth of a position from rest before an edge; None if the position is constant.
 
-    With ``turning`` the growth is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as of second-order filters;
-    otherwise it is a exp(z). In polled logs the last row before the edge is left out (`last_at_rest`).
+    With ``turning``, the growth is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as for second-order filters.
+    Otherwise it is a exp(z). In polled logs, the last row before the edge is excluded (`last_at_rest`).
     """
     first = max(edge - MOST_AT_REST, 0)
     x = samples.position[first : last_at_rest(samples, edge) + 1] - samples.position[first]
@@ -116,7 +116,7 @@ def acceleration(samples: Samples, edge: int) -> float:
     """Return the acceleration due to an edge, in the direction of its jump [position/row^2]; 0 if there is none.
 
     It is estimated at the delay for which the command fits the rows after the edge best. The rest position is the
-    median over the first half of the rows before the edge, where a motion that begins too early has not started yet.
+    median over the first half of the rows before the edge, since a motion that begins too early has not started there.
     """
     first = max(edge - BEHIND, 0)
     x = samples.position[edge : edge + BEHIND] - middle(samples.position[first : max((first + edge) // 2, first + 1)])
@@ -132,12 +132,12 @@ def acceleration(samples: Samples, edge: int) -> float:
 
 
 _Window = tuple[Floats, float, int]
-"""Positions up to an edge, its jump relative to the largest one, and the polynomial degree of the motion without the
+"""Positions up to an edge, its jump relative to the largest one, and polynomial degree of the motion without the
 edge."""
 
 
 def _windows(samples: Samples, edges: list[int], time_constant: float) -> Iterator[_Window]:
-    """Yield the windows before those edges that have enough rows after the previous edge."""
+    """Yield the windows before the edges that have enough rows after the previous edge."""
     rows = int(min(max(WINDOW * time_constant, FEWEST), MOST))
     largest = float(np.abs(samples.jumps).max())
     before = -SETTLING
@@ -184,7 +184,7 @@ def _compared(windows: list[_Window], growth: float, decays: Sequence[float], tu
 def _curves(rows: int, degree: int, constants: tuple[float, ...], turning: bool) -> tuple[Floats, Floats]:
     """Return an orthonormal polynomial basis, and the growth and the decays projected onto its complement.
 
-    Shapes (rows, degree + 1) and (constants, rows, 1 or 2); the first constant is that of the growth.
+    The shapes are (rows, degree + 1) and (constants, rows, 1 or 2). The first constant is for the growth.
     """
     k = np.arange(rows, dtype=np.float64)
     basis, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * k / (rows - 1) - 1, degree))

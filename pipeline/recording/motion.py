@@ -1,8 +1,8 @@
-"""Response of a free device to its commands at any delay, including negative ones, by linear regression.
+"""Estimate the response of a free device to its commands for any delay, also a negative one, by linear regression.
 
-A mass m with damping b and a spring k under a command u that acts a delay d later obeys, integrated twice, m x + b I(x)
-+ k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state, which is linear in all parameters
-except d.
+A mass m with damping b and spring k responds to a command u after a delay d. Integrated twice, its motion obeys
+m x + b I(x) + k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state. This equation is
+linear in all parameters except d.
 """
 
 from __future__ import annotations
@@ -16,33 +16,32 @@ from pipeline.recording.samples import Samples
 from pipeline.records.trials import Floats
 
 BLOCK = 512
-"""Number of rows of a block, each with its own initial state; over more rows, friction and other unmodelled forces
+"""Number of rows of a block, which has a separate initial state. Over more rows, friction and other unmodelled forces
 accumulate."""
 
 MOST_ROWS = 4096
-"""Largest number of rows that are used, starting shortly before the first change of the command."""
+"""Largest number of rows that are used, from shortly before the first change of the command."""
 
 LARGEST_SHIFT = 128
-"""Largest delay, of either sign, that is searched for [rows]."""
+"""Largest delay, with either sign, in the search [rows]."""
 
 FEWEST = 40
-"""Smallest number of rows for which a regression of six parameters and a delay is meaningful."""
+"""Smallest number of rows for a regression with six parameters and a delay."""
 
 AT_NOISE = 3.0
-"""Largest rms residual, in standard deviations of the noise, of a model that explains a log."""
+"""Largest rms residual of a model that explains a log, in standard deviations of the noise."""
 
 ARITHMETIC = 1e-9
-"""Residual relative to the motion below which a polynomial or friction alone explains the motion, up to rounding
-errors."""
+"""Residual relative to the motion below which a polynomial or friction explains the motion, up to rounding errors."""
 
 BY_COMMAND = 4.0
-"""Residual without the command, relative to that with it, above which the motion is attributed to the command."""
+"""Ratio of the residuals without and with the command above which the motion is attributed to the command."""
 
 LIKELY_SHIFT = 40
-"""Largest delay, of either sign, at which signs are compared [rows]; beyond it, a command may repeat itself."""
+"""Largest delay, with either sign, at which signs are compared [rows]. Beyond it, a command may repeat itself."""
 
 BETWEEN = 4.0
-"""Largest residual on the delay grid, relative to that of the other sign, for which both signs are refined."""
+"""Largest ratio of the residuals of both signs on the delay grid for which both signs are refined."""
 
 _DEGREE = 2
 
@@ -54,7 +53,7 @@ class FreeResponse:
     Parameters
     ----------
     delay : float
-        Delay of the best fit [rows]; negative where the position comes first.
+        Delay of the best fit [rows]; negative if the position comes first.
     gain : float
         Acceleration per unit of command [position/row^2]; negative if the signs differ.
     residual : float
@@ -62,10 +61,10 @@ class FreeResponse:
     residual_causal : float
         The same for the best non-negative delay.
     residual_with, residual_against : float
-        The same for the best delay of at most `LIKELY_SHIFT` rows, either way, at which the position follows the
-        command in its direction, or against it; infinite if there is none.
+        The same for the best delay of at most `LIKELY_SHIFT` rows, with either sign, if the position follows the
+        command in its direction or against it; infinite if there is none.
     residual_undriven : float
-        The same without any command, for a motion driven by its initial state alone.
+        The same without a command, i.e. for a motion due to its initial state only.
     largest_jump : float
         Largest jump of the command, in the unit of the gain.
     motion : float
@@ -89,12 +88,12 @@ class FreeResponse:
 
     @property
     def is_at_noise(self) -> bool:
-        """Whether only noise remains, so that the regression models every part of the device."""
+        """Whether only noise remains, so that the regression models all parts of the device."""
         return self.residual <= AT_NOISE * self.noise
 
     @property
     def is_driven(self) -> bool:
-        """Whether the motion is caused by the command."""
+        """Whether the command causes the motion."""
         return self.residual_undriven > BY_COMMAND * self.residual > ARITHMETIC * self.motion
 
 
@@ -104,7 +103,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
 
     Notes
     -----
-    The regression is solved for each delay of a grid; the best one is refined to a sixtieth of a row.
+    The regression is solved for each delay of a grid. The best delay is refined to a sixtieth of a row.
     """
     fit = _prepared(samples)
     if fit is None:
@@ -136,7 +135,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
 
 
 def _prepared(samples: Samples) -> _Regression | None:
-    """Return the regression of a log, ready to be solved."""
+    """Return the regression of a log; None if the log is not suitable."""
     if not samples.is_free or not len(samples.jumps) or not samples.jumps.any():
         return None
     first = max(int(np.flatnonzero(samples.jumps)[0]) - LARGEST_SHIFT, 0)
@@ -149,9 +148,9 @@ def _prepared(samples: Samples) -> _Regression | None:
 
 
 def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign: int = 0) -> tuple[float, float]:
-    """Return the delay with the smallest residual, at least the given one, to a sixtieth of a row; and the residual.
+    """Return the delay with the smallest residual, to a sixtieth of a row, and its residual.
 
-    With a ``sign``, only delays count at which the gain has this sign.
+    The delay is at least ``least``. With a ``sign``, only delays at which the gain has this sign are used.
     """
     allowed = shifts >= least
     best, value = float(shifts[allowed][np.argmin(left[allowed])]), float(left[allowed].min())
@@ -167,7 +166,7 @@ def _refined(fit: _Regression, shifts: Floats, left: Floats, least: float, sign:
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
-    """Regression of a motion in blocks, without start, damping, spring and friction, on the integrals of its command.
+    """Regression of a motion in blocks on the integrals of its command, without start, damping, spring and friction.
 
     ``position`` and ``basis`` (count, numbers) are projected onto the complement of the polynomials of each block.
     """
@@ -184,7 +183,7 @@ class _Regression:
 
     @classmethod
     def of(cls, x: Floats, u: Floats, reach: int) -> _Regression:
-        """Return the regression of a motion and its command, shape (rows,); the last ``reach`` rows are not used."""
+        """Return the regression of a motion and its command, shape (rows,). The last ``reach`` rows are not used."""
         used = len(x) - reach
         blocks = max(used // BLOCK, 1)
         length = used // blocks
@@ -220,7 +219,7 @@ class _Regression:
         return len(self.position)
 
     def residuals(self, shifts: Floats) -> tuple[Floats, Floats]:
-        """Return the rms residual and the gain at each delay, both of the shape of ``shifts``."""
+        """Return the rms residual and the gain for each delay. Both have the shape of ``shifts``."""
         driven = self._driven(self.index[None] - shifts[:, None, None])
         driven -= (driven @ self.basis) @ self.basis.T
         power = np.einsum("ij,ij->i", driven, driven)
@@ -232,7 +231,7 @@ class _Regression:
 
 
 def _without_start(values: Floats, polynomial: Floats) -> Floats:
-    """Return values row by row, with the polynomial of each block removed."""
+    """Return values row by row, without the polynomial of each block."""
     length = len(polynomial)
     part = values[: len(values) // length * length].reshape(-1, length)
     return np.asarray((part - (part @ polynomial) @ polynomial.T).ravel())

@@ -1,9 +1,9 @@
-"""Ramps of a command between grid rows: sent as ramps, or steps that were interpolated when they were logged.
+"""Decide whether ramps of a command between grid rows were sent as ramps, or are steps that were interpolated.
 
-A step at t moves a free device of a lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)) with z =
-k - t from t on; a ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared around
-each ramp, with a cubic in time and friction for all other motion. Ramps that were sent share one delay; a step inside
-an interpolated ramp has a separate delay.
+A step at time t moves a free device with the lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)),
+with z = k - t, from t on. A ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared
+around each ramp. A cubic in time and friction model all other motion. Ramps that were sent have a common delay. A step
+inside an interpolated ramp has a separate delay.
 """
 
 from __future__ import annotations
@@ -19,55 +19,54 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats, Integers
 
 KINK = 1e-3
-"""Smallest change of the slope of a command, relative to its largest change per row, that counts as a kink."""
+"""Smallest change of the slope of a command, relative to its largest change per row, that is a kink."""
 
 OWN_STEPS = 1.25
-"""Residual of an interpolated command relative to that with a zero-order hold, above which it was sent as steps."""
+"""Ratio of the residuals of an interpolated command and of one with a zero-order hold above which steps were sent."""
 
 SAME_DELAY = 2.5
-"""The same ratio for a command with ramps that are one grid interval long. It is larger because interpolated steps on
-the grid share one delay, just as real ramps do."""
+"""The same ratio for a command with ramps of one grid interval. It is larger because interpolated steps on the grid
+have a common delay, like real ramps."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
 
 AROUND = (10, 32)
-"""Smallest and largest number of rows used before and after a ramp; they contain no other ramp."""
+"""Smallest and largest number of rows before and after a ramp that are used. They contain no other ramp."""
 
 LAGS = (0.0, 1.0, 2.0, 4.0, 8.0)
-"""Lags of a device [rows]."""
+"""Lags of a device that are tried [rows]."""
 
 LATEST = 16
-"""Largest delay of a device [rows]."""
+"""Largest delay of a device that is tried [rows]."""
 
 LIKELIER = (-15.0, 20.0)
-"""Log-likelihood ratio of steps inside ramps to the ramps: up to the first value the command was a ramp, from the
-second value on it was steps."""
+"""Limits of the log-likelihood ratio of steps to ramps. Up to the first limit, the command is a ramp; from the second
+limit on, it consists of steps."""
 
 BETTER = 2.0
-"""Ratio of the residual sum of squares of ramps with one delay to that of steps, above which the command counts as sent
-in steps."""
+"""Ratio of the residual sums of squares of ramps with one delay and of steps above which steps were sent."""
 
 OTHER_DELAYS = 8.0
-"""The same ratio above which ramps are in doubt although their shapes fit better: their delays are those of grid
+"""The same ratio above which ramps are in doubt although their shapes fit better, since their delays are those of grid
 steps."""
 
 ITERATIONS = 6
-"""Number of alternating estimates of the step times and their common gain; three are sufficient."""
+"""Number of alternating estimates of the step times and their common gain. Three are sufficient."""
 
 _DEGREE = 3
 
 
 @dataclass(frozen=True)
 class RampFit:
-    """Fit of steps to the motion around ramps, relative to that of the ramps themselves.
+    """Fit of steps to the motion around ramps, compared with the fit of ramps.
 
     Parameters
     ----------
     score : float
         Log-likelihood ratio for white noise, with a separate gain and delay for each step and each ramp.
     ratio : float
-        Residual sum of squares of ramps with a common gain and delay, relative to that of steps with a common gain.
+        Ratio of the residual sums of squares of ramps with a common gain and delay and of steps with a common gain.
     """
 
     score: float
@@ -85,10 +84,10 @@ class RampFit:
 
 
 def interpolated_command(samples: Samples) -> Finding | None:
-    """Return whether the command is interpolated linearly between fewer values, and steps explain the motion.
+    """Return a finding if the command is interpolated linearly between fewer values, and steps explain the motion.
 
-    A command that was sampled every n-th row and interpolated linearly has kinks n rows apart. A command that is meant
-    to be a ramp explains the motion as logged. If noise hides the difference, the finding is a note.
+    A command that was sampled in every n-th row and interpolated linearly has kinks n rows apart. A command that is
+    intended as a ramp explains the motion as logged. If noise hides the difference, the finding is a note.
     """
     if not samples.is_free:
         return None
@@ -125,13 +124,13 @@ def interpolated_command(samples: Samples) -> Finding | None:
     return samples.finding(
         "interpolated_rows",
         "note",
-        f"{lines} the motion does not show whether it was sent so: a delay is uncertain by {factor} rows.",
-        "Export the command as it was sent (as steps, not interpolated); a command that is a ramp by intent is right.",
+        f"{lines} the motion does not show whether it was sent like this: a delay is uncertain by {factor} rows.",
+        "Export the command as it was sent (as steps, not interpolated). An intended ramp is correct.",
     )
 
 
 def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -> RampFit | None:
-    """Return how well steps inside ramps fit the motion relative to the ramps; None if no ramp has enough rows around.
+    """Return how well steps inside ramps fit the motion compared with the ramps; None if no ramp has enough rows.
 
     Parameters
     ----------
@@ -140,7 +139,7 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
     starts : int64, shape (ramps,)
         Last row before each ramp.
     rows, around : int
-        Number of rows of a ramp, and of those before and after it.
+        Number of rows of a ramp, and number of rows before and after it.
     """
     starts = starts[(starts >= around) & (starts + rows + around < len(samples))]
     if not len(starts):
@@ -188,7 +187,7 @@ def _projected(
 ) -> tuple[Floats, Floats, Floats]:
     """Return products of curves and motion and energies (curves, ramps), and the energy of the motion (ramps,).
 
-    A polynomial and the motion due to Coulomb friction are projected out of all of them.
+    A polynomial and the motion due to Coulomb friction are removed from all of them by projection.
     """
     polynomial = np.polynomial.legendre.legvander(2 * (k - k[0]) / (k[-1] - k[0]) - 1, _DEGREE)
     products, powers = np.empty((curves.shape[1], len(starts))), np.empty((curves.shape[1], len(starts)))
@@ -217,7 +216,7 @@ def _of_one_delay(products: Floats, powers: Floats, sizes: Floats) -> tuple[floa
 
 
 def _of_one_gain(products: Floats, powers: Floats, sizes: Floats, gain: float) -> float:
-    """Return the residual sum of squares of curves with a common gain, each with its best delay."""
+    """Return the residual sum of squares of curves with a common gain and separate delays."""
     left, each = np.inf, np.arange(len(sizes))
     for _ in range(ITERATIONS):
         rest = sizes - 2 * gain * products + gain * gain * powers
@@ -228,7 +227,7 @@ def _of_one_gain(products: Floats, powers: Floats, sizes: Floats, gain: float) -
 
 
 def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
-    """Return the residual sum of squares of curves, each with its best delay and gain."""
+    """Return the residual sum of squares of curves with separate delays and gains."""
     return float((sizes - (np.maximum(products, 0.0) ** 2 / powers).max(axis=0)).sum())
 
 

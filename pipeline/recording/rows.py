@@ -1,4 +1,4 @@
-"""Rows that are not readings: repeated rows, a frozen position, and interpolated positions."""
+"""Find rows that are not readings: repeated rows, a frozen position, and interpolated positions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Integers
 
 MOVES = 3.0
-"""Smallest position change before and after a repeated row, in sensor steps, for which the row counts as repeated."""
+"""Smallest position change before and after a repeated row, in sensor steps."""
 
 CLEAR = 8.0
 """The same in standard deviations of a reading."""
@@ -25,29 +25,29 @@ EQUAL = 0.3
 """Probability of two equal consecutive readings, divided by the ratio of sensor step to noise standard deviation."""
 
 MADE_UP = 1.3
-"""Smallest change after a repeated reading, relative to the one before it: it covers the motion of two rows."""
+"""Smallest ratio of the changes after and before a repeated reading, since the change after it covers two rows."""
 
 JUMPS = 5.0
-"""Smallest change after frozen rows, relative to the usual change there and to the last one before."""
+"""Smallest change after frozen rows, relative to the usual change there and to the last change before."""
 
 FEWEST = 3
-"""Smallest number of repeated rows that is not attributed to a motion that reverses."""
+"""Smallest number of repeated rows that is not attributed to a reversal of the motion."""
 
 FROZEN = 10
-"""Smallest number of constant rows for which a moving position counts as frozen."""
+"""Smallest number of constant rows of a frozen position."""
 
 FEWEST_KNOTS = 4
 """Smallest number of kinks of a position or command that shows a grid of fewer readings."""
 
 NO_CHANCE = 7.0
-"""Logarithm of the number of possible arrangements of the kinks, only one of which is on a grid, above which chance is
-excluded."""
+"""Logarithm of the number of possible arrangements of the kinks above which a grid is not attributed to chance. Only
+one arrangement is a grid."""
 
 STRAIGHT = 0.4
-"""Share of the moving rows collinear with their neighbours above which a position is interpolated."""
+"""Share of collinear rows among the moving rows above which a position is interpolated."""
 
 MOVING = 2.0
-"""Change per row, in units of such a kink, above which the position counts as moving."""
+"""Change per row, in units of such a kink, above which the position moves."""
 
 NEARLY_STRAIGHT = 0.02
 """Second difference, relative to the change, below which rows may be collinear."""
@@ -60,10 +60,10 @@ EXACT = 1e-9
 
 
 def repeated_rows(samples: Samples) -> Finding | None:
-    """Return the rows that repeat the reading before while the device moves.
+    """Return a finding with the rows that repeat the previous reading while the device moves.
 
-    If the noise exceeds the sensor step, equal consecutive readings are copies of one reading. Otherwise a position
-    that moves by several steps per row does not rest for one row and catch up in the next.
+    If the noise exceeds the sensor step, equal consecutive readings are copies of one reading. Otherwise, a position
+    that moves by several steps per row does not rest for one row and catch up in the next row.
     """
     if samples.resting < FEWEST:
         return None
@@ -72,7 +72,7 @@ def repeated_rows(samples: Samples) -> Finding | None:
     if len(single) < FEWEST:
         return None
     rows = single + 1
-    # equal readings are rare if the noise is much larger than a step
+    # if the noise is much larger than a step, equal readings are rare
     noisy = len(single) < RARE * len(size) and samples.is_noisier_than(NOISY * samples.least_change)
     by_chance = EQUAL * len(size) * samples.least_change / samples.noise if noisy else np.inf
     if len(rows) < FEWEST + by_chance + 5 * np.sqrt(by_chance):
@@ -91,14 +91,14 @@ def repeated_rows(samples: Samples) -> Finding | None:
         "note",
         f"{len(rows)} of {len(samples)} {what} repeat the previous one while the device moves; the first is row "
         f"{rows[0]}.",
-        "Read the sensor in every sample, or log at the rate at which it is read.",
+        "Read the sensor in every sample, or log at the rate at which the sensor is read.",
         first_row=int(rows[0]),
         rows=len(rows),
     )
 
 
 def frozen_position(samples: Samples) -> Finding | None:
-    """Return the rows in which the position is constant before it jumps further than any force could move it."""
+    """Return a finding if the position is constant and then jumps further than any force could move it."""
     if samples.resting < FROZEN or samples.pauses.max(initial=0) < FROZEN:
         return None
     size, least = samples.size, MOVES * samples.least_change
@@ -121,16 +121,16 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 
 def interpolated_position(samples: Samples) -> Finding | None:
-    """Return whether most positions are interpolated linearly between fewer readings, as if sampled at a lower rate.
+    """Return a finding if most positions are interpolated linearly between fewer readings, as for a lower rate.
 
-    All kinks of the position then lie on a grid of every n-th row; the probability of this by chance is n^-(kinks - 1).
+    All kinks of the position are then on a grid of every n-th row. The probability of this by chance is n^-(kinks - 1).
     """
     if samples.obeys_wall or len(samples.size) < 4 * FEWEST_KNOTS:
         return None
     exact = EXACT * samples.fastest + 8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())
     lines = _lines(samples, exact)
     if lines is None and _may_be_printed(samples):
-        # rounding of printed readings bends a line by two digits at most
+        # rounding of printed readings bends a line by at most two digits
         lines = _lines(samples, max(BEND * samples.fastest, 2.1 * last_digit(samples.position)))
     if lines is None:
         return None
@@ -138,7 +138,7 @@ def interpolated_position(samples: Samples) -> Finding | None:
     return samples.finding(
         "interpolated_rows",
         "unsafe",
-        f"The positions lie on straight lines between every {ordinal(factor)} row: the others are "
+        f"The positions lie on straight lines between every {ordinal(factor)} row: the other positions are "
         "interpolated, and move before their commands.",
         "Export the position without interpolation, or at the rate at which it was read.",
         rows=rows,
@@ -160,7 +160,7 @@ def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
 
 
 def _may_be_printed(samples: Samples) -> bool:
-    """Return whether as many rows are nearly collinear as in interpolated positions that were rounded when printed."""
+    """Return whether as many rows are nearly collinear as for interpolated positions that were rounded when printed."""
     size = samples.size
     moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
     straight = int(np.count_nonzero(np.abs(samples.bend) <= NEARLY_STRAIGHT * size[1:]))
@@ -173,5 +173,5 @@ def spacing(rows: Integers) -> int:
 
 
 def ordinal(number: int) -> str:
-    """Return a number as an ordinal: ``2nd``."""
+    """Return a number as an ordinal, e.g. ``2nd``."""
     return {2: "2nd", 3: "3rd"}.get(number, f"{number}th")

@@ -1,4 +1,4 @@
-"""Samples of one log with the trial conditions, and quantities used by several checks."""
+"""Samples of one log with the trial conditions, and quantities that several checks use."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from pipeline.records.findings import Finding, FindingCode, Severity
 from pipeline.records.trials import Floats, Integers
 
 NOISE_GAIN = 6.0
-"""Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
+"""Variance of the second difference of white noise relative to the variance of the noise, 1 + 4 + 1."""
 
 THIRD_GAIN = 20.0
-"""The same for the third difference: 1 + 9 + 9 + 1."""
+"""The same for the third difference, 1 + 9 + 9 + 1."""
 
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
 
 THIRD_MEDIAN = NORMAL_QUARTILE * sqrt(THIRD_GAIN)
-"""Median of the size of the third difference of white noise relative to its standard deviation."""
+"""Median size of the third difference of white noise relative to the standard deviation of the noise."""
 
 FINE = 1e-6
-"""Smallest sensor step, relative to the range of the position; a smaller one is a printed digit."""
+"""Smallest sensor step, relative to the range of the position. A smaller step is a printed digit."""
 
 SMALLEST_STEP = 1e-9
-"""Smallest position change, relative to the range, that counts as a step of the sensor; smaller ones are rounding
+"""Smallest position change, relative to the range, that is a step of the sensor. Smaller changes are rounding
 errors."""
 
 LAW_RESIDUAL = 0.02
-"""Largest residual, relative to the changes of the command, at which the command still counts as obeying the stated
-wall law; it allows for rounding and sensor errors."""
+"""Largest residual, relative to the changes of the command, of a command that obeys the stated wall law. It includes
+rounding and sensor errors."""
 
 MOST_DECIMALS = 12
 """Largest number of decimals for which the last printed digit of a position can be detected."""
 
 ON_DIGIT = 1e-4
-"""Tolerance of a whole number of digits, in digits, for errors of unit conversion."""
+"""Tolerance of a whole number of digits, in digits, for errors of a unit conversion."""
 
 QUIET = 0.15
 """Largest command of a wall before the step, and largest deviation from the step in its first row, relative to the
@@ -47,7 +47,7 @@ step."""
 
 
 def middle(values: Floats) -> float:
-    """Return the median of at least one value; the larger one of the two middle values."""
+    """Return the median of at least one value. For an even number, it is the larger one of the two middle values."""
     place = len(values) // 2
     return float(np.partition(values, place)[place])
 
@@ -60,7 +60,7 @@ def last_digit(position: Floats) -> float:
     """
     digit = 0.0
     largest = np.abs(position).max(initial=0.0)
-    # values off a fine grid are off every coarser one
+    # values that are not on a fine grid are not on any coarser one
     for decimals in range(MOST_DECIMALS, 0, -1):
         scaled = position * 10.0**decimals
         off = np.abs(scaled - np.rint(scaled)).max(initial=0.0)
@@ -71,8 +71,8 @@ def last_digit(position: Floats) -> float:
 
 
 UNEVEN, MOST_UNEVEN = 0.05, 0.1
-"""Relative deviation of a time step from the median, and share of such steps, above which the rows count as polled: a
-command may then have changed at any time between two rows."""
+"""Relative deviation of a time step from the median, and share of such steps, above which rows are polled. A command
+may then have changed at any time between two rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +82,11 @@ class Samples:
     Parameters
     ----------
     time, command, position : float64, shape (rows,)
-        Time stamps [s], total commanded force [N, Nm], measured position [m, rad]; all finite.
+        Time stamps [s], total commanded force [N, Nm], and measured position [m, rad]. All values are finite.
     period : float
         Stated sampling period T [s].
     stiffness, damping, step : float
-        Virtual wall K [N/m, Nm/rad] and B [Ns/m, Nms/rad], external step F_0 [N, Nm]; all 0 for a free motion.
+        Virtual wall K [N/m, Nm/rad] and B [Ns/m, Nms/rad], and external step F_0 [N, Nm]; all 0 for a free motion.
     step_row : int, optional
         Declared row of the step, counted from 0.
     """
@@ -104,38 +104,38 @@ class Samples:
         return len(self.position)
 
     def before(self, row: int) -> Samples:
-        """Return the samples before a row, at least two."""
+        """Return the samples before a row, but at least two."""
         rows = max(row, 2)
         return replace(self, time=self.time[:rows], command=self.command[:rows], position=self.position[:rows])
 
     @cached_property
     def change(self) -> Floats:
-        """Change of the position from row to row, shape (rows - 1,)."""
+        """Change of the position between rows, shape (rows - 1,)."""
         return self.position[1:] - self.position[:-1]
 
     @cached_property
     def size(self) -> Floats:
-        """Size of `change`."""
+        """Absolute value of `change`."""
         return np.abs(self.change)
 
     @cached_property
     def moves(self) -> Integers:
-        """Where in `change` the position changes."""
+        """Indices of `change` at which the position changes."""
         return self.change.nonzero()[0]
 
     @cached_property
     def range(self) -> float:
-        """Largest minus smallest position."""
+        """Difference between the largest and the smallest position."""
         return float(self.position.max() - self.position.min())
 
     @cached_property
     def fastest(self) -> float:
-        """Largest change of the position from row to row."""
+        """Largest change of the position between rows."""
         return float(self.size.max())
 
     @cached_property
     def least_change(self) -> float:
-        """Smallest position change above rounding, at least the sensor step; 0 if the position is constant."""
+        """Smallest position change above rounding, which is at least the sensor step; 0 for a constant position."""
         if self.fastest == 0:
             return 0.0
         seen = self.size[self.moves] if self.resting else self.size
@@ -152,7 +152,7 @@ class Samples:
 
     @cached_property
     def pauses(self) -> Integers:
-        """Number of constant rows after each change except the last; one element fewer than ``moves``."""
+        """Number of constant rows after each change except the last one. It has one element fewer than ``moves``."""
         return np.asarray(self.moves[1:] - self.moves[:-1] - 1)
 
     @property
@@ -169,7 +169,7 @@ class Samples:
         first_row: int | None = None,
         rows: int | None = None,
     ) -> Finding:
-        """Return a finding of this log, by default of all of its rows."""
+        """Return a finding for this log, by default for all of its rows."""
         count = len(self) if rows is None else rows
         return Finding(code=code, severity=severity, evidence=evidence, remedy=remedy, first_row=first_row, rows=count)
 
@@ -180,23 +180,23 @@ class Samples:
 
     @cached_property
     def is_even(self) -> bool:
-        """Whether nearly all rows are equally spaced in time, as those of a controller are."""
+        """Whether nearly all rows are equally spaced in time, as for a controller."""
         usual = middle(self.steps)
         return float(np.mean(np.abs(self.steps - usual) > UNEVEN * usual)) <= MOST_UNEVEN
 
     @cached_property
     def bend(self) -> Floats:
-        """Change of `change` from row to row, shape (rows - 2,)."""
+        """Change of `change` between rows, shape (rows - 2,)."""
         return self.change[1:] - self.change[:-1]
 
     @cached_property
     def jumps(self) -> Floats:
-        """Change of the command from row to row, shape (rows - 1,)."""
+        """Change of the command between rows, shape (rows - 1,)."""
         return self.command[1:] - self.command[:-1]
 
     @cached_property
     def third(self) -> Floats:
-        """Size of the change of `bend` from row to row, shape (rows - 3,)."""
+        """Absolute change of `bend` between rows, shape (rows - 3,)."""
         return np.abs(self.bend[1:] - self.bend[:-1])
 
     @cached_property
@@ -207,13 +207,13 @@ class Samples:
         return max(of_readings, steps)
 
     def is_noisier_than(self, size: float) -> bool:
-        """Return whether the noise seen in third differences exceeds a size, without computing their median."""
+        """Return whether the noise in third differences exceeds a size, without computing their median."""
         above = int(np.count_nonzero(self.third > size * THIRD_MEDIAN))
         return above >= len(self.third) - len(self.third) // 2 > 0
 
     @cached_property
     def wall_steps(self) -> Floats:
-        """Change of the wall force K x + B dx/T from row to row [N, Nm], shape (rows - 1,)."""
+        """Change of the wall force K x + B dx/T between rows [N, Nm], shape (rows - 1,)."""
         per_row = self.damping / self.period
         force = (self.stiffness + per_row) * self.change
         if per_row:
@@ -221,7 +221,7 @@ class Samples:
         return force
 
     def wall_residual(self, sign: float = 1.0) -> float:
-        """Return the rms residual of the command changes after the stated wall and the step are subtracted.
+        """Return the rms residual of the command changes after subtraction of the stated wall and the step.
 
         A sign of -1 reverses the force of the stated wall.
         """
@@ -233,14 +233,14 @@ class Samples:
         """Return the same for a command that is 0, 1, ... or ``most`` rows late, shape (most + 1,)."""
         count = len(self.jumps)
         rest = self._late_jumps(most) + self.wall_steps
-        for late in range(1, most + 1):  # rows after the end
+        for late in range(1, most + 1):  # rows after the end of the log
             rest[late, count - late :] = 0.0
         largest = np.maximum(rest.max(axis=1), -rest.min(axis=1))
         power = np.maximum(np.einsum("ij,ij->i", rest, rest) - largest * largest, 0.0)
         return np.asarray(np.sqrt(power / (count - np.arange(most + 1))))
 
     def least_wall_residuals(self, most: int) -> Floats:
-        """Return lower bounds of `wall_residuals` from sums of squares and products alone."""
+        """Return lower bounds of `wall_residuals`, from sums of squares and products only."""
         jumps, force, rows = self.jumps, self.wall_steps, np.arange(most + 1)
         products = self._late_jumps(most) @ force
         before = np.concatenate([[0.0], np.cumsum(jumps * jumps)])
@@ -255,7 +255,7 @@ class Samples:
 
     @cached_property
     def obeys_wall(self) -> bool:
-        """Whether the command matches the stated wall at the position of its row, which then is the reading used."""
+        """Whether the command matches the stated wall for the position of its row, which is then the reading used."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -263,7 +263,7 @@ class Samples:
 
     @cached_property
     def obeys_reversed_wall(self) -> bool:
-        """Whether the command matches the stated wall at the position of its row after one sign is reversed."""
+        """Whether the command matches the stated wall for the position of its row if one sign is reversed."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -279,5 +279,5 @@ class Samples:
         near = QUIET * abs(self.step)
         before, behind = np.abs(self.command[:-1]) <= near, np.abs(self.command[1:] - self.step) <= near
         found = int(np.argmax(before & behind))
-        # if the wall responds to noise by more than that, the command alone shows no edge
+        # if the wall responds to noise by more than this, the command alone does not show the edge
         return found + 1 if before[found] and behind[found] and before[:found].all() else 0

@@ -1,6 +1,6 @@
-"""Fast screen of many logs in machine code: one pass over the rows shows that a log that obeys its wall has no fault.
+"""Screen many logs in machine code: in a single pass over the rows, find logs that obey their wall and have no fault.
 
-No check has a finding for a log that passes: each condition is necessary for a finding of some check (`check`).
+No check has a finding for a log that passes. Each condition is necessary for a finding of some check (`check`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN
 from pipeline.records.trials import Floats, Integers
 
 NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
-"""Possible findings of the checks of a log: none, one or the sum of the two middle values, or any."""
+"""Codes of the possible findings of a log: none, repeated rows, a travel stop (or their sum), or any finding."""
 
 _LIMITS = np.array(
     [
@@ -25,11 +25,11 @@ _LIMITS = np.array(
         *(travel.HARDER, travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
-"""Limits of the checks, in the order in which `_found_in` reads them. Machine code would freeze module constants."""
+"""Limits of the checks in the order in which `_found_in` reads them, since machine code would freeze constants."""
 
 
 def screened(logs: Sequence[Samples]) -> list[int]:
-    """Return the possible findings of each log: none, only repeated rows or a travel stop, or any.
+    """Return the possible findings of each log: none, only repeated rows or a travel stop, or any finding.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def screened(logs: Sequence[Samples]) -> list[int]:
     Returns
     -------
     list of int
-        `NOTHING`, `REPEATED_ROWS`, `TRAVEL_STOP` or the sum of these two, or `ANYTHING` (all free motions).
+        `NOTHING`, `REPEATED_ROWS`, `TRAVEL_STOP` or the sum of these two, or `ANYTHING` (also for all free motions).
     """
     result = np.full(len(logs), ANYTHING, dtype=np.int64)
     walls = [place for place, log in enumerate(logs) if not log.is_free and len(log) >= 2 * travel.BEFORE]
@@ -58,7 +58,7 @@ def screened(logs: Sequence[Samples]) -> list[int]:
 def _screen(
     rows: tuple[Floats, Floats, Floats], ends: Integers, conditions: Floats, limits: Floats, found: Integers
 ) -> None:
-    """Fill in the possible findings of each log from the time, command and position of all rows."""
+    """Compute the possible findings of each log from the time, command and position of all rows."""
     time, command, position = rows
     for log in range(len(found)):
         first, behind = ends[log], ends[log + 1]

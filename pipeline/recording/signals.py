@@ -1,4 +1,4 @@
-"""Missing or constant signals, logs too short for any model, a coarse sensor, and a reversed sign."""
+"""Find missing or constant signals, logs that are too short for any model, a coarse sensor, and a reversed sign."""
 
 from __future__ import annotations
 
@@ -18,60 +18,61 @@ CLEAR = 8.0
 """Smallest displacement of a clear first motion, in noise standard deviations and in sensor steps."""
 
 OTHER_SIGN = 2.5
-"""Residual with the logged sign, relative to that with the opposite sign, above which the opposite sign is right."""
+"""Ratio of the residuals with the logged and with the opposite sign above which the opposite sign is correct."""
 
 DRIVEN = 3.0
-"""Residual without a command, relative to that with a reversed command, above which the motion is a response to it."""
+"""Ratio of the residuals without and with a reversed command above which the motion is a response to the command."""
 
 AS_GOOD = 1.3
-"""Largest residual of the best likely delay with reversed sign, relative to that of the best delay of either sign."""
+"""Largest ratio of the residuals for the best likely delay with a reversed sign and for the best delay."""
 
 BASELINE = 5
-"""Smallest number of rows at rest before a step from which noise can be estimated."""
+"""Smallest number of rows at rest before a step for an estimate of the noise."""
 
 
 def unusable_signal(samples: Samples) -> Finding | None:
-    """Return why a log is unusable: too few rows, no motion, or no command."""
+    """Return a finding if a log is unusable: too few rows, no motion, or no command."""
     rows = len(samples)
     if rows < FEWEST_ROWS:
         return samples.finding(
             "too_few_rows",
             "unusable",
-            f"The log has {rows} rows; a model needs at least {FEWEST_ROWS}.",
-            "Record longer.",
+            f"The log has {rows} rows; a model requires at least {FEWEST_ROWS}.",
+            "Record longer logs.",
         )
     if samples.range == 0:
         return samples.finding(
             "constant_position",
             "unusable",
             f"The position is {samples.position[0]:.6g} in all {rows} rows.",
-            "Record larger steps, with a finer sensor, or name the column of the position in the profile.",
+            "Record larger steps, use a finer sensor, or set the column of the position in the profile.",
         )
     if samples.step != 0 and not samples.command.any():
         return samples.finding(
             "constant_command",
             "unusable",
-            f"The command is 0 in all {rows} rows, and a step of {samples.step:.6g} is stated.",
-            "Name the column of the command in the profile (columns.command).",
+            f"The command is 0 in all {rows} rows, but a step of {samples.step:.6g} is stated.",
+            "Set the column of the command in the profile (columns.command).",
         )
     return None
 
 
 def same_samples(rows: int, other: str) -> Finding:
-    """Return the finding that all samples of a log equal those of another one."""
+    """Return the finding that all samples of a log equal those of another log."""
     return Finding(
         code="same_samples",
         first_row=None,
         rows=rows,
-        evidence=f"Each sample is that of {other}: a copy under another name or header, or a simulation without noise.",
-        remedy="Remove the one that is wrong; two copies count twice.",
+        evidence=f"All samples equal those of {other}: a copy under another name or header, or a simulation without "
+        "noise.",
+        remedy="Remove the wrong log, since two copies count twice.",
         severity="note",
     )
 
 
 def coarse_sensor(samples: Samples) -> Finding | None:
-    """Return whether the position has so few distinct values that the resolution is a large part of the motion."""
-    # readings of a fine sensor differ; those of a coarse one repeat as often as there are steps in the range
+    """Return a finding if the resolution of the sensor is a large share of the motion, i.e. few values are distinct."""
+    # readings of a fine sensor differ, but readings of a coarse one repeat, since its range has few steps
     if samples.least_change <= COARSE * samples.range:
         return None
     values = 1 + np.count_nonzero(np.diff(np.sort(np.round(samples.position / samples.least_change * 64))))
@@ -79,19 +80,19 @@ def coarse_sensor(samples: Samples) -> Finding | None:
         "coarse_sensor",
         "note",
         f"The position takes {values} values in a range of {samples.range:.4g}, {samples.least_change:.4g} apart.",
-        "Record larger steps, or with a finer sensor.",
+        "Record larger steps, or use a finer sensor.",
     )
 
 
 def wrong_sign(samples: Samples) -> Finding | None:
-    """Return whether the position moves against its command.
+    """Return a finding if the position moves against its command.
 
-    A free motion is judged by its response to all commands at likely delays; a trial with a wall by the wall law, or by
-    the first motion from rest after the step.
+    A free motion is tested by its response to all commands at likely delays. A trial with a wall is tested by the wall
+    law, or by the first motion from rest after the step.
     """
     if samples.obeys_wall:
         return None
-    remedy = "Set the other `sign` of the command or of the position in the profile."
+    remedy = "Change the `sign` of the command or of the position in the profile."
     if samples.is_free:
         response = free_response(samples)
         if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
@@ -102,13 +103,13 @@ def wrong_sign(samples: Samples) -> Finding | None:
             return None
         if response.residual_against > AS_GOOD * response.residual:
             return None
-        evidence = "The position moves against its command: its acceleration has the other sign in all of the log."
+        evidence = "The position moves against its command: its acceleration has the opposite sign in the whole log."
     elif samples.obeys_reversed_wall:
         jump = samples.jumps - samples.wall_steps
         towards = float(jump[np.abs(jump).argmax()] * samples.step)
         column = "position" if towards > 0 else "command" if towards < 0 else "command or position"
-        evidence = f"The command obeys the wall with the other sign: the sign of the {column} is reversed."
-        remedy = f"Set the other `sign` of the {column} in the profile."
+        evidence = f"The command obeys the wall with the opposite sign: the sign of the {column} is reversed."
+        remedy = f"Change the `sign` of the {column} in the profile."
     else:
         row = _first_motion_against(samples)
         if row is None:
@@ -118,7 +119,7 @@ def wrong_sign(samples: Samples) -> Finding | None:
 
 
 def _first_motion_against(samples: Samples) -> int | None:
-    """Return the row in which the position first leaves rest if it moves against the step."""
+    """Return the row in which the position first leaves rest if it moves against the step; otherwise None."""
     edge, x = samples.wall_edge, samples.position
     if edge < BASELINE:
         return None

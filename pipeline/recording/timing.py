@@ -1,4 +1,4 @@
-"""Checks of the time stamps of a log against its stated sampling period, and for skipped rows."""
+"""Compare the time stamps of a log with its stated sampling period, and find skipped rows."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats
 
 EVEN = 0.01
-"""Largest relative difference between the median time step and the stated period. Clocks drift by less, and 1 % of the
-period changes the mass by 2 %."""
+"""Largest relative difference between the median time step and the stated period. Clocks drift by less. A change of the
+period by 1 % changes the mass by 2 %."""
 
 SURE = 4.0
 """Difference between the median time step and the stated period, in standard errors, above which one of them is wrong
@@ -23,9 +23,9 @@ MISSING = 1.5
 
 
 def other_period(time: Floats, period: float) -> float | None:
-    """Return the median time step if it differs from the stated sampling period [s], else None.
+    """Return the median time step if it differs from the stated sampling period [s]; otherwise None.
 
-    The median and the mean must both differ: lost rows change only the mean, time stamps with few digits only the
+    Both the median and the mean must differ. Lost rows change only the mean, and time stamps with few digits only the
     median.
 
     Parameters
@@ -41,15 +41,15 @@ def other_period(time: Floats, period: float) -> float | None:
     steps = time[1:] - time[:-1]
     usual = middle(steps)
     deviation = middle(np.abs(steps - usual)) / NORMAL_QUARTILE
-    error = sqrt(0.5 * pi / len(steps)) * deviation / period  # of a median
+    error = sqrt(0.5 * pi / len(steps)) * deviation / period  # standard error of a median
     off = usual / period - 1
     return usual if abs(off) > EVEN + SURE * error and (off > 0) == (mean > 0) else None
 
 
 def sampling_period(samples: Samples) -> Finding | None:
-    """Return whether the time stamps agree with the stated sampling period.
+    """Return a finding if the time stamps contradict the stated sampling period.
 
-    With a wall, the command shows which period the controller used; if it is the stated one, the time stamps are wrong.
+    With a wall, the command shows which period the controller used. If it is the stated one, the time stamps are wrong.
     """
     period = samples.period
     usual = other_period(samples.time, period)
@@ -58,27 +58,27 @@ def sampling_period(samples: Samples) -> Finding | None:
     off = usual / period - 1
     factor = usual / period if off > 0 else period / usual
     times = f"{factor:.4g} times {'longer' if off > 0 else 'shorter'}"
-    evidence = f"Rows are {usual:.4g} s apart by their time stamps, the stated sampling period is {period:.4g} s: "
+    evidence = f"The time stamps are {usual:.4g} s apart, but the stated sampling period is {period:.4g} s: "
     if not samples.is_even:
         return samples.finding(
             "sampling_period",
             "note",
-            f"{evidence}{times}, and unevenly.",
-            "Record at an even rate; a delay counts from the time stamps.",
+            f"{evidence}{times}, and uneven.",
+            "Record at an even rate. Delays are computed from the time stamps.",
         )
     if _shows_period(samples):
         return samples.finding(
             "sampling_period",
             "note",
-            f"{evidence}{times}, and the command obeys the stated one.",
+            f"{evidence}{times}, and the command obeys the stated period.",
             "Correct the unit of the time stamps in the profile.",
         )
     return samples.finding(
         "sampling_period",
         "unsafe",
         f"{evidence}{times}.",
-        f"State {usual:.4g} s (sampling_period_s) if the controller runs at the rate of the rows; correct the unit "
-        "of the time stamps if these are wrong; record every sample if rows were left out.",
+        f"State {usual:.4g} s (sampling_period_s) if the controller runs at the rate of the rows. Correct the unit "
+        "of the time stamps if they are wrong. Record every sample if rows were left out.",
     )
 
 
@@ -90,7 +90,7 @@ def _shows_period(samples: Samples) -> bool:
 
 
 def missing_rows(samples: Samples) -> Finding | None:
-    """Return the rows that the time stamps skip."""
+    """Return a finding with the rows that the time stamps skip."""
     steps, period = samples.steps, samples.period
     if steps.max() <= MISSING * period or middle(steps) > MISSING * period:
         return None
@@ -102,9 +102,9 @@ def missing_rows(samples: Samples) -> Finding | None:
     return samples.finding(
         "missing_rows",
         "note",
-        f"{lost} of {len(samples) + lost} rows are missing by the time stamps, first after row {gaps[0]}, "
-        f"{longest} of them in sequence.",
-        "Record without lost rows: a faster disk, a larger buffer or a lower rate.",
+        f"{lost} of {len(samples) + lost} rows are missing in the time stamps, first after row {gaps[0]}, "
+        f"up to {longest} in succession.",
+        "Record without lost rows: use a faster disk, a larger buffer or a lower rate.",
         first_row=int(gaps[0]),
         rows=lost,
     )

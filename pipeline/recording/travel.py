@@ -1,4 +1,4 @@
-"""Travel stops: the position reaches an extreme at speed and stops there or bounces off."""
+"""Find travel stops: the position reaches an extreme at speed and stops there or rebounds."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Booleans
 
 AT_EXTREME = 0.02
-"""Distance from the largest or smallest position, relative to the range, within which rows count as at the extreme."""
+"""Distance from the largest or smallest position, relative to the range, within which rows are at the extreme."""
 
 IMPACT, BRAKE = 3.0, 6.0
-"""Smallest ratios of the change of the velocity at a stop to the largest one per row before it and after it; the larger
-ratio applies to one of the two sides."""
+"""Smallest ratios of the velocity change at a stop to the largest velocity change per row before it and after it. One
+of the two sides must reach the larger ratio."""
 
 BEFORE, BEHIND = 10, 5
 """Number of rows before and after an impact in which the device moves freely."""
@@ -22,14 +22,14 @@ OVER = 3
 """Number of rows over which an impact changes the velocity."""
 
 STAYS = 12
-"""Smallest number of rows at an extreme for which the position counts as staying there."""
+"""Smallest number of rows for which a position stays at an extreme."""
 
 HARDER = 1.4
-"""Smallest change of the velocity at a stop, relative to the largest one over as many rows away from the extremes.
-Commands and friction may also stop a device, as abruptly as they move it elsewhere."""
+"""Smallest velocity change at a stop, relative to the largest one over as many rows away from the extremes. Commands
+and friction may also stop a device, as abruptly as they move it elsewhere."""
 
 SLOWER = 1.5
-"""Smallest ratio of the speeds before and after a stop; a free motion reverses with equal speeds."""
+"""Smallest ratio of the speeds before and after a stop. A free motion reverses with equal speeds."""
 
 FAST = 0.05
 """Smallest speed at a stop, relative to the largest speed."""
@@ -38,16 +38,16 @@ STEPS = 8.0
 """Smallest change of the velocity at a stop, in sensor steps per row."""
 
 STILL = (1.2, 4.0, 0.02)
-"""Distance from a stop within which the position counts as staying: in sensor steps, in standard deviations of its
-noise, and in rows at the speed before."""
+"""Distance from a stop within which the position stays there: in sensor steps, in standard deviations of the noise, and
+in rows at the speed before."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:
-    """Return the row from which on a travel stop affects the motion.
+    """Return a finding with the row from which a travel stop affects the motion.
 
-    At a travel stop the velocity changes within two rows by more than command and friction change it anywhere else.
-    This happens at the largest or smallest position of the log; afterwards the device stays there or leaves more slowly
-    than it arrived.
+    At a travel stop, the velocity changes within two rows by more than command and friction change it anywhere else.
+    This happens at the largest or the smallest position of the log. Afterwards, the device stays there or leaves more
+    slowly than it arrived.
     """
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:
@@ -63,7 +63,7 @@ def travel_stop(samples: Samples) -> Finding | None:
     for row in rows.tolist():
         hit = float(abs(change[row + 1] - change[row + 1 - OVER]))
         brake, free = _around(samples, row)
-        # the command of a wall does not jump after its step
+        # with a wall, the command does not jump after its step
         is_seen = not samples.is_free and hit > BRAKE * brake and hit > IMPACT * free
         if not is_seen:
             if not (hit > IMPACT * brake and hit > BRAKE * free) and not _stays(samples, row):
@@ -74,7 +74,7 @@ def travel_stop(samples: Samples) -> Finding | None:
         return samples.finding(
             "travel_stop",
             "cut",
-            f"The position is stopped at {x[row]:.5g} in row {row}, which it reached at a speed of "
+            f"The position stops at {x[row]:.5g} in row {row}, which it reaches at a speed of "
             f"{size[row - 2] / samples.period:.3g} per second: a travel stop.",
             "Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
             first_row=row,
@@ -84,17 +84,17 @@ def travel_stop(samples: Samples) -> Finding | None:
 
 
 def _hardest(samples: Samples, at_extreme: Booleans) -> float:
-    """Return the largest change of the velocity over three rows, away from the extremes."""
+    """Return the largest velocity change over three rows, away from the extremes."""
     change = samples.change
     over = np.abs(change[OVER:] - change[:-OVER])
-    # differences that include a row at an extreme belong to a stop or its approach
+    # differences that include a row at an extreme belong to a stop or to the approach to it
     beyond = np.concatenate([[0], np.cumsum(at_extreme)])
     last = np.minimum(np.arange(len(over)) + OVER + 2, len(at_extreme))
     return float(over[beyond[last] == beyond[: len(over)]].max(initial=0.0))
 
 
 def _around(samples: Samples, row: int) -> tuple[float, float]:
-    """Return the largest change of the velocity per row before an impact and after it."""
+    """Return the largest velocity change per row before an impact, and after it."""
     before, behind = samples.bend[row - BEFORE : row - 2], samples.bend[row + 1 : row + BEHIND]
     return float(np.abs(before).max()), float(np.abs(behind).max(initial=0.0))
 

@@ -1,4 +1,4 @@
-"""Angles that wrap around after a turn or another modulus of the encoder: detected and unwrapped."""
+"""Detect and unwrap angles that wrap around after a turn or another modulus of the encoder."""
 
 from __future__ import annotations
 
@@ -16,48 +16,47 @@ SLOW = 0.4
 """Largest other change per row, relative to the modulus, for which its direction is unambiguous."""
 
 SMOOTH = 0.2
-"""Largest difference of the changes on both sides of a jump, relative to the modulus, for a continuous motion."""
+"""Largest difference between the changes on both sides of a jump, relative to the modulus, for a continuous motion."""
 
 ALIKE = 0.05
-"""Largest difference of the jumps of a log, without the motion during the jumps, relative to the modulus."""
+"""Largest difference between the jumps of a log, without the motion during the jumps, relative to the modulus."""
 
 SURE = 4.0
-"""Largest difference between a standard modulus and the estimated one, in standard errors, for which they count as
-equal."""
+"""Largest difference between a standard modulus and the estimated one, in standard errors, for which they are equal."""
 
 UNSEEN = 1e-4
 """Relative error of a modulus that its jumps may not reveal."""
 
 FEWEST_STEPS = 16
-"""Smallest number of sensor steps in a modulus: a sensor at rest between two values jumps as well."""
+"""Smallest number of sensor steps in a modulus, since a sensor at rest between two values also jumps."""
 
 MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
 """Moduli of common encoders [rad]: one, half and several turns, and +-12.5 rad."""
 
 SMALL_DOUBT = 3.0
-"""Largest uncertainty of a non-standard modulus, in errors of a reading, for which the value estimated from the jumps
-is accepted."""
+"""Largest uncertainty of a non-standard modulus, in reading errors, for which the value estimated from the jumps is
+accepted."""
 
 LEAST_ROWS = 3
-"""Smallest number of rows after the first jump that shows that the motion continues."""
+"""Smallest number of rows after the first jump that show that the motion continues."""
 
 REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 
 
 def unwrapped(position: Floats, rule: bool | float | None = None) -> tuple[Floats, Finding | None]:
-    """Return a position with its wrap-around jumps removed, and the finding that reports them.
+    """Return a position without its wrap-around jumps, and the finding that reports them.
 
     Parameters
     ----------
     position : float64, shape (rows,)
     rule : bool or float, optional
-        A modulus in the unit of the position; False to leave the position as it is; otherwise jumps are detected.
+        A modulus in the unit of the position. False does not change the position. By default, jumps are detected.
 
     Notes
     -----
-    A modulus is detected if every jump goes from near one end of the range to near the other, all jumps have the same
-    size apart from the motion during the jump, and the motion is slow enough for its direction to be unambiguous.
-    Uncertain jumps remain in the position: see `wrapped_position`.
+    A modulus is detected if three conditions are met. Every jump is from near one end of the range to near the other
+    end. All jumps have the same size, apart from the motion during the jump. The motion is slow enough for its
+    direction to be unambiguous. Uncertain jumps remain in the position (see `wrapped_position`).
     """
     if rule is False or len(position) < 2 * LEAST_ROWS:
         return position, None
@@ -85,7 +84,7 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
         evidence=f"The position wraps around at {name} in {counted(len(jumps), 'row')}, first in row "
-        f"{jumps[0] + 1}; it was unwrapped.",
+        f"{jumps[0] + 1}. It was unwrapped.",
         remedy=REMEDY,
         severity="repaired",
     )
@@ -119,7 +118,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
     inside = float(position.max() - position.min()) <= 1.02 * modulus + fastest
     if not (at_ends and alike and smooth and inside):
         return None
-    # a single jump may be a noise peak, a single row at the other end an outlier of any size
+    # a single jump may be a noise peak, and a single row at the other end may be an outlier of any size
     if not known and len(jumps) == 1 and fastest > SLOW * modulus:
         return None
     if not known and len(jumps) > 1 and (np.diff(jumps) == 1).all():
@@ -131,7 +130,7 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
 
 
 def wrapped_position(samples: Samples) -> Finding | None:
-    """Return the finding that the position still wraps around: the modulus is uncertain, or the motion too fast."""
+    """Return a finding if the position still wraps around, since the modulus is uncertain or the motion too fast."""
     if samples.fastest <= JUMP * samples.range:
         return None
     jumps = np.flatnonzero(samples.size > JUMP * samples.range)
@@ -142,8 +141,8 @@ def wrapped_position(samples: Samples) -> Finding | None:
         "wrapped_angle",
         "unsafe",
         f"The position jumps by about {found[0]:.5g} in {counted(len(jumps), 'row')}, first in row "
-        f"{jumps[0] + 1}, as an angle that starts again does.",
-        "Set unwrap to its modulus in [columns.position] of the profile, or record at a higher rate.",
+        f"{jumps[0] + 1}, like an angle that wraps around.",
+        "Set unwrap to the modulus in [columns.position] of the profile, or record at a higher rate.",
         first_row=int(jumps[0]) + 1,
         rows=len(jumps),
     )

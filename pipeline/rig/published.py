@@ -199,7 +199,7 @@ def published_limits(
     quantum = loop.sensor.quantum if quantum is None else quantum
     for name, value in (("coulomb", coulomb), ("quantum", quantum)):
         if not 0 <= value < np.inf:
-            raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
+            raise ParameterError(f"{name} = {value}: expected a finite nonnegative number.")
     B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
     sensor, frames, without = Sensor(coulomb, quantum), [], _without(loop)
     exact = Condition("exact", "this package", "stability", _exact_assumes(loop), lambda *_: K)

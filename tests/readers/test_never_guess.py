@@ -172,7 +172,7 @@ def test_stamps_of_another_pace_than_the_sampling_period_are_warned_of():
         return [each.evidence for each in read(profile(TEXT), text).findings if each.code == "sampling_period"]
 
     (warning,) = periods(seconds)
-    assert warning.startswith("Rows are 1e-06 s apart by their time stamps, the stated sampling period is 0.001 s")
+    assert warning.startswith("The time stamps are 1e-06 s apart, but the stated sampling period is 0.001 s")
     assert periods(table(RUN)) == []
     (warning,) = periods(table(RUN[::2]))  # half of the samples lost
     assert "0.002 s apart" in warning
