@@ -66,8 +66,8 @@ def test_a_trial_that_moves_before_the_step_has_no_delay():
     moving = dataclasses.replace(trial, position=drifting)
     found = first_change(moving, dataclasses.replace(find_response(moving), edge_row=20))
     assert found.delay_samples == -1
-    assert found.reason.startswith("moving before the step, peak to peak ")
-    assert "times what its sensor shows at rest; let the device come to rest" in found.reason
+    assert found.reason.startswith("the device moves before the step, peak to peak ")
+    assert "times the sensor floor; let it come to rest" in found.reason
 
 
 def test_a_declared_step_row_replaces_the_baseline():
@@ -181,7 +181,7 @@ def test_reasons_for_no_mass():
     response = find_response(trial)
     for changed, reason in (
         ({"baseline": 0}, "no baseline"),
-        ({"rows": 34}, "ends earlier"),
+        ({"rows": 34}, "ends within the window"),
         ({"quantum": 5e-5}, "noise threshold"),
     ):
         assert reason in masses(simulate([3000.0], [50.0], **FALCON, **changed), 4).reason[0]
@@ -284,7 +284,7 @@ def test_delay_of_an_even_number_is_one_that_occurred():
 def test_no_delay():
     found = estimate_delay(np.array([-1, -1]))
     assert found.value is None
-    assert "no trial of 2" in found.reason
+    assert "none of 2 trials" in found.reason
 
 
 @pytest.mark.parametrize("n", [6, 7, 12, 25, 100, 2300])

@@ -78,7 +78,7 @@ def test_map_is_a_grid_over_the_stable_region():
         ({"stiffness": float("nan")}, "stiffness = nan"),
         ({"delay_samples": -1}, "delay_samples = -1"),
         ({"delay_samples": 300}, "at most 256"),
-        ({"stiffness": 1e9}, "swings faster than it is sampled"),
+        ({"stiffness": 1e9}, "oscillates faster than it is sampled"),
         ({"velocity": {"kind": "butterworth", "order": 2, "cutoff_hz": 600.0}}, "cutoff_hz: found 600"),
         ({"velocity": {"kind": "butterworth", "order": 7, "cutoff_hz": 60.0}}, "order = 7: Input should be less"),
         ({"velocity": {"kind": "coefficients", "b": [1.0], "a": [1.0, -2.0]}}, "expected a stable filter"),

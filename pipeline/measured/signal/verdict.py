@@ -192,7 +192,7 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     elif hidden > 0:
         reason = f"a mode grows at {rate:.3g} 1/s while the motion decays to an amplitude of {end:.3g}"
     else:
-        reason = f"close to the limit: the remaining amplitude of {end:.3g} neither grows nor decays significantly"
+        reason = f"at the limit: the remaining amplitude of {end:.3g} neither grows nor decays significantly"
         if np.isfinite(rate):
             reason += f" (growth rate {rate:.3g} +- {SIGMAS * error / trial.sampling_period_s:.2g} 1/s)"
     return Verdict("undecided", rate, reason)

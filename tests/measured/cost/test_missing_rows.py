@@ -103,7 +103,7 @@ def test_a_long_gap_leaves_no_cost():
     rows = np.delete(np.arange(600), np.arange(60, 75))
     found, reason = costs([with_rows(trial, rows) for trial in whole(6)])
     assert np.isnan(found["settle_2pct"]).all()
-    assert all("15 of 600 rows are missing, 15 of them in a row" in text for text in reason)
+    assert all("15 of 600 rows are missing, up to 15 in succession" in text for text in reason)
 
 
 @pytest.mark.parametrize(

@@ -154,7 +154,7 @@ def test_a_command_of_another_size_sign_or_kind_has_no_edge():
     """The wall force alone crosses half the step as well, only later: an edge there would give a wrong delay."""
     trials = simulate([3000.0, 4000.0], [20.0, 30.0], **FALCON, quantum=1e-5)
     late = {
-        "row (2|3|4)\\d, but the command itself has not": (0.0, 1e-3, 0.1),
+        "row (2|3|4)\\d, but the command does not": (0.0, 1e-3, 0.1),
         "first jumps against the step \\(8\\), in row 20": (-1.0,),
     }
     for words, factors in late.items():

@@ -323,6 +323,6 @@ def test_energy_without_a_mass_says_why(falcon, monkeypatch):
     monkeypatch.setattr(stage_tables, "write_result", lambda *_: None)
     cost, why = of.cost("energy_step_w0")
     assert np.isnan(cost).all()
-    assert why == "energy needs the mass: no trial moved"
+    assert why == "energy costs require the mass: no trial moved"
     assert of.optimum("energy_step_w0") is None
     assert of.optimum("overshoot") is not None
