@@ -1,6 +1,6 @@
-"""Errors that a user can act on, and the exit status of each.
+"""Errors that a user can act on, with the exit status of each class.
 
-Every message states the fault, its place, the expected and the found value, and the remedy.
+Every message states the fault, its place, the expected value, the found value and the remedy.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ CURES: dict[str, str] = {
     "unsupported": "Correct `format` in the profile, or export the file again.",
     "library-missing": "Install it.",
 }
-"""Machine-readable reasons why a log is refused, and the default remedy of each: a closed list, explained in
+"""Default remedy for each machine-readable reason to refuse a log. The set of reasons is closed and explained in
 docs/logs.md. The wording of messages may change."""
 
 HELPS = "This might help in the profile:"
-"""Text before the profile line at the end of a reason."""
+"""Text before the suggested profile line at the end of a reason."""
 
 OTHER_COLUMNS = frozenset({"no-profile", "header-missing", "column-missing"})
-"""Codes of a log whose form differs from its profile."""
+"""Codes of a log whose layout differs from its profile."""
 
 
 def draft_hint(log: str) -> str:
-    """Return the remedy for a log whose columns no profile reads."""
+    """Return the remedy for a log whose columns match no profile."""
     return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
@@ -58,35 +58,35 @@ EXIT_USAGE = 2
 EXIT_QUARANTINED = 3
 
 
-REMEDY = "`pipeline check` lists what can be saved, `pipeline check --repair` saves it."
-"""Remedy for a damaged file below `processed`."""
+REMEDY = "`pipeline check` lists the data that can be saved, `pipeline check --repair` saves them."
+"""Remedy for a damaged file in the folder `processed`."""
 
 
 class PipelineError(Exception):
-    """Base class of all errors that `pipeline` raises deliberately; the command line exits with status 1."""
+    """Base class of all errors that `pipeline` raises deliberately. The command line then exits with status 1."""
 
     exit_status = EXIT_ERROR
 
 
 class UsageError(PipelineError):
-    """A command was called with inconsistent values."""
+    """A command was called with values that contradict each other."""
 
     exit_status = EXIT_USAGE
 
 
 class LogError(PipelineError):
-    """A log cannot be accepted; it goes into quarantine with this reason.
+    """A log cannot be accepted and is quarantined.
 
     Parameters
     ----------
     reason : str
-        The fault, the expected and the found value, and the remedy.
+        The fault, the expected value, the found value and the remedy.
     row : int, optional
-        Row of the source file, counted from 1: line of a text file, otherwise record, sample or message.
+        Row of the source file, counted from 1. It is the line of a text file, or else the record, sample or message.
     code : str
         A key of `CURES`.
     profile_line : str, optional
-        Profile line (or lines) with which the log might be readable.
+        One or more profile lines with which the log might be readable.
     """
 
     def __init__(
@@ -99,29 +99,29 @@ class LogError(PipelineError):
         self.profile_line = profile_line
 
     def reworded(self, reason: str) -> Self:
-        """Return the same refusal with another message, such as with the file name prepended."""
+        """Return the same refusal with a new message, for example with the file name prepended."""
         return type(self)(reason, self.row, code=self.code, profile_line=self.profile_line)
 
 
 def refusal(
     code: str, where: str, found: str, expected: str = "", cure: str = "", row: int | None = None, line: str = ""
 ) -> LogError:
-    """Return the error for a refused log.
+    """Return the error for a log that is refused.
 
     Parameters
     ----------
     code : str
         A key of `CURES`.
     where : str
-        File, and trial or column in it; empty if it is shown next to the message.
+        File and, if applicable, trial or column in it. It is empty if the place is shown next to the message.
     found, expected : str
-        The fault and the expected value; the latter may be empty if the first implies it.
+        The fault and the expected value. ``expected`` may be empty if ``found`` implies it.
     cure : str
-        Remedy that replaces the default of `CURES` for the code.
+        Remedy that replaces the default remedy of the code in `CURES`.
     row : int, optional
         Row of the file, counted from 1.
     line : str
-        Line (or lines) of a profile by which the log might be read; the message ends with it.
+        One or more profile lines with which the log might be readable. They are appended to the message.
     """
     text = f"{where}: {found}" if where else found
     text += f"; expected {expected}." if expected else "" if text.endswith((".", "?")) else "."
@@ -130,20 +130,20 @@ def refusal(
 
 
 class ProfileError(PipelineError):
-    """A log profile (TOML) is wrong or does not fit the files."""
+    """A log profile (TOML) is invalid or does not match the files."""
 
 
 class SceneError(PipelineError):
-    """A scene file (TOML) is wrong."""
+    """A scene file (TOML) is invalid."""
 
 
 class DeviceError(PipelineError):
-    """A device file (TOML) is wrong, or a device or experiment is unknown."""
+    """A device file (TOML) is invalid, or a device or experiment is unknown."""
 
 
 class StoreError(PipelineError):
-    """A file in `processed/` is missing, has another layout or is damaged."""
+    """A file in `processed/` is missing, is damaged or has an unknown layout."""
 
 
 class ParameterError(PipelineError, ValueError):
-    """A number lies outside the range for which a quantity is defined."""
+    """A number lies outside the range for which its quantity is defined."""

@@ -1,4 +1,4 @@
-"""Pages that make no request: their permitted scripts, and safe embedding of data."""
+"""Content-Security-Policy and embedded JSON of web pages that load nothing from outside."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 
 def policy(inline: tuple[str, ...]) -> str:
-    """Return the Content-Security-Policy of a page with these inline scripts.
+    """Return the Content-Security-Policy of a page that permits only the given inline scripts.
 
-    Styles may be inline: the plot library sets positions and colours by style attributes.
+    Inline styles are permitted because the plot library sets positions and colours by style attributes.
     """
     hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in inline)
     allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
@@ -22,6 +22,6 @@ def policy(inline: tuple[str, ...]) -> str:
 
 
 def json_text(content: Any) -> str:
-    """Return JSON that is safe inside a ``<script>`` element: without ``<``, ``>`` and ``&``."""
+    """Serialise to JSON that is safe in a ``<script>`` element: ``<``, ``>`` and ``&`` are escaped."""
     text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

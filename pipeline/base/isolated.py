@@ -1,6 +1,7 @@
-"""Functions in a separate process with limited time and memory, which a crash or an endless loop cannot take along.
+"""Calls of functions in a separate process with limited time and memory.
 
-A worker serves one call after the other. After a crash, or a call that exceeds its limits, it is replaced.
+A crash or an endless loop of a function does not affect the calling process. A worker process serves one call after the
+other. It is replaced after a crash or after a call that exceeds its limits.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from pipeline.base.process import begin_alone, without_pandas
 
 
 class IsolationError(Exception):
-    """A function crashed its process, or exceeded its limits; the text states which, as the predicate of a sentence."""
+    """A function crashed its process or exceeded its limits. Its text is a predicate, such as "crashes (status 1)"."""
 
 
 def run_isolated(
@@ -33,32 +34,32 @@ def run_isolated(
     memory: int | None = None,
     imports: str = "",
 ) -> Any:
-    """Call a function in a worker process, and return its result.
+    """Call a function in a worker process and return its result.
 
-    The function sees the environment variables and the working folder that the caller has now, not those with which the
-    worker was started.
-
+    The function runs with the current environment variables and working folder of the caller, which may have changed
+    since the worker was started.
     Parameters
     ----------
     place : str
-        The function, as ``module:function``.
+        The function, written as ``module:function``.
     *arguments
-        Its arguments; they and the result are pickled.
+        Arguments of the function. The arguments and the result are pickled.
     wait_s : float
         Longest wait for the result [s].
     processor_s : float, optional
-        Processor time [s], by default unlimited; only on Unix.
+        Limit of the processor time [s], by default unlimited. It is enforced only on Unix.
     memory : int, optional
-        Memory in addition to that of the worker [byte], by default unlimited; only on Linux.
+        Memory that the function may use in addition to the worker's own [byte], by default unlimited. It is enforced
+        only on Linux.
     imports : str
-        Modules that the function imports, separated by blanks; their import counts neither as time nor as memory.
+        Modules that the function imports, separated by blanks. Their import does not count towards the limits.
 
     Raises
     ------
     IsolationError
-        If the function crashes the process, or exceeds its limits.
+        If the function crashes the process or exceeds its limits.
     Exception
-        Whatever the function raises.
+        Any exception that the function raises.
     """
     try:
         worker = _IDLE.pop()
@@ -75,11 +76,11 @@ def run_isolated(
 
 
 def serve() -> None:
-    """Serve calls from standard input: the main loop of a worker process, which ends with its parent."""
+    """Serve calls from standard input. This is the main loop of a worker process, which ends with its parent."""
     begin_alone()
     without_pandas(import_module("pyarrow"))
     calls, results = os.fdopen(0, "rb"), os.fdopen(os.dup(1), "wb")
-    # output of libraries must not mix with the results
+    # the output of libraries must not mix with the results
     os.dup2(2, 1)
     with contextlib.suppress(EOFError):
         while True:
@@ -87,14 +88,14 @@ def serve() -> None:
             _adopt(environment, folder)
             module, _, function = place.partition(":")
             work = getattr(import_module(module), function)
-            with contextlib.suppress(ImportError):  # the function itself reports what is missing and how to install it
+            with contextlib.suppress(ImportError):  # the function itself reports a missing module
                 for needed in imports.split():
                     import_module(needed)
             with _bounded(processor_s, memory):
                 try:
                     answer = True, work(*arguments)
                 except Exception as error:
-                    answer = False, error.with_traceback(None)  # it would keep the data in memory until the next call
+                    answer = False, error.with_traceback(None)  # the traceback would keep the data in memory
             pickle.dump(answer, results, pickle.HIGHEST_PROTOCOL)
             results.flush()
             del arguments, answer
@@ -108,7 +109,7 @@ def _folder() -> str | None:
 
 
 def _adopt(environment: dict[str, str], folder: str | None) -> None:
-    """Use the environment variables of a caller, except those of the worker itself, and its working folder."""
+    """Adopt the working folder and the environment variables of the caller, except the worker's own variables."""
     wanted = environment | {name: os.environ[name] for name in _OWN if name in os.environ}
     if wanted != dict(os.environ):
         os.environ.clear()
@@ -120,10 +121,10 @@ def _adopt(environment: dict[str, str], folder: str | None) -> None:
 
 @contextlib.contextmanager
 def _bounded(processor_s: float | None, memory: int | None) -> Iterator[None]:
-    """Limit time and memory of a call, even while it blocks the interpreter.
+    """Limit the time and memory of a call, even while the call blocks the interpreter.
 
-    The system ends this process after the given processor time, or with its parent (which closes the pipe of calls),
-    and limits its memory; only on Linux.
+    The operating system ends this process after the given processor time. It also ends it with its parent, whose end
+    closes the pipe of calls. The memory is limited only on Linux.
     """
     try:
         resource, fcntl = import_module("resource"), import_module("fcntl")
@@ -136,7 +137,7 @@ def _bounded(processor_s: float | None, memory: int | None) -> Iterator[None]:
         most = pages * resource.getpagesize() + memory
         resource.setrlimit(resource.RLIMIT_AS, (most if soft == resource.RLIM_INFINITY else min(most, soft), hard))
     fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
+    fcntl.fcntl(0, fcntl.F_SETFL, flags | os.O_ASYNC)  # an unhandled SIGIO ends the process when the pipe closes
     signal.setitimer(signal.ITIMER_PROF, processor_s or 0.0)
     try:
         yield
@@ -150,7 +151,7 @@ class _Worker:
     """A process that waits for calls."""
 
     def __init__(self) -> None:
-        # threads for linear algebra would only reserve address space
+        # more threads for linear algebra would only reserve address space
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
         command = [sys.executable, "-c", f"from {__name__} import serve; serve()"]
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
@@ -159,8 +160,8 @@ class _Worker:
         self.results: IO[bytes] = cast(IO[bytes], self.process.stdout)
 
     def call(self, call: tuple[Any, ...], wait: float) -> tuple[bool, Any] | None:
-        """Return whether a call returned, and its result or exception; None if the process crashed or did not answer
-        within `wait` seconds."""
+        """Return whether a call succeeded, and its result or exception. Return None if the process crashed or did not
+        answer within `wait` seconds."""
         watch = threading.Timer(wait, self.process.kill)
         watch.daemon = True
         watch.start()
@@ -172,13 +173,13 @@ class _Worker:
         except (EOFError, OSError, pickle.UnpicklingError):
             return None
         except BaseException:
-            self.end()  # the result of an interrupted call would be read by the next one
+            self.end()  # the next call would read the result of the interrupted call
             raise
         finally:
             watch.cancel()
 
     def end(self) -> str:
-        """Stop the process and return how it ended."""
+        """Stop the process and describe how it ended."""
         self.process.kill()
         status = self.process.wait()
         for pipe in (self.calls, self.results):
@@ -189,14 +190,14 @@ class _Worker:
 
 
 _OWN = ("PYTHONPATH", "OPENBLAS_NUM_THREADS")
-"""Environment variables with which a worker is started, and which it keeps."""
+"""Environment variables that a worker receives at its start and keeps."""
 
 _IDLE: list[_Worker] = []
-"""Idle workers; there are as many workers as threads that call at the same time."""
+"""Idle workers. There are as many workers as threads that call simultaneously."""
 
 
 @atexit.register
 def end_all() -> None:
-    """End the idle workers."""
+    """Stop the idle workers."""
     while _IDLE:
         _IDLE.pop().end()

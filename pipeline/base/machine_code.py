@@ -1,8 +1,8 @@
-"""Machine code of functions without return value, stored as object files that llvmlite loads.
+"""Machine code of functions without a return value, stored as object files that llvmlite loads.
 
-Importing numba and loading its cache takes half a second, loading an object file a few milliseconds. Numba compiles
-such a function once. It allocates nothing and counts no references, so it does not need numba afterwards: it is called
-with numbers and with the addresses, shapes and strides of arrays.
+Importing numba and loading its cache takes half a second, whereas loading an object file takes a few milliseconds.
+Numba compiles each function only once. The function allocates no memory and counts no references, so it runs without
+numba. Its arguments are numbers and the addresses, shapes and strides of arrays.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Function = Callable[..., None]
 
 @dataclass(frozen=True)
 class Number:
-    """Number type of a signature, such as ``f8``; with axes, ``f8[:, ::1]``, an array type."""
+    """Number type of a signature, such as ``f8``. Indexing it gives an array type, such as ``f8[:, ::1]``."""
 
     dtype: str
     passed: Any
@@ -35,38 +35,38 @@ class Number:
 
     @property
     def types(self) -> list[Any]:
-        """C types by which it is passed."""
+        """C types of the argument."""
         return [self.passed]
 
     def append(self, value: Any, values: list[Any]) -> None:
-        """Append what is passed."""
+        """Append the number to the C arguments."""
         values.append(value)
 
 
 @dataclass(frozen=True)
 class Array:
-    """Array type of a signature, contiguous in row order."""
+    """Type of C-contiguous arrays in a signature."""
 
     dtype: np.dtype[Any]
     axes: int
 
     @property
     def types(self) -> list[Any]:
-        """C types: two objects of numba that own it, size, bytes of a number, address, shape, strides."""
+        """C types of the arguments: two object pointers of numba, size, item size, address, shape and strides."""
         return [ctypes.c_int64] * (5 + 2 * self.axes)
 
     def append(self, value: np.ndarray, values: list[Any]) -> None:
-        """Append what is passed."""
+        """Append the description of an array to the C arguments."""
         if not (value.dtype == self.dtype and value.ndim == self.axes and value.flags.c_contiguous):
             raise TypeError(
-                f"expected rows of {self.dtype} along {self.axes} axes, one after the other in memory, found "
-                f"{value.dtype} along {value.ndim}."
+                f"expected a C-contiguous array of {self.dtype} with {self.axes} axes, found an array of "
+                f"{value.dtype} with {value.ndim}."
             )
         values += (0, 0, value.size, value.itemsize, _address(value), *value.shape, *value.strides)
 
 
 def _address(value: Any) -> int:
-    """Return the address of an array; `numpy.ndarray.ctypes` takes ten times as long."""
+    """Return the address of an array. `numpy.ndarray.ctypes` would take ten times as long."""
     try:
         return ctypes.addressof(ctypes.c_char.from_buffer(value))
     except (TypeError, ValueError):  # read-only, or empty
@@ -81,11 +81,11 @@ class Several:
 
     @property
     def types(self) -> list[Any]:
-        """C types of all parts."""
+        """C types of all parts, in order."""
         return [each for part in self.parts for each in part.types]
 
     def append(self, value: tuple[Any, ...], values: list[Any]) -> None:
-        """Append what is passed."""
+        """Append all parts to the C arguments."""
         for part, one in zip(self.parts, value, strict=True):
             part.append(one, values)
 
@@ -99,11 +99,11 @@ _NAMES = {
     "f8": Number("f8", ctypes.c_double),
     "c16": Number("c16", None),
 }
-"""Names that occur in signatures."""
+"""Names that may occur in a signature."""
 
 
 def arguments_of(signature: str) -> Several:
-    """Return the arguments of a signature such as ``"void(f8[::1], Tuple((i8, f8[:, ::1])))"``.
+    """Parse the arguments of a signature such as ``"void(f8[::1], Tuple((i8, f8[:, ::1])))"``.
 
     Examples
     --------
@@ -115,12 +115,12 @@ def arguments_of(signature: str) -> Several:
 
 
 def object_name(function: Function) -> str:
-    """Return a name for the object file of a function."""
+    """Return the name of the object file of a function."""
     return f"{function.__module__}.{function.__qualname__}"
 
 
 def object_key(function: Function, signature: str) -> str:
-    """Return a hash of everything that determines the machine code of a function."""
+    """Return a hash of all inputs that determine the machine code of a function."""
     import llvmlite.binding as llvm
 
     file = Path(inspect.getsourcefile(function) or "")
@@ -131,13 +131,13 @@ def object_key(function: Function, signature: str) -> str:
 
 
 def _folder(package: str) -> Path:
-    """Return the folder of a package without importing it; querying its version takes ten times as long."""
+    """Return the folder of a package without importing it. Reading its version would take ten times as long."""
     spec = find_spec(package)
     return Path(spec.origin if spec and spec.origin else "").parent
 
 
 def compiled_object(function: Function, signature: str) -> bytes:
-    """Compile a function with numba; return the object file, preceded by a line with its symbol name."""
+    """Compile a function with numba. Return the object file, preceded by a line with its symbol name."""
     import numba
 
     options: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -149,7 +149,7 @@ def compiled_object(function: Function, signature: str) -> bytes:
 
 
 def loaded_object(data: bytes, signature: str) -> Function:
-    """Load the output of `compiled_object`, and return the function."""
+    """Load the output of `compiled_object` and return a function that calls it."""
     import llvmlite.binding as llvm
 
     symbol, _, code = data.partition(b"\n")
@@ -173,7 +173,7 @@ def loaded_object(data: bytes, signature: str) -> Function:
 
 @cache
 def _engine() -> Any:
-    """Return the execution engine for loaded machine code; it exists until the process ends."""
+    """Return the execution engine for loaded machine code. It exists until the process ends."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()

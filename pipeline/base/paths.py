@@ -1,8 +1,8 @@
-"""Paths from users: converted to text that every output can store, opened only if regular files, checked for output.
+"""Conversion and checks of paths that users provide.
 
 On Linux a file name is any sequence of bytes. Python represents bytes that are not UTF-8 as lone surrogates, which
-neither JSON nor Parquet can store. JSON, HDF5 and MATLAB files may contain lone surrogates, too. A path may also name
-a pipe or a device.
+neither JSON nor Parquet can store. JSON, HDF5 and MATLAB files may also contain lone surrogates. A path may name a pipe
+or a device instead of a regular file.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _SCHEME = "file:"
 
 
 def storable(text: str) -> str:
-    r"""Return a text with lone surrogates written as ``\udcff``, so that it can be encoded as UTF-8."""
+    r"""Replace lone surrogates by escapes such as ``\udcff``, so that the text can be encoded as UTF-8."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def path_text(path: Path | str) -> str:
-    r"""Return a path as text: unchanged, or as ``file:`` URI of the absolute path if its bytes are not UTF-8.
+    r"""Return a path as text, which is a ``file:`` URI of the absolute path if the path is not valid UTF-8.
 
     Examples
     --------
@@ -44,7 +44,7 @@ def path_text(path: Path | str) -> str:
 
 
 def path_of_text(text: str) -> Path:
-    r"""Return the path of a text from `path_text`.
+    r"""Return the path of a text that `path_text` produced.
 
     Examples
     --------
@@ -55,16 +55,15 @@ def path_of_text(text: str) -> Path:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a file for reading, without waiting and only if it is a regular file.
+    """Open a regular file for reading.
 
-    Reading a pipe could wait forever, and reading a device may have side effects.
-
+    Reading a pipe could block forever, and reading a device may have side effects.
     Raises
     ------
     OSError
-        If it cannot be opened or is not a regular file.
+        If the path cannot be opened or is not a regular file.
     """
-    # the first flag opens a pipe, which may have appeared since `find_sources`, without waiting; files ignore it
+    # a pipe may have replaced the file since `find_sources`; O_NONBLOCK prevents that opening it blocks
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
@@ -73,7 +72,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def is_gone(path: Path) -> bool:
-    """Return True if the path no longer exists. An unreadable path counts as existing."""
+    """Return True if the path does not exist. An unreadable path counts as existing."""
     try:
         os.lstat(path)
     except OSError as error:
@@ -82,39 +81,39 @@ def is_gone(path: Path) -> bool:
 
 
 def check_output(path: Path, option: str, *, document_beside: bool = False) -> None:
-    """Check that the output file of an option can be written. Nothing is created.
+    """Check that an output file can be written, without creating it.
 
     Parameters
     ----------
     path : Path
-        File that the command will write; folders above it may be missing.
+        File that the command will write. Its parent folders may be missing.
     option : str
-        Name of the option, for the message; empty if the command has none.
+        Name of the command-line option for the message; empty if the path is not given by an option.
     document_beside : bool
-        Whether a JSON document of the same name is written next to it, which would overwrite a file that ends in .json.
+        Whether a JSON document of the same name is written next to the file.
 
     Raises
     ------
     UsageError
-        If it is a folder, or ends in .json like the document next to it.
+        If the path is a folder, or if its suffix is .json and the JSON document would overwrite it.
     PipelineError
-        If no file can be created in its folder.
+        If files cannot be created in the folder.
     """
     place = f"{option} {path}".strip()
     if path.is_dir():
         raise UsageError(f"{place}: is a folder; expected a file. Add a file name, such as {path / 'report.html'}.")
     if document_beside and path.suffix.lower() == ".json":
         raise UsageError(
-            f"{place}: expected the name of the page, found that of the JSON document, which is written "
-            f"next to it and would replace it. Give {path.with_suffix('.html')}."
+            f"{place}: is the name of the JSON document, which is written next to the page and would replace it; "
+            f"expected the name of the page. Use {path.with_suffix('.html')}."
         )
-    # the nearest existing parent decides; a missing current folder raises the error below
+    # the nearest existing parent decides; a removed working folder raises the error below
     folder = next((above for above in path.parents if above.exists()), Path("."))
     try:
-        with tempfile.TemporaryFile(dir=folder):  # an unnamed file: permissions alone are not sufficient
+        with tempfile.TemporaryFile(dir=folder):  # permission bits alone do not show whether files can be created
             pass
     except OSError as error:
         raise PipelineError(
-            f"{place}: cannot be written, since {folder} takes no files ({error.strerror or error}). Choose "
-            "another place, or correct the permissions."
+            f"{place}: cannot be written, because no file can be created in {folder} "
+            f"({error.strerror or error}). Choose another place, or correct the permissions."
         ) from error

@@ -1,9 +1,9 @@
 """Start and end of this package's processes, and pools of worker processes.
 
-No worker outlives the process that started it, however that ends. A worker waits on a pipe whose other end is open in
-its parent only: the operating system closes it when the parent ends. (Linux's parent-death signal would come when the
-starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are removed; a second
-signal ends the process immediately.
+A worker ends when the process that started it ends for any reason. It waits on a pipe whose other end only its parent
+holds open, and which the operating system closes when the parent ends. (Linux's parent-death signal would be sent when
+the starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are removed. A
+second signal ends the process immediately.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
-"""Termination signals that the system supports; they come from Ctrl-C, a service manager or a closed terminal."""
+"""Termination signals of this system, sent by Ctrl-C, a service manager or a closed terminal."""
 
 _alone = False
-"""Whether this process runs only this package."""
+"""Whether this process executes only code of this package."""
 
 
 def begin_alone() -> None:
-    """Prepare a process that runs only this package, before it loads numpy.
+    """Configure a process that executes only code of this package, before numpy is imported.
 
-    Matrices are small here, and many processes compute at once: threads of the linear algebra library would double the
-    processor time by waiting for each other, and sums would depend on their number. A user-defined
-    ``OPENBLAS_NUM_THREADS`` is kept. Also, pyarrow is prevented from importing pandas (`without_pandas`).
+    The linear algebra library uses one thread, unless the user has set ``OPENBLAS_NUM_THREADS``. Matrices are small
+    here and many processes compute simultaneously. Threads that wait for each other would double the processor time,
+    and sums would depend on the number of threads. In addition, pyarrow may not import pandas (`without_pandas`).
     """
     global _alone
     _alone = True
@@ -54,10 +54,10 @@ class _NoPandas:
 
 
 def without_pandas(pyarrow: Any) -> None:
-    """Prevent pyarrow from importing pandas with its first array (0.2 s, 40 MB), in this package's processes only.
+    """Prevent pyarrow from importing pandas with its first array (0.2 s, 40 MB), but only in this package's processes.
 
-    pyarrow looks for pandas only once; here this happens while pandas is hidden. An explicit import of pandas and
-    ``Table.to_pandas`` still work; ``pyarrow.array`` then treats a pandas series as a plain sequence.
+    pyarrow searches for pandas only once. This function triggers the search while pandas is hidden. An explicit import
+    of pandas and ``Table.to_pandas`` still work. ``pyarrow.array`` then treats a pandas series as a plain sequence.
     """
     if _alone and "pandas" not in sys.modules:
         sys.meta_path.insert(0, _NoPandas)
@@ -66,12 +66,14 @@ def without_pandas(pyarrow: Any) -> None:
 
 
 class Ended(BaseException):
-    """A termination signal was received. A ``BaseException``, so that error handlers do not catch it by accident.
+    """Exception for a received termination signal.
+
+    It is a ``BaseException``, so that error handlers do not catch it by accident.
 
     Parameters
     ----------
     number : int
-        Of the signal.
+        Number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -79,24 +81,24 @@ class Ended(BaseException):
         self.number = number
 
     def leave(self) -> None:
-        """End this process as the unhandled signal would, so that its parent learns the reason."""
+        """End this process as the unhandled signal would, so that its parent sees the reason."""
         signal.signal(self.number, signal.SIG_DFL)
         signal.raise_signal(self.number)
 
 
 @contextmanager
 def ending_on_signals() -> Iterator[None]:
-    """Raise `Ended` in the block on a termination signal; the next signal ends the process, which is safe, too.
+    """Raise `Ended` in the block on the first termination signal. The next signal ends the process.
 
-    An ignored signal (nohup) stays ignored. Any exception after the signal is raised as `Ended`, because an extension
-    module reports an interrupted import as a failed one.
+    A signal that is ignored, for example by nohup, stays ignored. Any exception after the signal is replaced by `Ended`
+    because an extension module reports an interrupted import as a failed import.
     """
-    asked: list[int] = []
+    received: list[int] = []
     former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     handled = [number for number, before in former.items() if before not in (signal.SIG_IGN, None)]
 
     def handle(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
+        received.append(number)
         for other in handled:
             signal.signal(other, signal.SIG_DFL)
         raise Ended(number)
@@ -106,8 +108,8 @@ def ending_on_signals() -> Iterator[None]:
             signal.signal(number, handle)
         yield
     except Exception as error:
-        if asked:
-            raise Ended(asked[0]) from error
+        if received:
+            raise Ended(received[0]) from error
         raise
     finally:
         for number in handled:
@@ -116,37 +118,37 @@ def ending_on_signals() -> Iterator[None]:
 
 @contextmanager
 def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of processes that end immediately when the block raises an exception or this process ends.
+    """Yield a pool of processes, which end immediately if the block raises an exception or this process ends.
 
     Notes
     -----
-    A call raises ``BrokenProcessPool`` if a process was killed or could not import the caller's main program (typed in,
-    or without a guard); the caller may then compute in its own process.
+    A call raises ``BrokenProcessPool`` if a process was killed. It is also raised if a process cannot import the main
+    program of the caller, for example in an interactive session. The caller may then compute in its own process.
     """
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    # spawn: a fork would copy the locks of Arrow's threads in an unknown state, and keep the pipe open
+    # a fork would copy locks of Arrow's threads in an undefined state and keep the pipe open
     context = get_context("spawn")
     watched, held = context.Pipe(duplex=False)
     with watched, held, ProcessPoolExecutor(workers, context, _begin, (watched,)) as pool:
         try:
             yield pool
         except BaseException:
-            held.close()  # their results are no longer needed
+            held.close()  # the results are no longer needed
             pool.shutdown(cancel_futures=True)
             raise
 
 
 def _begin(parent: Connection) -> None:
-    """Initialize a process of a pool; signals are handled by its parent, which ends it."""
+    """Initialise a worker of a pool. It ignores Ctrl-C because its parent handles signals and ends it."""
     threading.Thread(target=_end_with, args=(parent,), name="end with the parent", daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     begin_alone()
 
 
 def _end_with(parent: Connection) -> None:
-    """End this process when the other end of a pipe is closed; nothing is ever sent."""
+    """End this process when the other end of a pipe is closed. No data are ever sent through it."""
     with suppress(EOFError, OSError):
         parent.recv_bytes()
     os._exit(EXIT_ERROR)

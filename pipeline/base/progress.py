@@ -1,6 +1,6 @@
-"""Progress of long work: each part reports its share of the whole; without a listener nothing happens.
+"""Progress of long computations. A part of the work reports its completed share to a listener, if there is one.
 
-A part covers a range of the enclosing part, so that a function reports from 0 to 1 independent of its caller.
+A part covers a range of the enclosing part. A function therefore reports shares from 0 to 1, independent of its caller.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 
 Listener = Callable[[str, float], None]
-"""Callback that receives the name of the current part, and the completed share of the whole, 0 to 1."""
+"""Callback that receives the name of the current part and the completed share of the total work, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ _SHARE = ContextVar("share", default=0.0)
 
 @contextmanager
 def heard_by(listener: Listener) -> Iterator[None]:
-    """Pass progress reported inside the block to a listener."""
+    """Pass the progress that is reported in the block to a listener."""
     token = _PART.set(_Part(listener))
     _SHARE.set(0.0)
     try:
@@ -40,14 +40,14 @@ def heard_by(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def part_of_work(name: str, begin: float, end: float) -> Iterator[None]:
-    """Report progress inside the block as part of the enclosing work, from one share of it to another.
+    """Map the progress that is reported in the block to a range of the enclosing part.
 
     Parameters
     ----------
     name : str
-        Name of the part; if empty, that of the enclosing part.
+        Name of the part. If it is empty, the name of the enclosing part is used.
     begin, end : float
-        Shares of the enclosing part, 0 to 1.
+        Start and end of the range, as shares of the enclosing part from 0 to 1.
 
     Examples
     --------
@@ -73,20 +73,20 @@ def part_of_work(name: str, begin: float, end: float) -> Iterator[None]:
 
 
 class Names:
-    """Listener that passes on the name of each part when it begins."""
+    """Listener that passes the name of each part to a function when the part begins."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self._last = say, ""
 
     def __call__(self, name: str, share: float) -> None:
-        """Receive the progress of a part."""
+        """Receive the name and the progress of a part."""
         if name and name != self._last:
             self._last = name
             self._say(name)
 
 
 def report(share: float) -> None:
-    """Report the completed share of the enclosing part, 0 to 1."""
+    """Report the completed share of the current part, 0 to 1."""
     part = _PART.get()
     if part is not None:
         _SHARE.set(share)
@@ -94,7 +94,7 @@ def report(share: float) -> None:
 
 
 def approach(fraction: float) -> None:
-    """Report that a fraction of the remaining part is done, for work of unknown length.
+    """Report that a fraction of the remaining work of a part is done. It suits work of unknown length.
 
     >>> with heard_by(lambda name, share: print(share)):
     ...     approach(0.5)

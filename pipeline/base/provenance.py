@@ -1,4 +1,4 @@
-"""Origin of stored numbers: hashes of inputs, parameters and code, and the package version."""
+"""Provenance of stored numbers: hashes of inputs, parameters and code, and the package version."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from functools import cache
 from pathlib import Path
 
 __version__ = "1.0.0rc1"
-"""Of the package."""
+"""Version of the package."""
 
 PACKAGE_FOLDER = Path(__file__).parents[1]
 
 
 def schema_folder() -> Path:
-    """Return the folder with device, profile and schema files: in the package, or next to it in a source checkout."""
+    """Return the folder with device, profile and schema files, which in a source checkout is next to the package."""
     installed = PACKAGE_FOLDER / "_schemas"
     return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
 
@@ -26,24 +26,24 @@ USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
 
 
 def user_device_folder() -> Path | None:
-    """Return the folder with the user's device files; None if none is named."""
+    """Return the folder with the user's device files, or None if the environment variable is not set."""
     own = os.environ.get(USER_FOLDER_VARIABLE)
     return Path(own) if own else None
 
 
 def sha256(data: bytes) -> str:
-    """Return the SHA-256 of bytes as 64 hexadecimal digits."""
+    """Return the SHA-256 hash of bytes as 64 hexadecimal digits."""
     return hashlib.sha256(data).hexdigest()
 
 
 def digest(value: object) -> str:
-    """Return a 16-digit hash of any JSON value; equal values give equal hashes on every machine."""
+    """Return a 16-digit hash of a JSON value. Equal values have equal hashes on every machine."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return sha256(text.encode())[:16]
 
 
 def digest_all(parts: Iterable[str]) -> str:
-    """Return a 16-digit hash of strings, in order."""
+    """Return a 16-digit hash of a sequence of strings."""
     joined = hashlib.sha256()
     for part in parts:
         joined.update(part.encode())
@@ -56,14 +56,14 @@ CODE = {
     "theory": ("base", "device", "records", "loop", "theory"),
     "report": (".",),
 }
-"""Folders of the package that produce each kind of stored result, including their imports."""
+"""Folders of the package whose code, including imports, produces each kind of stored result."""
 
 
 @cache
 def code_digest(result: str) -> str:
-    """Return a hash of all files in the folders whose code produces ``result``, a key of `CODE`.
+    """Return a hash of all files in the folders of `CODE` for a kind of stored result.
 
-    A stored result is reused only while its code, including imports, is unchanged.
+    A stored result is reused only while this hash is unchanged.
     """
     every = {file for folder in CODE[result] for file in (PACKAGE_FOLDER / folder).rglob("*")}
     files = {file for file in every if file.suffix != ".pyc" and file.is_file()}
@@ -76,5 +76,5 @@ def _source(file: Path) -> bytes:
 
 
 def stamp(**entries: str) -> Mapping[str, str]:
-    """Return metadata for an output file: the given hashes and the package version."""
+    """Return the metadata of an output file, which are the given hashes and the package version."""
     return {"pipeline.version": __version__, **{f"pipeline.{key}": value for key, value in entries.items()}}

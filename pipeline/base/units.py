@@ -1,4 +1,4 @@
-"""Units of foreign logs and their factors to SI; conversion happens only here, at the input."""
+"""Units in logs of other programs, and their factors to SI units. Values are converted only when they are read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pipeline.base.errors import ParameterError
 
 
 class Unit(NamedTuple):
-    """Physical quantity of a unit and its factor to SI."""
+    """Physical quantity of a unit, and its factor to the SI unit."""
 
     quantity: str
     factor: float
@@ -32,7 +32,7 @@ _FACTORS: dict[str, dict[str, float]] = {
     "damping": {"Ns/m": 1.0, "Ns/mm": 1e3},
     "rotational damping": {"Nms/rad": 1.0, "mNms/rad": 1e-3, "Nms/deg": 1 / _DEGREE},
 }
-"""Factor to SI of each unit by quantity, the SI unit first."""
+"""Factors to the SI unit by quantity and symbol. The SI unit is the first of each quantity."""
 
 DRIVES: dict[str, dict[str, float]] = {
     "voltage": {"V": 1.0, "mV": 1e-3},
@@ -40,12 +40,12 @@ DRIVES: dict[str, dict[str, float]] = {
     "counts": {"counts": 1.0, "count": 1.0},
     "percent": {"%": 1.0},
 }
-"""Units of a command that is not yet a force or torque, the internal one first: all parameters of a device are per that
-unit until a gain converts the command to force."""
+"""Units of a command that is not a force or torque. The first unit of each kind is used internally. All parameters of a
+device relate to this unit until a gain converts the command to a force."""
 
 
 def drive_unit(drive: str, behind: str) -> str:
-    """Return a unit with a drive unit in place of N or Nm.
+    """Return a compound unit with the drive unit in place of N or Nm.
 
     >>> drive_unit("V", "s/m"), drive_unit("counts", "s/m"), drive_unit("%", "")
     ('Vs/m', 'counts s/m', '%')
@@ -54,7 +54,7 @@ def drive_unit(drive: str, behind: str) -> str:
 
 
 def _of_drives() -> dict[str, dict[str, float]]:
-    """Return the units derived from a drive: of stiffness, damping, and of the gain that converts it to force."""
+    """Return the units of stiffness, of damping and of the gain to a force for each kind of drive unit."""
     factors: dict[str, dict[str, float]] = {}
     for name, drives in DRIVES.items():
         factors[name] = drives
@@ -77,7 +77,7 @@ def _of_drives() -> dict[str, dict[str, float]]:
 _FACTORS |= _of_drives()
 
 UNITS = {name: Unit(quantity, factor) for quantity, units in _FACTORS.items() for name, factor in units.items()}
-"""Known units by symbol; a micro sign or degree sign is read as `u` and `deg` (see `find_unit`)."""
+"""Known units by symbol. `find_unit` replaces a micro sign by `u` and a degree sign by `deg`."""
 
 _WORDS = {
     "sec": "s",
@@ -103,13 +103,13 @@ _WORDS = {
     "amps": "A",
     "percent": "%",
 }
-"""Unit names that programs write in full."""
+"""Symbols of unit names that programs write in full."""
 
 _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": "", " ": ""})
 
 
 def find_unit(symbol: str) -> Unit | None:
-    """Return the unit of a symbol or its name (`mm`, `µm`, `N*m`, `°`, `seconds`), or None if unknown."""
+    """Return the unit with a symbol or name (`mm`, `µm`, `N*m`, `°`, `seconds`), or None if it is unknown."""
     text = symbol.strip()
     return UNITS.get(_WORDS.get(text.lower(), text).translate(_SPELLINGS))
 
@@ -128,15 +128,15 @@ def _decimal(number: str) -> float:
 
 
 def split_quantity(text: str) -> tuple[float, str] | None:
-    """Return number and unit of a text such as ``'5 N/mm'``, ``'30ms'`` or ``'2,5 N'``; None if it is no number.
+    """Split a text such as ``'5 N/mm'``, ``'30ms'`` or ``'2,5 N'`` into a number and a unit, which may be empty.
 
-    The unit is empty if there is none. An unknown unit also gives None: ``'1 m'`` is a quantity, ``'2nd'``
-    and ``'3 apples'`` are not.
+    Return None if the text is not a number or if its unit is unknown. For example, ``'1 m'`` is a quantity, but
+    ``'2nd'`` and ``'3 apples'`` are not.
 
     Raises
     ------
     ParameterError
-        If a comma may separate thousands.
+        If a comma may be a thousands separator.
 
     Examples
     --------
@@ -150,21 +150,21 @@ def split_quantity(text: str) -> tuple[float, str] | None:
 
 
 def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
-    """Return a quantity in SI; a plain number is in SI.
+    """Convert a quantity to SI units. A number without a unit is already in SI units.
 
     Parameters
     ----------
     text : str
-        Such as ``'5 N/mm'`` or ``'5000'``.
+        Quantity, such as ``'5 N/mm'`` or ``'5000'``.
     quantities : tuple of str
         Allowed physical quantities.
     what : str
-        Name of the option or key, for messages.
+        Name of the option or key for messages.
 
     Raises
     ------
     ParameterError
-        If it is not a number, or its unit is unknown or belongs to another quantity.
+        If the text is not a number, or if its unit is unknown or belongs to another quantity.
 
     Examples
     --------
@@ -183,18 +183,18 @@ def quantity_in_si(text: str, quantities: tuple[str, ...], what: str) -> float:
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s/_]*[\[(]([^\[\]()]+)[\])]\s*")
 _PER_TIME = re.compile(r"_(?:per_)?(s|min)$")
-"""Notation of a velocity unit in names that may not contain a slash: v_mm_s."""
+"""Notation of a velocity unit in names that may not contain a slash, such as v_mm_s."""
 _BEFORE_UNIT = re.compile(r"\s*/\s*|_|\s+in\s+")
 
 
 def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str]:
-    """Return the name in the heading of a column, and the unit after it; empty if there is none.
+    """Split the heading of a column into a name and a unit, which is empty if there is none.
 
     Parameters
     ----------
     heading : str
     quantities : collection of str
-        Physical quantities that the column may have; text in brackets always counts as a unit.
+        Physical quantities that the column may have. Text in brackets always counts as a unit.
 
     Examples
     --------
@@ -203,10 +203,10 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
     >>> unit_in_heading("m_1", ("length",)), unit_in_heading("force/torque", ("torque",))
     (('m_1', ''), ('force/torque', ''))
     """
-    # an index such as data[0] is no unit
+    # an index as in data[0] is not a unit
     if (match := _IN_BRACKETS.fullmatch(heading)) and not match[2].strip().isdigit():
         return match[1], match[2]
-    if find_unit(heading) is None:  # a ratio such as N/mm
+    if find_unit(heading) is None:  # a unit with a slash, such as N/mm, is not split
         for sign in _BEFORE_UNIT.finditer(heading):
             name, symbol = heading[: sign.start()], _PER_TIME.sub(r"/\1", heading[sign.end() :])
             unit = find_unit(symbol)
@@ -217,7 +217,7 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
 
 
 def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
-    """Return the unit of the same quantity that is `factor` times another one, within a relative tolerance.
+    """Return the unit that is `factor` times a given unit within a relative tolerance, or None.
 
     >>> unit_between("m", 1.1e-3, 0.2)
     'mm'
@@ -230,12 +230,12 @@ def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
 
 
 def factor_to_si(symbol: str, quantities: tuple[str, ...]) -> float:
-    """Return the factor of a unit to SI.
+    """Return the factor from a unit to the SI unit.
 
     Parameters
     ----------
     symbol : str
-        Unit as a profile writes it, such as ``mm``.
+        Unit as written in a profile, such as ``mm``.
     quantities : tuple of str
         Allowed physical quantities, such as ``("length",)``.
 

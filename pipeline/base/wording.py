@@ -1,4 +1,4 @@
-"""Numbers in sentences for readers: plurals, percent, the minus sign, non-breaking spaces."""
+"""Numbers in prose: plurals, percentages, minus signs and non-breaking spaces."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 _MINUS = re.compile(r"(?<![\w.\-/])-(?=\d|\.\d)|(?<=\d[eE])-(?=\d)")
-"""A hyphen before a separate number or in an exponent, but not inside names, dates and options."""
+"""A hyphen before a separate number or in an exponent, but not in a name, date or option."""
 
 _UNITS = r"%|N/m|Nm/rad|Ns/m|Nms/rad|kg|kN/m|samples?|trials?|percentage points|points|ms|mm|s|m|N|Nm|Hz|s⁻¹|rad"
 
@@ -21,7 +21,7 @@ _UNBROKEN = re.compile(
 )
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-"""Digits of an exponent."""
+"""Superscript characters of an exponent."""
 
 _NUMBER = re.compile(r"[+−-]?\d+(?:\.\d+)?(?:e[+−-]?\d+)?")
 
@@ -33,12 +33,12 @@ _PARTS = re.compile(
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless the number is one: ``1 trial``, ``0 trials``."""
+    """Return a number with its noun in the singular or plural, such as ``1 trial`` or ``0 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def duration(seconds: float) -> str:
-    """Return a time with a suitable unit: ``2.5 s``, ``419 µs``."""
+    """Return a time in a suitable unit, such as ``2.5 s`` or ``419 µs``."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
         if seconds * factor >= 1:
             return f"{seconds * factor:.2g} {unit}" if seconds * factor < 100 else f"{seconds * factor:.0f} {unit}"
@@ -46,7 +46,7 @@ def duration(seconds: float) -> str:
 
 
 def error_text(error: float | None) -> str:
-    """Return an error with its order of magnitude, as ``3·10⁻⁹``."""
+    """Return the order of magnitude of an error, such as ``3·10⁻⁹``."""
     if error is None:
         return "no number"
     if error == 0:
@@ -59,17 +59,17 @@ def error_text(error: float | None) -> str:
 
 
 def power_of_ten(exponent: int) -> str:
-    """Return 10 with its exponent: ``10⁻⁹``."""
+    """Return a power of ten, such as ``10⁻⁹``."""
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return names as in a sentence: ``1``, ``1 and 2``, ``1, 2 and 3``."""
+    """Join names as in a sentence, such as ``1``, ``1 and 2`` or ``1, 2 and 3``."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def commonest(reasons: Iterable[str]) -> str:
-    """Return the most frequent reason, the first of equally frequent ones; empty if there is none.
+    """Return the most frequent reason that is not empty. If several are equally frequent, return the first of them.
 
     >>> commonest(["", "b", "a", "a", "b"])
     'b'
@@ -78,7 +78,7 @@ def commonest(reasons: Iterable[str]) -> str:
 
 
 def of_most(reasons: Iterable[str]) -> str:
-    """Return the reason of most trials as the end of a sentence; empty if there is none.
+    """Return the most frequent reason of the trials as the end of a sentence, or an empty text if there is none.
 
     >>> of_most(["", "too short"]), of_most([""])
     ('; most trials: too short', '')
@@ -88,7 +88,7 @@ def of_most(reasons: Iterable[str]) -> str:
 
 
 def first_clause(text: str) -> str:
-    """Return the text before the first semicolon outside brackets.
+    """Return the text before the first semicolon that is not in brackets.
 
     >>> first_clause("it is clipped (43 of 61 logs; at 8 N); more")
     'it is clipped (43 of 61 logs; at 8 N)'
@@ -102,34 +102,39 @@ def first_clause(text: str) -> str:
 
 
 def percent(share: float, places: int = 0) -> str:
-    """Return a share as a percentage: ``5.6 %``, with a true minus sign."""
+    """Return a share as a percentage, such as ``5.6 %``, with the minus sign U+2212."""
     return true_minus(f"{100 * share:.{places}f} %")
 
 
 def true_minus(text: str) -> str:
-    """Return a sentence in which negative numbers have the minus sign U+2212.
+    """Replace the hyphens before numbers in a sentence by the minus sign U+2212.
 
-    Not for machine-readable text, where numbers keep the hyphen.
+    Do not use it for machine-readable text, where numbers keep the hyphen.
     """
     return _MINUS.sub("\N{MINUS SIGN}", text)
 
 
 def unbroken(page: str) -> str:
-    """Return a page in which no line breaks between number and unit, or symbol and value.
+    """Insert non-breaking spaces between numbers and units, and between symbols and values.
 
     Parameters
     ----------
     page : str
-        HTML. Tags with their attributes, scripts, styles, drawings and code stay as they are.
+        HTML page. Its tags, attributes, scripts, styles, drawings and code are unchanged.
     """
     return _PARTS.sub(lambda part: _joined(part["prose"]) if part["prose"] else part[0], page)
 
 
 def shared_notes(notes: Sequence[str]) -> dict[str, str]:
-    """Map each note to a common note of all notes that differ only in numbers.
+    """Merge notes that differ only in numbers.
 
-    Different numbers are replaced by their range: notes on 0.2 % and on 0.4 % share one on 0.2 to 0.4 %. Notes with
-    different ranges are not merged, since a range of ranges is unreadable.
+    The numbers that differ are replaced by their range. For example, the notes on 0.2 % and on 0.4 % become one note on
+    0.2 to 0.4 %. Notes with different ranges are not merged because a range of ranges is unreadable.
+
+    Returns
+    -------
+    dict
+        Merged note by original note.
     """
     alike: dict[str, list[str]] = {}
     for note in dict.fromkeys(notes):
@@ -142,7 +147,7 @@ def shared_notes(notes: Sequence[str]) -> dict[str, str]:
 
 
 def _with_ranges(notes: Sequence[str]) -> str:
-    """Return the common text of notes with the same count of numbers, with ranges in place of the numbers."""
+    """Return the common text of notes that differ only in numbers, with the ranges of the numbers."""
     values = zip(*(_NUMBER.findall(note) for note in notes), strict=True)
     ends = [sorted(found, key=lambda text: float(text.replace("\N{MINUS SIGN}", "-"))) for found in values]
     ranges = iter(found[0] if found[0] == found[-1] else f"{found[0]} to {found[-1]}" for found in ends)

@@ -1,1 +1,1 @@
-"""One device in a sampled control loop: its record, its parts and the table of its parameters."""
+"""Record of a device in a sampled control loop, its parts and the table of its parameters."""

@@ -1,6 +1,6 @@
-"""A device in a sampled control loop: one record for files, theory, estimation, simulation and reports.
+"""Record of a device in a sampled control loop, shared by files, theory, estimation, simulation and reports.
 
-All values are in SI. The names of its numbers are those of `pipeline.device.parameters.PARAMETERS`.
+All values are in SI units. Its parameters are named as in `pipeline.device.parameters.PARAMETERS`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from pipeline.device.parts import (
 )
 
 LIGHTEST_LOAD, LEAST_LOSS = 1e-6, 1e-9
-"""Load of a mode relative to the total mass, and its damping ratio: if both are smaller, double precision cannot
-separate its crossings of the unit circle."""
+"""Load of a mode relative to the total mass, and damping ratio of the mode. If both are smaller, double precision
+cannot separate the crossings of the unit circle that the mode causes."""
 
 PARTS: dict[str, Any] = {
     "velocity": VelocityFilter,
@@ -45,39 +45,40 @@ PARTS: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Loop:
-    """A device with delay, and everything that acts between the command and the position reading.
+    """Device with delay, and all parts that act between the command and the position reading.
 
     Parameters
     ----------
     mass : float
-        m [kg, kg m^2], > 0: of the device, the load of a mode included, without operator.
+        Mass m of the device [kg, kg m^2], > 0. It includes the load of a mode, but not the operator.
     damping : float
-        Viscous damping b [Ns/m, Nms/rad], >= 0, the load's included.
+        Viscous damping b of the device [Ns/m, Nms/rad], >= 0. It includes the damping of the load.
     sampling_period_s : float
-        T [s], > 0.
+        Sampling period T [s], > 0.
     delay_samples : float
-        Delay t_d/T from command to force, >= 0, integer or fractional.
+        Delay t_d/T from command to force, >= 0. It may be fractional.
     stiffness : float
-        Spring k from the device to ground [N/m, Nm/rad], >= 0.
+        Stiffness k of a spring from the device to ground [N/m, Nm/rad], >= 0.
     motion : {"translation", "rotation"}
-        Decides the units.
+        Type of motion, which determines the units.
     velocity : VelocityFilter or mapping, optional
-        Filter of the velocity, as in a device file (docs/devices.md), like all parts below.
+        Filter of the velocity. It is given as in a device file (docs/devices.md), like all parts below.
     actuator_lag_s : float
         Time constant of the actuator [s], >= 0.
     force_gain : float
         Force per unit of command, > 0.
     mode : Mode or mapping, optional
-        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
-        ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
+        Vibration mode with ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
+        ``sensor`` (``motor`` or ``load``) and ``load_damping`` (part of the device's damping).
     operator : Operator or mapping, optional
-        Rigidly attached to the motor: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
+        Operator that is rigidly attached to the motor. Its ``mass``, ``damping`` and ``stiffness`` are added to those
+        of the device.
     friction : Friction or mapping, optional
-        On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
+        Friction on the motor side, with ``coulomb``, ``stiction`` and ``stribeck_velocity``.
     sensor : Sensor or mapping
-        ``quantum`` and ``noise`` of the position sensor [m, rad].
+        Position sensor with ``quantum`` and ``noise`` [m, rad].
     jitter_samples : tuple of int
-        Delays from which the delay of each command is drawn; ``delay_samples`` is then their mean.
+        Delays from which the delay of each command is drawn. ``delay_samples`` is then their mean.
     constant_force : float
         Force on the motor in addition to the command [N, Nm], such as gravity.
     force_limit : float, optional
@@ -86,7 +87,8 @@ class Loop:
     Raises
     ------
     ParameterError
-        If a number is outside its range, or contradicts another one; the message names key, value and expectation.
+        If a number is outside its range or contradicts another number. The message names the key, the value and the
+        expected range.
 
     Notes
     -----
@@ -131,7 +133,7 @@ class Loop:
             raise ParameterError("; ".join(mistakes))
 
     def _contradictions(self) -> list[str]:
-        """Return sentences on parameters that contradict each other."""
+        """Return one sentence for each contradiction between parameters."""
         mistakes, mode, velocity = [], self.mode, self.velocity
         low, high = self.delay_range
         if not low <= self.delay_samples <= high:
@@ -169,12 +171,12 @@ class Loop:
         return mistakes
 
     def value(self, name: str) -> float | None:
-        """Return a number by its name in `PARAMETERS`; None if the loop has no such part.
+        """Return a number by its name in `PARAMETERS`, or None if the loop lacks its part.
 
         Raises
         ------
         ParameterError
-            If no parameter has that name.
+            If no parameter has this name.
         """
         parameter = _parameter(name)
         if name == "jitter_samples":
@@ -185,20 +187,20 @@ class Loop:
         return None if value is None else float(value)
 
     def replace(self, values: Mapping[str, float | None]) -> Self:
-        """Return a loop with other values, by their names in `PARAMETERS`; a part that it lacks is added.
+        """Return a loop with changed values, by their names in `PARAMETERS`. Parts that the loop lacks are added.
 
-        A new delay is constant: it replaces those of `jitter_samples`.
+        A new delay is constant, so that `jitter_samples` is cleared.
 
         Raises
         ------
         ParameterError
-            If no parameter has such a name, or a value is outside its range.
+            If no parameter has one of the names, or if a value is outside its range.
         """
         changes: dict[str, Any] = {"jitter_samples": ()} if "delay_samples" in values else {}
         for name, value in values.items():
             parameter = _parameter(name)
             if name == "jitter_samples":
-                raise ParameterError("jitter_samples is a set of delays; expected dataclasses.replace for another one.")
+                raise ParameterError("jitter_samples is a set of delays; expected dataclasses.replace to change it.")
             if not parameter.part:
                 changes[name] = value
                 continue
@@ -208,23 +210,23 @@ class Loop:
 
     @property
     def load_damping(self) -> float:
-        """Part of the damping that acts on the load of a mode [Ns/m, Nms/rad]; it does not contribute to passivity."""
+        """Part of the damping that acts on the load of a mode [Ns/m, Nms/rad]. It does not contribute to passivity."""
         return self.mode.load_damping if self.mode else 0.0
 
     @property
     def passive_damping(self) -> float:
-        """Damping that makes walls passive, per unit of command: without that of an operator or a load."""
+        """Damping that contributes to passivity, per unit of command. It excludes the damping of operator and load."""
         return (self.damping - self.load_damping) / self.force_gain
 
     @property
     def delay_range(self) -> tuple[float, float]:
-        """Shortest and longest delay [samples]; both `delay_samples` without jitter."""
+        """Shortest and longest delay [samples], which both equal `delay_samples` without jitter."""
         drawn = self.jitter_samples or (self.delay_samples,)
         return float(min(drawn)), float(max(drawn))
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of parts that linear theory cannot include: an adaptive velocity filter, friction, jitter."""
+        """Names of the parts that linear theory cannot include: an adaptive velocity filter, friction and jitter."""
         low, high = self.delay_range
         names = {
             "velocity": isinstance(self.velocity, AdaptiveWindow | Levant),
@@ -234,9 +236,9 @@ class Loop:
         return tuple(name for name, present in names.items() if present)
 
     def with_operator(self) -> Loop:
-        """Return the loop with its operator as a part of the device.
+        """Return the loop with its operator as part of the device.
 
-        The operator moves with the motor, which lowers the frequency of a vibration mode: its spring stays.
+        The operator moves with the motor. It lowers the frequency of a vibration mode, whose spring is unchanged.
         """
         operator, mode = self.operator, self.mode
         if operator is None:
@@ -257,9 +259,9 @@ class Loop:
         )
 
     def apparent(self) -> Loop:
-        """Return the device that the wall feels: operator included, per unit of command.
+        """Return the device as seen from the wall: with the operator, and per unit of command.
 
-        A command of 1 N is a force of ``force_gain`` newtons, so that mass, damping, stiffness and forces are divided
+        A command of 1 N is a force of ``force_gain`` newtons. Mass, damping, stiffness and forces are therefore divided
         by the gain.
         """
         if self.operator is None and self.force_gain == 1:
@@ -270,14 +272,14 @@ class Loop:
     def normalised(self) -> Loop:
         """Return the apparent device in units of its mass and of the sampling period (Table 3.1).
 
-        Its stiffness is gamma = k T^2/m, its damping delta = b T/m, its lag is in samples; mass and sampling period
-        are 1.
+        The stiffness is gamma = k T^2/m, the damping is delta = b T/m, and the lag is in samples. The mass and the
+        sampling period are 1.
         """
         device = self.apparent()
         return device._in_units(device.mass, self.sampling_period_s)
 
     def _in_units(self, mass: float, time: float, **others: float | None) -> Loop:
-        """Return the loop with all parameters divided by their units formed of a mass and a time."""
+        """Divide all parameters by their units, which are formed of a mass and a time."""
         changes: dict[str, Any] = {}
         for name, parameter in PARAMETERS.items():
             value, unit = self.value(name), parameter.normalising_unit(mass, time)
@@ -291,11 +293,11 @@ class Loop:
         return self._changed(**changes | others)
 
     def _changed(self, **changes: Any) -> Loop:
-        """Return a record with other entries."""
+        """Return the loop with changed fields."""
         return Loop(**{each.name: getattr(self, each.name) for each in fields(Loop)} | changes)
 
     def parts_in_words(self) -> str:
-        """Return the linear parts in words, for captions; empty for an ideal loop."""
+        """Describe the linear parts for captions. The text is empty for an ideal loop."""
         words, velocity = [], self.velocity
         if isinstance(velocity, Butterworth):
             words.append(f"velocity filter (Butterworth, order {velocity.order}, {velocity.cutoff_hz:g} Hz)")
@@ -316,12 +318,12 @@ class Loop:
 
 def _parameter(name: str) -> Parameter:
     if name not in PARAMETERS:
-        raise ParameterError(f"{name!r} is no parameter of a loop; expected one of {', '.join(PARAMETERS)}.")
+        raise ParameterError(f"{name!r} is not a parameter of a loop; expected one of {', '.join(PARAMETERS)}.")
     return PARAMETERS[name]
 
 
 def _check(name: str, value: float | None) -> None:
-    """Refuse a parameter of the loop outside its range."""
+    """Refuse a parameter of the loop that is outside its range."""
     if value is None:
         return
     parameter, number = PARAMETERS[name], as_number(value)
@@ -333,7 +335,7 @@ def _check(name: str, value: float | None) -> None:
 
 
 def _part(name: str, kind: Any, given: object) -> Any:
-    """Return a part of the loop from a mapping with the keys of a device file."""
+    """Build a part of the loop from a mapping with the keys of a device file."""
     try:
         return TypeAdapter(kind).validate_python(given)
     except ValidationError as error:
@@ -342,15 +344,15 @@ def _part(name: str, kind: Any, given: object) -> Any:
             f"{fault['msg']}"
             for fault in error.errors()
         ]
-        raise ParameterError(f"{'; '.join(reasons)}. The keys are those of a device file (docs/devices.md).") from None
+        raise ParameterError(f"{'; '.join(reasons)}. Use the keys of a device file (docs/devices.md).") from None
 
 
 _KINDS = ("difference", "butterworth", "coefficients", "kalman", "foaw", "levant")
-"""Names of filter kinds, which validation adds to the path of a key."""
+"""Kinds of filters, which validation inserts into the path of a key."""
 
 
 def as_number(value: float) -> float:
-    """Return a number as a float; infinite for an integer beyond the range of floats."""
+    """Convert a number to a float, which is infinite for an integer beyond the range of floats."""
     try:
         return float(value)
     except OverflowError:

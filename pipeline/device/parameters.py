@@ -1,8 +1,8 @@
-"""The table of parameters: every number of a `pipeline.device.loop.Loop`, with symbol, unit, bounds, label and meaning.
+"""Table of the parameters of a `pipeline.device.loop.Loop`, with symbol, unit, bounds, label and meaning.
 
-Keys of device files and of JSON documents, stored columns, units, labels and the order of a covariance are those of
-`PARAMETERS`. To add a part to the loop: one row for each number here, a field of `Loop`, and its lines in
-`pipeline.loop.state_space`.
+`PARAMETERS` defines the keys of device files and JSON documents, the stored columns, the units, the labels and the
+order of a covariance. A new part of the loop needs a row here for each of its numbers, a field of `Loop`, and its
+equations in `pipeline.loop.state_space`.
 """
 
 from __future__ import annotations
@@ -25,15 +25,14 @@ Motion = Literal[
     "translation in %",
     "rotation in %",
 ]
-"""Type of motion of a device, and the unit of its commands if they are not forces or torques, but those of a drive with
-unknown gain. Together they determine the units of all parameters, which are then per volt, ampere, count or percent.
-"""
+"""Type of motion of a device. If commands are not forces or torques but those of a drive with unknown gain, it includes
+their unit. It determines the units of all parameters, which are then per volt, ampere, count or percent."""
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 
 def is_rotation(motion: str) -> bool:
-    """Return whether a device rotates, independent of the unit of its commands.
+    """Return True if the device rotates, independent of the unit of its commands.
 
     >>> is_rotation("rotation in V"), is_rotation("translation")
     (True, False)
@@ -42,7 +41,7 @@ def is_rotation(motion: str) -> bool:
 
 
 def drive_of(motion: str) -> str:
-    """Return the unit of the commands of a drive; empty if commands are forces or torques.
+    """Return the unit of the commands of a drive, or an empty text if commands are forces or torques.
 
     >>> drive_of("rotation in V"), drive_of("rotation")
     ('V', '')
@@ -66,14 +65,14 @@ UNITS: dict[Dimension, tuple[str, str]] = {
     "frequency": ("Hz", "Hz"),
     "ratio": ("", ""),
 }
-"""SI unit of each dimension for translation and rotation."""
+"""SI units of each dimension for translation and rotation."""
 
 _PER_COMMAND: dict[str, str] = {"mass": "s^2/{}", "damping": "s/{}", "stiffness": "/{}", "force": ""}
-"""Suffix after the unit of a command in the unit of each dimension that contains a force."""
+"""Suffix to the unit of a command that gives the unit of each dimension that contains a force."""
 
 
 def unit_of(dimension: Dimension, motion: Motion) -> str:
-    """Return the unit of a dimension for a kind of motion: SI, with the unit of a drive in place of N or Nm.
+    """Return the unit of a dimension for a type of motion. The unit of a drive replaces N or Nm in the SI unit.
 
     >>> unit_of("mass", "rotation"), unit_of("mass", "translation in V"), unit_of("damping", "rotation in counts")
     ('kg m^2', 'Vs^2/m', 'counts s/rad')
@@ -85,7 +84,7 @@ def unit_of(dimension: Dimension, motion: Motion) -> str:
 
 
 def unit_in(unit: str, motion: Motion) -> str:
-    """Return the unit that replaces ``unit``, the SI unit for translation, for a kind of motion.
+    """Convert ``unit``, the SI unit for translation, to the unit for a type of motion.
 
     >>> unit_in("N/m", "rotation"), unit_in("N/m", "translation in V"), unit_in("s", "rotation in V")
     ('Nm/rad', 'V/m', 's')
@@ -106,34 +105,34 @@ POWERS: dict[Dimension, tuple[int, int]] = {
     "frequency": (0, -1),
     "ratio": (0, 0),
 }
-"""Powers of mass and time of each dimension. Quantities with a power of the mass are per unit of command at the wall;
-in units of mass and sampling period these are the factors of Table 3.1 (Hulin 2017)."""
+"""Powers of mass and time of each dimension. Quantities with a power of the mass are per unit of command at the wall.
+In units of mass and sampling period, the powers give the factors of Table 3.1 (Hulin 2017)."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a loop: its names, unit and bounds.
+    """Parameter of a loop with its names, unit and bounds.
 
     Parameters
     ----------
     name : str
         Path in the record, in the ``[loop]`` table of a device file and in JSON, such as ``mode.frequency_hz``.
     symbol : str
-        Symbol of the thesis, or of the docs if it has none.
+        Symbol of the thesis, or else of the documentation.
     dimension : Dimension
-        Determines the SI unit for translation and rotation (`UNITS`).
+        Dimension, which determines the SI units for translation and rotation (`UNITS`).
     label : str
         Short noun for tables and figures.
     meaning : str
-        A sentence without a full stop.
+        Description without a full stop.
     positive : bool
-        Whether 0 is excluded.
+        Whether values must be greater than ``lower``.
     lower : float
-        Smallest value; itself excluded where ``positive``.
+        Lower bound, which is excluded if ``positive``.
     may_seem_negative : bool
-        Whether an estimate may be negative: a device near an unstable equilibrium has a negative stiffness.
+        Whether an estimate may be negative. For example, the stiffness is negative near an unstable equilibrium.
     unit_name : str
-        Unit that replaces that of the dimension, such as ``samples`` for counts.
+        Unit that replaces the unit of the dimension, such as ``samples``.
     """
 
     name: str
@@ -148,16 +147,16 @@ class Parameter:
 
     @property
     def part(self) -> str:
-        """Part of the loop that the number belongs to, such as ``mode``; empty for the loop's own."""
+        """Part of the loop that contains the number, such as ``mode``; empty for a number of the loop itself."""
         return self.name.rpartition(".")[0]
 
     @property
     def key(self) -> str:
-        """Name within its part."""
+        """Name within the part."""
         return self.name.rpartition(".")[2]
 
     def unit(self, motion: Motion) -> str:
-        """Return the SI unit for a kind of motion.
+        """Return the unit for a type of motion.
 
         >>> PARAMETERS["damping"].unit("rotation"), PARAMETERS["delay_samples"].unit("translation")
         ('Nms/rad', 'samples')
@@ -165,7 +164,7 @@ class Parameter:
         return self.unit_name or unit_of(self.dimension, motion)
 
     def normalising_unit(self, mass: float, time: float) -> float:
-        """Return mass^a time^b of the parameter's dimension, the divisor for units of mass and time.
+        """Return mass^a time^b for the dimension of the parameter. It is the divisor for units of mass and time.
 
         >>> PARAMETERS["stiffness"].normalising_unit(0.5, 1e-3)
         500000.0
@@ -246,7 +245,7 @@ def _rows() -> tuple[Parameter, ...]:
 
 
 PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _rows()}
-"""All numbers of a loop by name, in the order of files, tables and covariances."""
+"""All parameters of a loop by name, in the order of files, tables and covariances."""
 
 ESTIMATE_PARAMETERS = {"friction": "friction.coulomb", "device_stiffness": "stiffness"}
-"""Parameter of each name in ``estimates`` of a comparison's document that differs from the parameter's name."""
+"""Parameters of the names in ``estimates`` of a comparison's document that differ from the names here."""

@@ -1,6 +1,7 @@
-"""Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. Absent parts are ideal.
+"""Parts of a loop, and the tables ``[loop]`` and ``[simulation]`` of a device file. Missing parts are ideal.
 
-Theory and estimates never read ``[simulation]``: it lists undocumented faults that the logs of a lab may have.
+The table ``[simulation]`` lists undocumented faults that the logs of a lab may have. Theory and estimates
+never read it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Range of nonzero magnitudes in SI: products within a formula neither overflow nor underflow."""
+"""Range of nonzero magnitudes in SI units, for which the products in a formula neither overflow nor underflow."""
 
 
 def _of_a_size(value: float) -> float:
@@ -26,20 +27,20 @@ NonNegative = Annotated[float, Field(ge=0), AfterValidator(_of_a_size)]
 
 
 class Part(BaseModel):
-    """Base of all parts: immutable, no unknown fields, no NaN or infinity."""
+    """Base of all parts. It is immutable and accepts no unknown fields, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Difference(Part):
-    """Velocity as the mean over N samples, (x_k - x_{k-N})/(N T); N = 1 is the ideal case."""
+    """Velocity as the mean over N samples, (x_k - x_{k-N})/(N T). N = 1 is the ideal case."""
 
     kind: Literal["difference"]
     samples: Annotated[int, Field(ge=1, le=1000)]
 
 
 class Butterworth(Part):
-    """Butterworth low-pass of (x_k - x_{k-1})/T by the bilinear transform, prewarped at the cut-off [Hz]."""
+    """Butterworth low-pass filter of (x_k - x_{k-1})/T by the bilinear transform, prewarped at the cut-off [Hz]."""
 
     kind: Literal["butterworth"]
     order: Annotated[int, Field(ge=1, le=4)]
@@ -47,7 +48,7 @@ class Butterworth(Part):
 
 
 class Coefficients(Part):
-    """Filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z; stable, of any static gain."""
+    """Stable filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z, with any static gain."""
 
     kind: Literal["coefficients"]
     b: Annotated[tuple[Number, ...], Field(min_length=1, max_length=64)]
@@ -70,10 +71,10 @@ class Coefficients(Part):
 
 
 class Kalman(Part):
-    """Steady-state Kalman filter of positions: white acceleration, constant over each sample, and white sensor noise.
+    """Steady-state Kalman filter of positions, with white sensor noise and a white acceleration, constant in a sample.
 
-    ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations; a sensor resolution q counts as
-    noise of standard deviation q/sqrt(12). Only T^2 times their ratio, the tracking index, matters.
+    ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations. A sensor resolution q counts as
+    noise of standard deviation q/sqrt(12). Only the tracking index matters, which is T^2 times their ratio.
 
     Source: Kalata 1984, "The tracking index", IEEE Trans. Aerospace and Electronic Systems 20 (2).
     """
@@ -83,7 +84,7 @@ class Kalman(Part):
     noise: Positive
 
     def coefficients(self, sampling_period_s: float) -> Coefficients:
-        """Return the same filter of (x_k - x_{k-1})/T."""
+        """Return the coefficients of the equivalent filter of (x_k - x_{k-1})/T."""
         index = self.acceleration * sampling_period_s**2 / self.noise
         root = sqrt(index * (index + 8))
         # 1 - r and r = (4 + index - root)/4, both without cancellation of nearly equal numbers
@@ -94,10 +95,10 @@ class Kalman(Part):
 
 
 class AdaptiveWindow(Part):
-    """First-order adaptive window (FOAW): the slope over the longest window whose samples are all near its line.
+    """First-order adaptive window (FOAW). The velocity is the slope over the longest window with samples near a line.
 
-    ``bound`` [m, rad] is the largest distance of a sample from the line through the window's ends: the error bound of
-    the sensor, such as its resolution. ``longest`` is the largest window [samples].
+    ``bound`` [m, rad] is the largest distance of a sample from the line through the ends of the window. It is the error
+    bound of the sensor, such as its resolution. ``longest`` is the largest window [samples].
 
     Source: Janabi-Sharifi, Hayward, Chen 2000, IEEE Trans. Control Systems Technology 8 (6), end-fit.
     """
@@ -108,12 +109,12 @@ class AdaptiveWindow(Part):
 
 
 class Levant(Part):
-    """Levant's first-order differentiator, integrated once per sample by Euler's method.
+    """Levant's first-order differentiator, integrated by Euler's method with one step per sample.
 
-    z' = -1.5 C^(1/2) |z - x|^(1/2) sign(z - x) + w, w' = -1.1 C sign(z - x); the velocity is w. ``acceleration``
-    [m/s^2, rad/s^2] is C, the largest expected acceleration.
+    z' = -1.5 C^(1/2) |z - x|^(1/2) sign(z - x) + w, w' = -1.1 C sign(z - x). The velocity is w. The largest expected
+    acceleration C is given by ``acceleration`` [m/s^2, rad/s^2].
 
-    Source: Levant 1998, Automatica 34 (3), with its gains.
+    Source: Levant 1998, Automatica 34 (3), whose gains are used.
     """
 
     kind: Literal["levant"]
@@ -121,17 +122,17 @@ class Levant(Part):
 
 
 LinearFilter = Difference | Butterworth | Coefficients
-"""Velocity filters of linear theory; a Kalman filter is converted to coefficients."""
+"""Velocity filters of linear theory. A Kalman filter is converted to coefficients."""
 
 VelocityFilter = Annotated[LinearFilter | Kalman | AdaptiveWindow | Levant, Field(discriminator="kind")]
 
 
 class Mode(Part):
-    """One vibration mode: two masses connected by a spring. Force, damping and operator act on the motor side.
+    """Vibration mode of two masses connected by a spring. Force, damping and operator act on the motor side.
 
-    ``frequency_hz`` is the free-free resonance, ``damping_ratio`` that of the relative motion, ``mass`` [kg, kg m^2]
-    the load; the experiment's mass is the sum of both. ``load_damping`` [Ns/m, Nms/rad] is the part of the experiment's
-    damping that acts on the load.
+    ``frequency_hz`` is the free-free resonance, and ``damping_ratio`` is the damping ratio of the relative motion.
+    ``mass`` [kg, kg m^2] is the mass of the load; the experiment's mass is the sum of both masses. ``load_damping``
+    [Ns/m, Nms/rad] is the part of the experiment's damping that acts on the load.
     """
 
     frequency_hz: Positive
@@ -142,7 +143,7 @@ class Mode(Part):
 
 
 class Operator(Part):
-    """A hand or arm, rigidly attached to the motor side: mass, damping and stiffness are added to the device's."""
+    """Hand or arm, rigidly attached to the motor side. Mass, damping and stiffness are added to the device's."""
 
     mass: Positive
     damping: NonNegative = 0.0
@@ -150,7 +151,7 @@ class Operator(Part):
 
 
 class Friction(Part):
-    """Coulomb friction and stiction [N, Nm] on the motor's side; the Stribeck velocity [m/s, rad/s] joins them."""
+    """Coulomb friction and stiction [N, Nm] on the motor side, joined at ``stribeck_velocity`` [m/s, rad/s]."""
 
     coulomb: NonNegative
     stiction: NonNegative | None = None
@@ -164,14 +165,14 @@ class Friction(Part):
 
 
 class Sensor(Part):
-    """Position sensor: quantisation step and standard deviation of white noise before it, in m or rad."""
+    """Position sensor, with its quantisation step and the standard deviation of white noise before it [m, rad]."""
 
     quantum: NonNegative = 0.0
     noise: NonNegative = 0.0
 
 
 class LoopTable(Part):
-    """The ``[loop]`` table of a device or an experiment, as in a file; parts that it does not name are ideal."""
+    """The ``[loop]`` table of a device or an experiment in a file. Parts that are not listed are ideal."""
 
     velocity: VelocityFilter | None = None
     actuator_lag_s: NonNegative = 0.0
@@ -181,12 +182,12 @@ class LoopTable(Part):
     friction: Friction | None = None
 
     def over(self, lower: LoopTable) -> LoopTable:
-        """Return this table, completed by entries of another."""
+        """Return this table, completed by the entries of ``lower``."""
         return LoopTable(**{**named(lower), **named(self)})
 
 
 def named(parts: Part) -> dict[str, object]:
-    """Return the fields that a table names, as given, in the order of their definition."""
+    """Return the fields that are given in a table, in the order of their definition."""
     return {name: getattr(parts, name) for name in type(parts).model_fields if name in parts.model_fields_set}
 
 
@@ -195,39 +196,39 @@ Deviation = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class LaterStep(Part):
-    """A further step of the external force [N, Nm], added from a time [s] of the log on."""
+    """Additional step of the external force [N, Nm], which acts from a time [s] of the log on."""
 
     time_s: Positive
     size: Number
 
 
 class SimulationParts(Part):
-    """The ``[simulation]`` table of a device or an experiment; faults that it does not name are absent.
+    """The ``[simulation]`` table of a device or an experiment. Faults that are not listed are absent.
 
     Parameters
     ----------
     one_sided_wall : bool
-        The wall acts only beyond its rest in the direction of the step; outside there is no wall force.
+        Whether the wall acts only beyond its rest position in the direction of the step.
     constant_force : float
         Force on the device in addition to the command [N, Nm], such as gravity.
     gain_error : float
-        Rendered force relative to ``force_gain`` times the command, less 1.
+        Relative error of the rendered force: its ratio to ``force_gain`` times the command, minus 1.
     clock_error : float
-        True sampling period relative to the stated one, less 1.
+        Relative error of the sampling period: ratio of the true to the stated period, minus 1.
     clipped_command_logged : bool
-        The log contains the command after the force limit instead of before it.
+        Whether the log contains the command after the force limit instead of before it.
     lost_rows : float
-        Share of rows that are missing in the log.
+        Fraction of rows that are missing in the log.
     lost_rows_hidden : bool
-        Time stamps are renumbered, so that they do not show which rows are missing.
+        Whether the time stamps are renumbered, so that they do not show which rows are missing.
     held_samples : float
-        Fraction of samples in which the sensor repeats its last value; the controller receives it, too.
+        Fraction of samples in which the sensor repeats its last value for both the controller and the log.
     repeated_rows : float
-        Share of rows in which the log repeats the previous position; the controller had the true one.
+        Fraction of rows in which the log repeats the previous position, while the controller receives the true one.
     ramp_samples : int
-        Samples over which the step rises; 1 is a step.
+        Number of samples in which the external force rises. It is 1 for an ideal step.
     later_steps : tuple of LaterStep
-        Further steps in the same log.
+        Additional steps in the same log.
     """
 
     one_sided_wall: bool = False
@@ -243,11 +244,11 @@ class SimulationParts(Part):
     later_steps: tuple[LaterStep, ...] = ()
 
     def over(self, lower: SimulationParts) -> SimulationParts:
-        """Return these parts, with missing ones taken from ``lower``."""
+        """Return this table, completed by the entries of ``lower``."""
         return SimulationParts(**{**named(lower), **named(self)})
 
     def mistakes(self, duration_s: float, force_limit: float | None) -> list[str]:
-        """Return sentences on entries that contradict the trial length [s] or the force limit [N, Nm] of a device."""
+        """Return one sentence for each contradiction with the device's trial length [s] or force limit [N, Nm]."""
         found = [
             f"simulation.later_steps[{i}].time_s: found {step.time_s:g}; must be below duration_s, {duration_s:g}"
             for i, step in enumerate(self.later_steps, start=1)

@@ -1,1 +1,1 @@
-"""Devices as data: their files, the values published for them, the human arm."""
+"""Device files, published values of devices, and models of the human arm."""

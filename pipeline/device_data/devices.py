@@ -1,7 +1,8 @@
-"""Devices as data: TOML files that ship with the package, and those of a user's own folder.
+"""Access to device files (TOML), which ship with the package or are in a folder of the user.
 
-A device is a `pipeline.records.models.Device` in a TOML file. Shipped ones are in ``schemas/devices``; the environment
-variable ``PIPELINE_DEVICES`` names a folder with further ones, which override shipped ones of the same name.
+Each file describes a `pipeline.records.models.Device`. Files in ``schemas/devices`` ship with the package. The
+environment variable ``PIPELINE_DEVICES`` names a folder with further files. They take precedence over shipped files
+that define the same device name.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ _FORMER_FILTER = (
     "leave [controller] out, and without a filter [loop] too"
 )
 SAMPLES, SAMPLES_OF_REST = 1000, 20
-"""Default length of a simulated trial, and of the rest before its step [samples]."""
+"""Default duration of a simulated trial, and default duration of the rest before its step [samples]."""
 
 FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
-"""Replacements of keys of device files of earlier versions."""
+"""Hints for keys in device files of earlier versions."""
 
 
 def known_devices() -> dict[str, Device]:
-    """Return all known devices by name, sorted: shipped ones, replaced or extended by those of the user.
+    """Return all known devices, sorted by name. A device of the user replaces a shipped device of the same name.
 
     Raises
     ------
     DeviceError
-        If a device file is wrong, two files of one folder define the same name, or the folder that
-        ``PIPELINE_DEVICES`` names does not exist. Other TOML files in it are left alone.
+        If a device file is invalid, if two files of one folder define the same name, or if the folder in
+        ``PIPELINE_DEVICES`` does not exist. Other TOML files in the folder are ignored.
     """
     devices = _read_folder(schema_folder() / "devices")
     folder = user_device_folder()
@@ -53,17 +54,17 @@ def known_devices() -> dict[str, Device]:
 
 
 def digest_of(device: Device) -> str:
-    """Return a hash of the content of a device file; keys added by later versions do not change it."""
+    """Return a hash of the content of a device file. Keys that later versions add do not change it."""
     return digest(device.model_dump(mode="json", exclude_defaults=True))
 
 
 def device_file(name: str) -> Path | None:
-    """Return the file of a known device, that of the user before a shipped one; None if unknown.
+    """Return the file of a known device, or None if it is unknown. A user's file precedes a shipped file.
 
     Raises
     ------
     DeviceError
-        As for `known_devices`.
+        If a device file is invalid.
     """
     for folder in filter(None, (user_device_folder(), schema_folder() / "devices")):
         for path in _files(folder):
@@ -73,22 +74,22 @@ def device_file(name: str) -> Path | None:
 
 
 def declared_spring(device: Device | None, experiment: str) -> float:
-    """Return the device's spring stiffness k [N/m, Nm/rad] at the wall, per unit of command, from its file; 0 if none.
+    """Return the device's spring stiffness k at the wall from its file, per unit of command [N/m, Nm/rad].
 
-    The spring shifts the final position to x_0 + F_0/(K + k); it includes the operator's stiffness. A device or an
-    experiment without a file has none.
+    The spring shifts the final position to x_0 + F_0/(K + k). Its stiffness includes the operator's. It is 0 if the
+    device or the experiment has no file.
     """
     entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
     return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
 
 
 def load_device(name: str) -> Device:
-    """Return a known device by its name.
+    """Return a known device by name.
 
     Raises
     ------
     DeviceError
-        If no such device is known; the message lists the known ones.
+        If the device is unknown. The message lists the known devices.
     """
     devices = known_devices()
     if name in devices:
@@ -108,12 +109,12 @@ def load_device(name: str) -> Device:
 
 
 def find_experiment(device: Device, name: str) -> Experiment:
-    """Return an experiment of a device by its name.
+    """Return an experiment of a device by name.
 
     Raises
     ------
     DeviceError
-        If the device has no such experiment; the message lists those it has.
+        If the device has no such experiment. The message lists its experiments.
     """
     for experiment in device.experiments:
         if experiment.name == name:
@@ -124,21 +125,21 @@ def find_experiment(device: Device, name: str) -> Experiment:
 
 
 def read_device(path: Path) -> Device:
-    """Read one device file.
+    """Read a device file.
 
     Parameters
     ----------
     path : Path
-        TOML file with the fields of `pipeline.records.models.Device`; experiments as ``[[experiment]]``, published
-        tables as ``[[table]]``. Numbers are not read from strings or booleans. ``sampling_period_s`` is
-        required, and ``mass`` and ``delay_samples`` for each experiment; a device with only one experiment may state
-        them at the top level.
+        TOML file with the fields of `pipeline.records.models.Device`. Experiments are ``[[experiment]]`` tables, and
+        published tables are ``[[table]]`` tables. Strings and booleans are not accepted as numbers.
+        ``sampling_period_s`` is required, and each experiment requires ``mass`` and ``delay_samples``. A device with
+        only one experiment may state them at the top level.
 
     Raises
     ------
     DeviceError
-        If the file cannot be read, is not TOML, or any field is missing, unknown or out of range: all wrong
-        fields are named, with what was found and why it is refused.
+        If the file cannot be read or is not TOML, or if a field is missing, unknown or out of range. The message
+        lists every invalid field with the value found and the reason.
     """
     try:
         data = _completed(tomllib.loads(path.read_text(encoding="utf-8")), path.stem)
@@ -152,7 +153,7 @@ def read_device(path: Path) -> Device:
     except ValidationError as error:
         details = error.errors(include_url=False)
         places = [detail["loc"] for detail in details]
-        # pydantic also reports a list as too short if all its entries were refused
+        # pydantic also reports a list as too short if it refused all entries of the list
         found = [
             _describe(dict(detail), data)
             for detail in details
@@ -162,19 +163,19 @@ def read_device(path: Path) -> Device:
             )
         ]
         raise DeviceError(
-            f"{path}: wrong device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
+            f"{path}: invalid device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
         ) from error
 
 
 def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the contents of a device file, completed by defaults."""
+    """Add defaults to the contents of a device file."""
     full = {"name": name, **data}
     full = {"title": full["name"], **full}
     if "experiment" not in full:
         own = [key for key in Experiment.model_fields if key in full and key not in Device.model_fields]
         full["experiment"] = [{"name": "1", **{key: full.pop(key) for key in own}}]
     period = full.get("sampling_period_s")
-    # TOML reads 1 as an integer; an invalid period is reported under its key, not under derived ones
+    # TOML reads 1 as an integer; an invalid period is reported under its own key, not under keys derived from it
     unit = 1.0
     if isinstance(period, (int, float)) and not isinstance(period, bool) and SMALLEST <= period <= LARGEST / SAMPLES:
         unit = period
@@ -189,8 +190,8 @@ def _read_folder(folder: Path) -> dict[str, Device]:
         device = read_device(path)
         if device.name in devices:
             raise DeviceError(
-                f"{path}: field name: found {device.name!r}, which {origin[device.name].name} defines too; "
-                "give each device its own name."
+                f"{path}: field name: found {device.name!r}, which {origin[device.name].name} also defines; "
+                "give each device a unique name."
             )
         devices[device.name], origin[device.name] = device, path
     return devices
@@ -198,16 +199,16 @@ def _read_folder(folder: Path) -> dict[str, Device]:
 
 _OF_DEVICES = frozenset({"experiment", "mass", "damping", "delay_samples", "sampling_period_s", "loop"})
 _OF_PROFILES = frozenset({"format", "files", "columns"})
-"""Keys of which device files have at least one, and keys that they never have."""
+"""Keys that only device files contain, and keys that device files never contain."""
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the device files of a folder; other TOML files, such as profiles or settings, are skipped."""
+    """Return the device files of a folder. Other TOML files, such as profiles or settings, are skipped."""
     return [path for path in sorted(folder.glob("*.toml")) if not _is_other(path)]
 
 
 def _is_other(path: Path) -> bool:
-    """Return whether a file is not a device file; an unreadable file is reported by `read_device`."""
+    """Return True if a file is not a device file. An unreadable file is reported later by `read_device`."""
     try:
         keys = tomllib.loads(path.read_text(encoding="utf-8")).keys()
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError):
@@ -216,7 +217,7 @@ def _is_other(path: Path) -> bool:
 
 
 def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
-    """Return one line for one wrong field: path in the file, what was found, why it is refused."""
+    """Describe an invalid field in one line: its path in the file, the value found and the reason."""
     location = detail["loc"]
     field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     message = detail["msg"].removeprefix("Value error, ")
@@ -226,11 +227,11 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
         return f"  {field}{_owner(location, data)}: found nothing; field required"
     if not isinstance(detail["input"], dict | list):
         return f"  {field}{_owner(location, data)}: found {detail['input']!r}; {message}"
-    return f"  {field or 'file as a whole'}{_owner(location, data)}: {message}"
+    return f"  {field or 'entire file'}{_owner(location, data)}: {message}"
 
 
 def _owner(location: tuple[int | str, ...], data: dict[str, Any]) -> str:
-    """Return the name of the experiment or table that a wrong field belongs to, if any."""
+    """Return the name of the experiment or table that contains an invalid field, if any."""
     if len(location) < 2 or not isinstance(location[1], int):
         return ""
     entry = data[str(location[0])][location[1]]

@@ -1,7 +1,6 @@
-"""Published values as printed, with known errata: tables of the thesis, and the human arm.
+"""Published values as printed, with known errata: tables of the thesis and models of the human arm.
 
-The files in ``schemas/published`` ship with the package; nothing here is computed.
-
+The files in ``schemas/published`` ship with the package. This module reads them and computes no values of theory.
 Source: Hulin 2017, Tables 3.2, 5.1, appendices B to D.
 """
 
@@ -27,10 +26,10 @@ _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-h
 _BOUNDS = "hulin-2017-bounds.csv"
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
-"""Tables of theory alone. Their numbers stay text, because their printed digits matter."""
+"""Tables of purely theoretical values. Their numbers are stored as text because the printed digits matter."""
 
 MEASURED_TABLES = ("D.1", "D.2", "D.3", "D.4", "D.5", "D.6")
-"""Tables of optima by theory and by experiments."""
+"""Tables of theoretical and experimental optima."""
 
 QUANTITIES = ("alpha", "beta", "cost", "percent", "scaling")
 """Quantities that a row of the theory tables may have."""
@@ -41,7 +40,7 @@ RowT = TypeVar("RowT", bound=Record)
 
 
 class PublishedRow(Record):
-    """One printed optimum; a cell missing in the table is None.
+    """Printed optimum. A value that is missing in the table is None.
 
     Parameters
     ----------
@@ -49,17 +48,18 @@ class PublishedRow(Record):
         ``D.1`` to ``D.6``.
     device : str
     criterion, condition : str
-        As in the tables: ``theory_discrete``, ``theory_continuous``, ``experiment`` or ``experiment_<n>``.
+        Criterion and condition as in the tables. The condition is ``theory_discrete``, ``theory_continuous``,
+        ``experiment`` or ``experiment_<n>``.
     delay_samples : float or None
         Total delay of a row of Table D.6; None in the other tables.
     stiffness, damping : float or None
         Optimal K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; None in Table D.6.
     cost : float
-        Samples (settling time), fraction (overshoot) or dimensionless (energy).
+        Cost in samples (settling time), as a fraction (overshoot) or dimensionless (energy).
     stiffness_low, stiffness_high, damping_low, damping_high : float or None
         Printed bounding box of a discrete settling optimum.
     erratum : str or None
-        Why a recomputation differs from the printed value; None if it agrees, or if the row was measured.
+        Reason why a recomputation differs from the printed value; None if it agrees, or if the row was measured.
     """
 
     table: Name
@@ -78,24 +78,24 @@ class PublishedRow(Record):
 
     @property
     def is_theory(self) -> bool:
-        """Whether the row comes from theory, not from an experiment."""
+        """Whether the row comes from theory and not from an experiment."""
         return self.condition.startswith("theory")
 
 
 def shipped_rows(file: str, row: type[RowT]) -> tuple[RowT, ...]:
-    """Return the rows of a CSV file of published values that ships with the package; empty cells are omitted.
+    """Read a CSV file of published values that ships with the package. Empty cells are omitted.
 
     Parameters
     ----------
     file : str
-        Name below ``schemas/published/``.
+        File name in ``schemas/published/``.
     row : type
-        Record that validates each row.
+        Type of record that validates each row.
 
     Raises
     ------
     StoreError
-        If the file is missing or damaged; the message names the data row.
+        If the file is missing or damaged. The message names the row.
     """
     path = schema_folder() / "published" / file
     try:
@@ -138,25 +138,26 @@ def published_rows() -> tuple[PublishedRow, ...]:
 
 
 def find(table: str, criterion: str, condition: str, delay_samples: float | None = None) -> PublishedRow | None:
-    """Return the printed row, or None if there is none.
+    """Return a printed row, or None if it does not exist.
 
     Parameters
     ----------
     table, criterion, condition : str
-        As in `PublishedRow`.
+        Values as in `PublishedRow`.
     delay_samples : float, optional
-        Total delay; required for Table D.6, ignored for the others, whose delay is that of the device.
+        Total delay. It is required for Table D.6 and ignored for the other tables, which use the device's delay.
     """
     rows = (r for r in published_rows() if (r.table, r.criterion, r.condition) == (table, criterion, condition))
     return next((row for row in rows if row.delay_samples in (None, delay_samples)), None)
 
 
 def published_deviation(row: PublishedRow) -> float | None:
-    """Return the deviation of a printed measurement from the printed discrete theory of its table, in percent.
+    """Compute the deviation of a printed measurement from the printed discrete theory of its table, in percent.
 
-    None for a row of theory, or if the printed cost of theory is 0.
+    Return None for a row of theory, or if the printed theoretical cost is 0 or missing.
 
-    Source: Hulin 2017, Table D.6, which prints it for delays; by the same definition for D.1 to D.5.
+    Source: Hulin 2017, Table D.6, which prints the deviation for each delay. The same definition is used for D.1 to
+    D.5.
     """
     theory = find(row.table, row.criterion, "theory_discrete", row.delay_samples)
     if row.is_theory or theory is None or not theory.cost:
@@ -166,19 +167,19 @@ def published_deviation(row: PublishedRow) -> float | None:
 
 @dataclass(frozen=True)
 class PrintedNumber:
-    """A number as printed in a table.
+    """Number as printed in a table.
 
     Parameters
     ----------
     text : str
-        All printed digits, trailing zeros included.
+        All printed digits, including trailing zeros.
     """
 
     text: str
 
     @property
     def value(self) -> float:
-        """The number."""
+        """Numeric value."""
         return float(self.text)
 
     @property
@@ -188,31 +189,31 @@ class PrintedNumber:
 
     @property
     def unit(self) -> float:
-        """One unit of the last printed digit."""
+        """One unit in the last printed digit."""
         return float(10.0**-self.digits)
 
 
 class PublishedPoint(Record):
-    """One printed point or factor; values missing in the table are None.
+    """Printed point or factor. A value that is missing in the table is None.
 
     Parameters
     ----------
     table : str
-        One of `THEORY_TABLES`. A row of B.1 to B.4 contains two points, stored as two records.
+        One of `THEORY_TABLES`. A row of B.1 to B.4 contains two points, which are stored as two records.
     criterion : str
-        As in `pipeline.theory.optimum`, or ``alpha_max``, ``beta_max``, ``ziegler_nichols``.
+        Criterion of `pipeline.theory.optimum`, or ``alpha_max``, ``beta_max`` or ``ziegler_nichols``.
     delay, gamma, delta : float
-        Parameters of the loop, normalised.
+        Normalised parameters of the loop.
     alpha, beta : str or None
         Normalised stiffness and damping of the point.
     cost : str or None
-        Cost there as the tables give it: damping ratio, pole modulus, samples, fraction, energy.
+        Cost of the point as tabulated: damping ratio, pole modulus, samples, fraction or energy.
     percent : str or None
-        Tables B: the largest alpha or beta relative to that without delay.
+        Largest alpha or beta relative to its value without delay (Tables B).
     scaling : str or None
-        Table 5.1: scaling factor of (5.19).
+        Scaling factor of (5.19) (Table 5.1).
     erratum_of : tuple of str
-        Names of the numbers that a computation cannot reproduce.
+        Names of the printed numbers that a computation cannot reproduce.
     erratum : str or None
         Reason for the deviation.
     """
@@ -239,7 +240,7 @@ class PublishedPoint(Record):
     def _errata_have_a_reason(self) -> Self:
         absent = [name for name in self.erratum_of if name not in self.printed()]
         if absent or bool(self.erratum_of) != bool(self.erratum):
-            raise ValueError(f"erratum_of {list(self.erratum_of)}: expected names of printed numbers, and a reason")
+            raise ValueError(f"erratum_of {list(self.erratum_of)}: expected names of printed numbers and a reason")
         return self
 
     def printed(self) -> dict[str, PrintedNumber]:
@@ -254,17 +255,17 @@ def _all_points() -> tuple[PublishedPoint, ...]:
 
 
 def published_points(tables: Sequence[str] = THEORY_TABLES) -> tuple[PublishedPoint, ...]:
-    """Return the printed points of the named tables, in the order of the thesis.
+    """Return the printed points of the given tables, in the order of the thesis.
 
     Parameters
     ----------
     tables : sequence of str
-        Of `THEORY_TABLES`.
+        Names from `THEORY_TABLES`.
 
     Raises
     ------
     ParameterError
-        For another table.
+        If a table is unknown.
     StoreError
         If the file that ships with the package is missing or damaged.
 
@@ -277,7 +278,7 @@ def published_points(tables: Sequence[str] = THEORY_TABLES) -> tuple[PublishedPo
 
 
 class HumanArm(Record):
-    """One set of parameters: mass [kg], stiffness [N/m] and viscous damping [Ns/m].
+    """Model of the human arm with mass [kg], stiffness [N/m] and viscous damping [Ns/m].
 
     Source: Hulin 2017, Table 3.2.
     """
@@ -290,7 +291,7 @@ class HumanArm(Record):
 
 @cache
 def human_arms() -> tuple[HumanArm, ...]:
-    """Return all rows of Table 3.2.
+    """Return all models of the human arm in Table 3.2.
 
     Raises
     ------
@@ -301,7 +302,7 @@ def human_arms() -> tuple[HumanArm, ...]:
 
 
 def published_bound(device: str) -> PublishedBound | None:
-    """Return the printed straight bound of a device's limits; None if there is none.
+    """Return the printed straight bound of the limits of a device, or None if there is none.
 
     Raises
     ------

@@ -28,7 +28,7 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
-    """Return the filter with its cutoff relative to the sampling rate; None for a difference or nonlinear filter."""
+    """Return the filter with its cut-off relative to the sampling rate; None for a difference or nonlinear filter."""
     if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
     if velocity.kind == "difference" and velocity.samples == 1:

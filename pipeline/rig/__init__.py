@@ -1,1 +1,1 @@
-"""Design of a rig that renders a required wall."""
+"""Design of a control loop that renders a required wall."""

@@ -1,4 +1,7 @@
-"""From a wish to a rig: whether a wall can be rendered, and the smallest changes of the rig that reach it."""
+"""Design of a rig: whether it can render a required wall, and the smallest changes of the rig with which it can.
+
+A rig is a device with its control loop. The size of a change is ln of the ratio of the new and the old value.
+"""
 
 from __future__ import annotations
 
@@ -18,46 +21,47 @@ from pipeline.rig.wish import DesignTarget, RigWall, best_wall, decay, quickest
 from pipeline.surface.physical_loop import Loop
 
 _LOOKS = 8
-"""Number of points between the rig and the largest change at which the wish is evaluated before bisection."""
+"""Number of points between the rig and the largest change at which the margin is evaluated before bisection."""
 
 _SHOWN = 6
-"""Number of changes in the summary; the document has all."""
+"""Number of changes in the summary. The JSON document contains all changes."""
 
 _EDGE = 5
-"""Number of evaluations towards a change that gives an invalid rig, such as a cut-off above half the sampling rate."""
+"""Number of evaluations on the way to a change that makes the rig invalid, such as a cut-off above half the sampling
+rate."""
 
 _TOP_LOOKS = 8
-"""Largest number of evaluations in the search of a maximum between three points, the middle one of which is best."""
+"""Largest number of evaluations in the search for a maximum between three points, whose middle point is the best."""
 
 _NO_RIG = -1e3
-"""Margin of an invalid rig in the search of a maximum: finite, and below any other."""
+"""Margin of an invalid rig in the search for a maximum. It is finite and below all other margins."""
 
 _HALVINGS = 9
-"""Exponent of 2 by which the interval between two points is narrowed: ln of a change is found to 1e-3."""
+"""Number of times that the interval between two points is halved. A change is then accurate to 1e-3 in ln."""
 
 _NUDGE = 0.02
-"""Change in ln that shows in which direction a quantity helps."""
+"""Change in ln that shows in which direction a quantity increases the margin."""
 
 _WORTH = 0.95
-"""Largest size of a pair of changes, relative to either change alone, for which the second change is worthwhile."""
+"""Largest size of a pair of changes, relative to the smaller single change, for which the pair is reported."""
 
 _PAIRED = 4
-"""Number of quantities that are combined in pairs: those that help most."""
+"""Number of quantities that are combined in pairs. They are the quantities that increase the margin most."""
 
 _CLIMBED = 3
-"""Number of pairs of quantities with a hill climb from the best point of a coarse grid: those with the largest
-margin."""
+"""Number of pairs of quantities for which a hill climb starts. They are the pairs with the largest margin at the best
+point of a coarse grid."""
 
 _UPHILL = 40
-"""Largest number of rigs evaluated in a hill climb from the best point of a grid."""
+"""Largest number of rigs that a hill climb evaluates."""
 
 _DIFFERENCE = 1e-4
-"""Relative step of a numerical sensitivity; limits are known to 1e-9, so sensitivities are accurate to about 1e-7."""
+"""Relative step of a numerical derivative. Limits are accurate to 1e-9, and sensitivities therefore to about 1e-7."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """A joint change of quantities: values before and after by name, their units, and the resulting wall."""
+    """Joint change of quantities, with their old and new values and units by name, and with the resulting wall."""
 
     before: dict[str, float]
     after: dict[str, float]
@@ -68,33 +72,36 @@ class Change:
 
 @dataclass(frozen=True)
 class Design:
-    """Answer to a wish.
+    """Result of `design`.
 
     Parameters
     ----------
     wish : DesignTarget
+        Requirements on the wall.
     reached : bool
-        Whether the unchanged rig renders the wall.
+        Whether the unchanged rig meets the requirements.
     wall : dict
-        The rig's wall closest to the wish, the fastest if only overshoot is limited: ``stiffness``,
-        ``damping``, ``stiffness_limit`` at this damping, ``settling_s``, ``settling_samples``, ``overshoot``; None if
-        it is not stable.
+        Wall of the unchanged rig that is closest to the requirements, or the fastest wall if only overshoot is
+        limited. Its entries are ``stiffness``, ``damping``, ``stiffness_limit`` at this damping, ``settling_s``,
+        ``settling_samples`` and ``overshoot``. Entries are None if the wall is not stable.
     stiffness_reached : float or None
-        Largest K [N/m, Nm/rad] that meets the rest of the wish; with a settling time, the one closest to the required
-        K.
+        Largest K [N/m, Nm/rad] that meets the other requirements. If they include a settling time, it is the K closest
+        to the required K.
     changes : tuple of Change
-        Single changes and pairs that fulfil the wish, smallest first. The size is the Euclidean norm of ln of the
-        factors.
+        Single and paired changes that meet the requirements, in order of their size, which is the Euclidean norm of the
+        changes in ln.
     out_of_reach : dict
-        Quantities that alone do not suffice, with the range of their change. Pairs are searched along lines and,
-        without success, by a hill climb from the best point of a coarse grid: a solution may be missed.
+        Quantities whose change alone is not sufficient, with the range that was searched. Pairs are searched along
+        lines. If no change is found, they are also searched by a hill climb from the best point of a coarse grid. A
+        solution may be missed.
     sensitivities : pandas.DataFrame
-        ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
-        percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
+        For each ``quantity`` its ``value`` and ``unit``, the largest stable stiffness ``stiffness_max`` and the
+        derivative ``stiffness_max_per_unit``. Two columns state percent per percent of the quantity:
+        ``stiffness_max_percent``, and ``settling_percent`` for the settling time of ``wall``.
     left_out : tuple of str
         Parts of the rig that theory does not include.
     motion : str
-        Kind of motion, which gives the units of K and B.
+        Type of motion, which determines the units of K and B.
     """
 
     wish: DesignTarget
@@ -108,7 +115,7 @@ class Design:
     motion: Motion = "translation"
 
     def __str__(self) -> str:
-        """Return the answer as lines of text: reached or not, the wall, and the changes that reach it."""
+        """Return a summary in lines of text: whether the rig suffices, the wall and the changes."""
         k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
         lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
         largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
@@ -134,7 +141,7 @@ class Design:
         return "\n".join(lines)
 
     def document(self) -> dict[str, Any]:
-        """Return the design as a JSON document."""
+        """Return the result as a JSON document."""
         rows = self.sensitivities.astype(object).where(self.sensitivities.notna(), None)
         return asdict(self) | {"sensitivities": rows.to_dict("records")}
 
@@ -149,21 +156,21 @@ def design(
     tolerance: float = 0.0,
     keep: Sequence[str] = (),
 ) -> Design:
-    """Return whether a rig renders the required wall, and the smallest changes of the rig that reach it.
+    """Determine whether a rig renders a required wall, and find the smallest changes of the rig with which it does.
 
     Parameters
     ----------
     loop : Loop
-        The rig; its ``operator`` is a hand on it.
+        Rig, whose ``operator`` is a hand on the device.
     stiffness, settling_s, overshoot, margin, tolerance
-        As of `DesignTarget`.
+        Requirements, as in `DesignTarget`.
     keep : sequence of str
-        Quantities that cannot be changed (`quantities.QUANTITIES`).
+        Names of quantities that cannot be changed (`quantities.QUANTITIES`).
 
     Raises
     ------
     ParameterError
-        If a number is out of range, or a quantity to keep is unknown.
+        If a number is out of range, or if a name in ``keep`` is unknown.
 
     Examples
     --------
@@ -198,7 +205,7 @@ def design(
 
 
 def _text(wall: dict[str, float | None], motion: Motion) -> str:
-    """Return the properties of a wall in words."""
+    """Describe a wall in a line of text."""
     K, limit, k = wall["stiffness"] or 0.0, wall["stiffness_limit"], unit_of("stiffness", motion)
     words = [f"K = {K:.5g} {k}, B = {wall['damping']:.4g} {unit_of('damping', motion)}"]
     words.append("unstable" if limit is None or limit < K else f"limit {limit:.5g} {k}")
@@ -210,7 +217,7 @@ def _text(wall: dict[str, float | None], motion: Motion) -> str:
 
 
 def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
-    """Return the properties of the nearest wall."""
+    """Compute the properties of a wall, which is the one closest to the requirements."""
     K, B = best.stiffness, best.damping
     limit = float(loop.limits(B)["stiffness"].iloc[0])
     (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
@@ -221,7 +228,7 @@ def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
 
 
 def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float | None:
-    """Return the K closest to the required one, below or above it, at which the rest of the wish is still met."""
+    """Find the stiffness closest to the required one at which the other requirements are met."""
     wanted = wish.stiffness
     if wanted is None:
         return best.stiffness if best.room >= 0 else None
@@ -239,14 +246,15 @@ def _stiffness_reached(loop: Loop, wish: DesignTarget, best: RigWall) -> float |
 
 
 def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -> tuple[float, float] | None:
-    """Return a narrow interval in which a margin that is negative at 0 becomes positive; None if it is negative at all
-    points and maxima between them.
+    """Find a narrow interval in which a margin that is negative at 0 becomes positive.
+
+    Return None if the margin is negative at all given points and at the maxima between them.
     """
     trail = [(0.0, at_0)]
     for behind in looks:
         over, edge = room(behind), behind
         for _ in range(_EDGE if over == -math.inf < trail[-1][1] else 0):
-            # the wish may be fulfilled just before rigs become invalid
+            # the requirements may be met only just before the rigs become invalid
             middle = 0.5 * (trail[-1][0] + edge)
             found = room(middle)
             if found >= 0:
@@ -259,7 +267,7 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
             from scipy.optimize import minimize_scalar
 
-            # margins jump: between two points the wish may be fulfilled and missed again
+            # margins jump: they may become positive and negative again between two points
             ends = sorted((trail[-2][0], behind))
             options = {"maxiter": _TOP_LOOKS}
             top = minimize_scalar(lambda x: -max(room(x), _NO_RIG), bounds=ends, method="bounded", options=options)
@@ -277,11 +285,11 @@ def _narrowed(
 ) -> tuple[float, float]:
     """Return the ends of a narrow interval around the zero of a margin that is negative at the first of two points.
 
-    The interval is narrowed by regula falsi (Illinois), with bisection at every third step, since margins may jump.
+    The interval is narrowed by regula falsi (Illinois). Every third step is a bisection because margins may jump.
     """
     (before, short), (behind, over) = outside, inside
     narrow = abs(behind - before) / 2**_HALVINGS
-    for number in count(1):  # ends: every third round halves
+    for number in count(1):  # terminates because every third step halves the interval
         if abs(behind - before) <= narrow:
             break
         share = short / (short - over) if number % 3 and math.isfinite(short) else 0.5
@@ -297,9 +305,9 @@ def _narrowed(
 def _room_of(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
 ) -> float:
-    """Return the margin of the rig with quantities changed by x in ln; that of any wall that fulfils the wish.
+    """Return the margin after quantities changed by x in ln. It is not maximised if the requirements are met.
 
-    -inf for an invalid rig. With ``roughly`` return its `decay`, to compare distant points.
+    The margin of an invalid rig is -inf. With ``roughly``, return its `decay`, which compares distant points.
     """
     try:
         for quantity, change in zip(quantities, x, strict=True):
@@ -312,10 +320,9 @@ def _room_of(
 def _changes(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], best: RigWall
 ) -> tuple[list[Change], dict[str, str]]:
-    """Return the changes that fulfil the wish (single quantities and pairs), and the quantities that alone do not
-    suffice.
+    """Find the single and paired changes that meet the requirements, and the quantities that alone are not sufficient.
 
-    If no change suffices, pairs are searched far from the rig.
+    If there is no such change, also search pairs of quantities far from the rig.
     """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
@@ -356,7 +363,7 @@ def _changes(
 
 
 def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
-    """Return the margin and the changes at the best point (fastest decay) of a coarse grid of changes of a pair."""
+    """Return the margin and the changes at the point with the fastest decay in a coarse grid of changes of a pair."""
     share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
     axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
     best = max(product(*axes), key=lambda x: _room_of(loop, wish, pair, x, roughly=True))
@@ -364,7 +371,7 @@ def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> t
 
 
 def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
-    """Return changes in ln of a pair that fulfil the wish; None if a hill climb from a point finds none."""
+    """Search changes of a pair in ln that meet the requirements by a hill climb. Return None if it finds none."""
     from scipy.optimize import minimize
 
     def short(x: Sequence[float]) -> float:
@@ -383,7 +390,7 @@ def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: lis
 def _smallest(
     loop: Loop, wish: DesignTarget, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
-    """Return the smallest change along a direction in ln that fulfils the wish; None without any."""
+    """Return the size of the smallest change along a direction in ln that meets the requirements, or None."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
 
     def room_at(size: float) -> float:
@@ -407,12 +414,11 @@ def _change(loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: S
 
 
 def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) -> pd.DataFrame:
-    """Return the sensitivities of the largest stable stiffness, and of the nearest wall's settling time, to each
-    quantity."""
+    """Compute the sensitivities of the largest stable stiffness and of the settling time of the nearest wall."""
     rows = []
     largest = float(loop.boundary(16).attrs["stiffness_max"])
     for quantity in quantities:
-        ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # a missing quantity cannot decrease
+        ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # a quantity that is 0 cannot decrease
         sides = [quantity.changed(loop, end) for end in ends]
         limits = [float(side.boundary(16).attrs["stiffness_max"]) for side in sides]
         settling = [

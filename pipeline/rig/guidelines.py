@@ -1,4 +1,4 @@
-"""Guidelines for a rig: effect of delay, sampling, damping, mass and a hand on its stiffest wall, in words and numbers.
+"""Guidelines for a rig: effects of delay, sampling, damping, mass and a hand on the stiffest wall.
 
 Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
 """
@@ -17,18 +17,18 @@ from pipeline.device_data.published import HumanArm, human_arms
 from pipeline.surface.physical_loop import Loop
 
 RANGES = {"gamma": 1e-3, "delta": 20e-3}
-"""Largest normalised stiffness and damping of arm and device at sampling periods up to 1 ms (3.17)."""
+"""Largest normalised stiffness and damping of arm and device for sampling periods up to 1 ms (3.17)."""
 
 _NO_MASS = 1e-9
-"""Mass [kg] of an operator who only adds damping or stiffness: with zero mass there is no operator."""
+"""Mass [kg] of an operator who adds only damping or stiffness. With zero mass there would be no operator."""
 
 USUAL_ARM = "Tsuji et al."
-"""Typical arm: its mass of 1.8 kg is the median of Table 3.2."""
+"""Source of the typical arm, whose mass of 1.8 kg is the median of Table 3.2."""
 
 
 @dataclass(frozen=True)
 class Influence:
-    """Influence of one parameter of a hand: its value [SI], and the change of the largest stable K in percent."""
+    """Value of a parameter of a hand [SI units], and the change of the largest stable K that it causes in percent."""
 
     name: str
     value: float
@@ -37,20 +37,21 @@ class Influence:
 
 @dataclass(frozen=True)
 class Guidelines:
-    """Influences on the stiffest wall of a rig.
+    """Effects on the stiffest wall of a rig.
 
     Parameters
     ----------
     delay_percent : float or None
-        Change of the largest stable K with one sample less delay; None if the delay is shorter.
+        Change of the largest stable K if the delay is one sample shorter; None if the delay is below one sample.
     sampling_percent : float
-        Change with half the sampling period and the same delay in time.
+        Change if the sampling period is halved and the delay in seconds is unchanged.
     damping_percent : float
-        Change without device damping.
+        Change if the device has no damping.
     hand : tuple of Influence
-        Mass, damping and stiffness of a hand, each added alone; empty for a rotation, for which no arms are tabulated.
+        Changes due to the mass, the damping and the stiffness of a hand, each added separately. It is empty for a
+        rotation, for which no arms are tabulated.
     arm : str
-        Whose hand.
+        Name of the arm that the hand belongs to.
     gamma, delta : float
         Normalised stiffness and damping of the rig with this hand (3.13).
     """
@@ -65,15 +66,15 @@ class Guidelines:
 
     @property
     def within(self) -> dict[str, bool]:
-        """Whether gamma and delta lie in the ranges that the thesis considers (3.17)."""
+        """Whether gamma and delta are in the ranges that the thesis considers (3.17)."""
         return {name: getattr(self, name) <= most for name, most in RANGES.items()}
 
     def document(self) -> dict[str, Any]:
-        """Return the guidelines as a JSON document, with the sentences."""
+        """Return the numbers and the sentences as a JSON document."""
         return asdict(self) | {"within": self.within, "sentences": self.sentences()}
 
     def sentences(self) -> list[str]:
-        """Return the guidelines of 3.6 with the numbers of this rig."""
+        """Return the guidelines of sec. 3.6 with the numbers of this rig."""
         lines = []
         if self.delay_percent is not None:
             lines.append(f"A sample less of delay changes the largest stable K by {_signed(self.delay_percent)}.")
@@ -103,9 +104,9 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
     Parameters
     ----------
     loop : Loop
-        The rig; its operator, if any, is taken as the hand, and is removed to compute the influence of a hand.
+        Rig. Its operator, if any, is the hand, and is removed to compute the effect of a hand.
     arms : mapping of HumanArm, optional
-        By name; Table 3.2 by default.
+        Known arms by name, by default those of Table 3.2.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
 
 
 def _hand(free: Loop, given: Operator, most: float) -> tuple[Influence, ...]:
-    """Return the influence of each parameter of a hand on the largest stable stiffness."""
+    """Compute the effect of each parameter of a hand on the largest stable stiffness."""
     found = []
     for name in ("mass", "damping", "stiffness"):
         value = float(getattr(given, name))

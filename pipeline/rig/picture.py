@@ -1,4 +1,4 @@
-"""Figure of the stiffest stable wall over two quantities of a rig, with marks for rig and wish."""
+"""Figure of the largest stable stiffness over two quantities of a rig, with marks for the rig and for its changes."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from pipeline.rig.quantities import QUANTITIES, Quantity
 from pipeline.surface.physical_loop import Loop
 
 _PLACES, _REACH = 15, np.log(4.0)
-"""Number of points along each axis, from a quarter of the quantity to four times the quantity."""
+"""Number of points along each axis, and extent of the axis to either side in ln: a factor of four."""
 
 
 def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None:
-    """Draw the largest stable stiffness over two quantities; all others stay unchanged.
+    """Draw the largest stable stiffness over two quantities. All other quantities are unchanged.
 
     Parameters
     ----------
     loop : Loop
-        The rig as it is.
+        Unchanged rig.
     answer : Design
-        Design whose changes of one of the two quantities, or of both, are marked.
+        Design of the rig. Its changes of these two quantities are marked.
     over : sequence of str
-        Two names of `quantities.QUANTITIES`, across and up.
+        Names of the quantities on the horizontal and the vertical axis, from `quantities.QUANTITIES`.
     path : Path
-        .svg, .pdf or .png.
+        Output file with the suffix .svg, .pdf or .png.
 
     Raises
     ------
     ParameterError
-        If the names are not two quantities of the rig.
+        If the names are not two different quantities of the rig.
     """
     across, up = _two(loop, over)
     stiffest = _stiffest(loop, across, up)
@@ -58,7 +58,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
             if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
                 axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
             axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable, ringing or not")
-        # with further requirements, the limits of the rigs that meet them are nearly the same
+        # all rigs that meet the further requirements have nearly the same limit
         if (answer.changes or answer.reached) and wanted is not None:
             limits = [change.wall["stiffness_limit"] or np.nan for change in answer.changes]
             if answer.reached and answer.stiffness_reached:
@@ -104,19 +104,19 @@ def _label(loop: Loop, quantity: Quantity) -> str:
 
 
 def _stiffest(loop: Loop, across: Quantity, up: Quantity) -> Floats:
-    """Return the largest stable stiffness at each point, shape (up, across); nan for an invalid rig."""
+    """Compute the largest stable stiffness at each point, shape (up, across); nan for an invalid rig."""
     parts, result = _parts(), np.full((_PLACES, _PLACES), np.nan)
     for i, j in np.ndindex(*result.shape):
         try:
             rig = up.changed(across.changed(loop, float(parts[j])), float(parts[i]))
             result[i, j] = rig.boundary(16).attrs["stiffness_max"]
-        except ParameterError:  # invalid rig, or one without a stable wall
+        except ParameterError:  # invalid rig, or a rig without a stable wall
             continue
     return result
 
 
 def _levels(values: Floats) -> list[float]:
-    """Return levels at 1, 2 and 5 times powers of ten."""
+    """Return contour levels of 1, 2 and 5 times powers of ten."""
     powers = 10.0 ** np.arange(-3, 10)
     every = np.sort(np.concatenate([powers, 2 * powers, 5 * powers]))
     return [float(level) for level in every if np.nanmin(values) < level < np.nanmax(values)]

@@ -1,4 +1,4 @@
-"""Published conditions for the stiffness of a virtual wall, compared with the exact limit of stability."""
+"""Published conditions on the stiffness of a virtual wall, compared with the exact limit of stability."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from pipeline.theory.boundary import quantum_limit
 from pipeline.theory.passivity import passive_stiffness
 
 _ANGLES = 4000
-"""Number of angles at which (4.6) is evaluated; between them the limit is at most 1e-7 lower."""
+"""Number of angles at which (4.6) is evaluated. Between the angles, the limit is at most 1e-7 lower."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device, 0 if unknown."""
+    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device; 0 if unknown."""
 
     coulomb: float = 0.0
     quantum: float = 0.0
@@ -30,7 +30,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Condition:
-    """A published condition: its source, guarantee and assumptions, and its largest K at dampings B."""
+    """Published condition with its source, guarantee and assumptions, and with its largest K for each damping B."""
 
     name: str
     source: str
@@ -40,13 +40,13 @@ class Condition:
 
 
 def _late(loop: Loop) -> float:
-    """Effective delay t_d + T/2 [s]: the zero-order hold delays by half a sample."""
+    """Return the effective delay t_d + T/2 [s], which includes half a sample of the zero-order hold."""
     return (loop.delay_samples + 0.5) * loop.sampling_period_s
 
 
 def _passive_damping(loop: Loop) -> float:
-    """Damping of the device per unit of command; nan if the position is sensed beyond a mode: no wall is passive
-    then."""
+    """Return the damping of the device per unit of command, or nan if the position is sensed at the load of a mode,
+    because no wall is passive then."""
     return np.nan if loop.mode and loop.mode.sensor == "load" else loop.passive_damping
 
 
@@ -78,7 +78,7 @@ def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
 
 def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
     d, damping = loop.delay_samples, _passive_damping(loop)
-    if d % 1 and damping >= 0:  # (4.6) is for integer delays; its sum over aliases is for any
+    if d % 1 and damping >= 0:  # (4.6) requires an integer delay, but its sum over aliases does not
         unit = loop.units
         ideal = NormalisedLoop.ideal(0.0, damping / unit.damping, d)
         return passive_stiffness(ideal, ideal.delta, B / unit.damping) * unit.stiffness
@@ -143,7 +143,7 @@ CONDITIONS = (
 
 
 def _without(loop: Loop) -> str:
-    """Return the parts of a loop that no published condition includes, as a supplement to its assumptions."""
+    """List the parts of a loop that no published condition includes, as a supplement to the assumptions."""
     present = {
         "velocity filter": loop.velocity is not None,
         "actuator lag": loop.actuator_lag_s > 0,
@@ -162,26 +162,26 @@ def _exact_assumes(loop: Loop) -> str:
 def published_limits(
     loop: Loop, damping: object, *, coulomb: float | None = None, quantum: float | None = None
 ) -> pd.DataFrame:
-    """Return the largest stiffness that published conditions allow at dampings, and the exact limit of stability.
+    """Compute the largest stiffness according to published conditions, and the exact limit of stability.
 
     Parameters
     ----------
     loop : Loop
-        Conditions use its mass, damping and stiffness per unit of command, those of an operator if the condition
-        includes a hand, and for passivity the damping without that of a mode's load. Only the exact limit includes
+        Loop. The conditions use its mass, damping and stiffness per unit of command. Operator values are included if
+        the condition includes a hand. Passivity excludes the damping of a mode's load. Only the exact limit includes
         filter, lag and mode.
     damping : array of float
-        B of the wall [Ns/m, Nms/rad].
+        Damping B of the wall [Ns/m, Nms/rad].
     coulomb, quantum : float, optional
-        Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of the device, by default those of the loop; 0 if
-        unknown.
+        Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of the device; 0 if unknown. The default values are
+        taken from the loop.
 
     Returns
     -------
     pandas.DataFrame
-        ``condition``, ``promises`` (stability, passivity), ``assumes`` (with the parts of the loop that the condition
-        does not include), ``source``, ``damping``, ``stiffness`` [N/m, Nm/rad]; nan where a condition does not apply, 0
-        where it allows no wall. The last rows are the exact limit.
+        Columns ``condition``, ``promises`` (stability or passivity), ``assumes`` (with the parts of the loop that the
+        condition neglects), ``source``, ``damping`` and ``stiffness`` [N/m, Nm/rad]. The stiffness is nan if a
+        condition does not apply, and 0 if it permits no wall. The last rows contain the exact limit.
 
     Raises
     ------

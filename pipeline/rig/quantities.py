@@ -11,16 +11,16 @@ from pipeline.device.parameters import PARAMETERS
 from pipeline.surface.physical_loop import Loop
 
 _SMALL = 1e-2
-"""Reference damping for changes of a device without damping, in m/T."""
+"""Scale of a change of the damping of a device without damping, in m/T."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity: its name, its name in words, its smallest and largest factor of change, its name in `PARAMETERS`.
+    """Quantity with name, label, smallest and largest factor of a change, and name in `PARAMETERS`.
 
-    A logarithmic change of x turns p into p + s (e^x - 1), with s = p unless p is zero. ``zero`` is s for p = 0, in
-    m/T; 0 if a zero value cannot be changed. ``change`` returns a rig with another value; by default only that
-    parameter changes.
+    A logarithmic change of x changes p to p + s (e^x - 1). The scale s is p unless p is 0. For p = 0 it is ``zero`` in
+    m/T, and ``zero`` is 0 if the value cannot be changed from 0. ``change`` returns a rig with a new value. By default
+    only the parameter itself changes.
     """
 
     name: str
@@ -31,21 +31,21 @@ class Quantity:
     change: Callable[[Loop, float], Loop] | None = None
 
     def unit(self, loop: Loop) -> str:
-        """Return the unit for a rig."""
+        """Return the unit of the quantity for a rig."""
         return PARAMETERS[self.parameter or self.name].unit(loop.motion)
 
     def read(self, loop: Loop) -> float | None:
-        """Return the value of a rig; None if it lacks this part."""
+        """Return the value of the quantity for a rig, or None if the rig lacks its part."""
         return loop.value(self.parameter or self.name)
 
     def write(self, loop: Loop, value: float) -> Loop:
-        """Return the rig with another value."""
+        """Return the rig with a new value of the quantity."""
         if self.change is not None:
             return self.change(loop, value)
         return loop.replace({self.parameter or self.name: value})
 
     def scale(self, loop: Loop) -> float:
-        """Return s; 0 if the rig lacks this quantity."""
+        """Return the scale s of a change, which is 0 if the rig lacks the quantity."""
         return (self.read(loop) or 0.0) or self.zero * loop.mass / loop.sampling_period_s
 
     def changed(self, loop: Loop, x: float) -> Loop:
@@ -60,7 +60,7 @@ class Quantity:
 
 
 def with_damping(loop: Loop, value: float) -> Loop:
-    """Return the rig with another damping [Ns/m, Nms/rad], with an unchanged share for the load of a mode."""
+    """Return the rig with a new damping [Ns/m, Nms/rad]. The load of a mode keeps its share of the damping."""
     changes: dict[str, float | None] = {"damping": value}
     if loop.mode and loop.damping > 0:
         changes["mode.load_damping"] = min(loop.load_damping / loop.damping, 1.0) * value
@@ -78,16 +78,16 @@ QUANTITIES = {
         Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),
     )
 }
-"""Quantities by name. The delay is in samples: changing T alone keeps d and changes the delay in seconds."""
+"""Quantities by name. The delay is in samples. A change of T alone keeps d and changes the delay in seconds."""
 
 
 def present(loop: Loop, keep: tuple[str, ...] = ()) -> list[Quantity]:
-    """Return the quantities that a rig has and that may be changed.
+    """List the quantities of a rig that may be changed.
 
     Raises
     ------
     ParameterError
-        If ``keep`` names an unknown quantity.
+        If ``keep`` contains an unknown name.
     """
     unknown = [name for name in keep if name not in QUANTITIES]
     if unknown:

@@ -1,4 +1,4 @@
-"""Requirements on a wall, and the margin of a rig to them."""
+"""Requirements on a wall, and the margin by which a rig meets them."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
 
 OVERSHOOT_SEEN = 1e-3
-"""Largest overshoot that counts as none: in a sampled loop, no optimal wall has exactly zero overshoot."""
+"""Largest overshoot that counts as no overshoot. In a sampled loop, no optimal wall has exactly zero overshoot."""
 
 _FAINT = 0.1
-"""Amplitude down to which motion is simulated, relative to `OVERSHOOT_SEEN`."""
+"""Amplitude down to which the motion is simulated, relative to `OVERSHOOT_SEEN`."""
 
 _DAMPINGS, _STIFFNESSES = 32, 20
 _NARROWER = 2
-"""Number of walls of the first grid, over three decades of damping (and two of stiffness), and number of finer grids
-after it."""
+"""Numbers of dampings and stiffnesses in the first grid of walls, and number of finer grids after it. The dampings span
+three decades, the stiffnesses two."""
 
 _ASIDE, _BESIDE = 2.0, 97
-"""Largest factor of damping to either side in the search of the fastest wall, and number of walls tried."""
+"""Largest factor of the damping in the search for the fastest wall, and number of walls in this search."""
 
 _SOFTEST, _SOFTER = 1e-3, 16
-"""Stiffness of the softest wall examined below a given one, relative to it, and number of softer walls examined."""
+"""Smallest relative stiffness of the softer walls that are examined for a wall, and number of these walls."""
 
 _NARROW = 1e-6
-"""Missing margin of a wall beyond an unstable stretch that is narrower than the spacing of these walls."""
+"""Amount by which the margin of a wall above an unstable interval is negative, if no softer wall examined lies in the
+interval."""
 
 _BISECTIONS = 40
-"""Number of bisections for the frequency at which a damping becomes unstable: to 1e-12 of it."""
+"""Number of bisections for the frequency at which a damping becomes unstable. The relative error is then 1e-12."""
 
 _NOTHING = -10.0
-"""Margin of a stable wall whose settling time is too long to be computed; its negative is the margin without any
-bound."""
+"""Smallest margin of a stable wall, used if its settling time is too long to be computed. The negative value is the
+margin without a bound."""
 
 
 @dataclass(frozen=True)
@@ -54,20 +55,20 @@ class DesignTarget:
     Parameters
     ----------
     stiffness : float, optional
-        K [N/m, Nm/rad]; any if not given.
+        Stiffness K [N/m, Nm/rad]; arbitrary if omitted.
     settling_s : float, optional
         Longest settling time to 2 % [s].
     overshoot : float, optional
-        Largest overshoot, as a fraction; below 0.001 counts as none.
+        Largest overshoot as a fraction. A value below 0.001 counts as no overshoot.
     margin : float
-        Gain margin: the wall stays stable with ``margin`` times its stiffness, >= 1.
+        Gain margin >= 1. The wall must be stable with ``margin`` times its stiffness.
     tolerance : float
-        Relative error of mass, damping and delay, in either direction, for which the wish is still met; 0 to 0.9.
+        Relative error of mass, damping and delay for which the requirements must still be met, from 0 to 0.9.
 
     Raises
     ------
     ParameterError
-        If a number is out of range, or no requirement is given.
+        If a number is out of range, or if neither a stiffness nor a settling time is given.
     """
 
     stiffness: float | None = None
@@ -84,16 +85,16 @@ class DesignTarget:
             if value is not None and not (math.isfinite(value) and value > low):
                 raise ParameterError(f"{name} = {value}: expected a positive number.")
         if self.overshoot is not None and not 0 <= self.overshoot <= 1:
-            raise ParameterError(f"overshoot = {self.overshoot}: expected a fraction from 0 to 1, as 0.05 for 5 %.")
+            raise ParameterError(f"overshoot = {self.overshoot}: expected a fraction from 0 to 1, such as 0.05.")
         if not 1 <= self.margin < math.inf:
             raise ParameterError(f"margin = {self.margin}: expected 1 or more.")
         if not 0 <= self.tolerance <= 0.9:
-            raise ParameterError(f"tolerance = {self.tolerance}: expected a fraction from 0 to 0.9, as 0.05.")
+            raise ParameterError(f"tolerance = {self.tolerance}: expected a fraction from 0 to 0.9, such as 0.05.")
 
 
 @dataclass(frozen=True)
 class RigWall:
-    """The wall of a rig closest to a wish: K, B, and the remaining margin, >= 0 if the wish is met."""
+    """Wall of a rig that is closest to the requirements, with its margin ``room``, >= 0 if they are met."""
 
     stiffness: float
     damping: float
@@ -101,11 +102,12 @@ class RigWall:
 
 
 def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWall:
-    """Return the wall that meets the requirements with the largest margin; with ``enough``, any that meets them.
+    """Find the wall that meets the requirements with the largest margin, or with ``enough`` any wall that meets them.
 
-    The margin of a wall is the smallest of three numbers: -ln of the spectral radius (at ``margin`` times the
-    stiffness), ln of the allowed over the actual settling time, and allowed minus actual overshoot. A wall counts as
-    stable only if all softer ones of its damping are stable, too: a device in contact passes through them.
+    The margin of a wall is the smallest of three numbers. They are -ln of the spectral radius (at ``margin`` times the
+    stiffness), ln of the ratio of allowed and actual settling time, and the allowed minus the actual overshoot. A wall
+    counts as stable only if all softer walls with its damping are also stable, because a device in contact passes
+    through them.
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
@@ -123,8 +125,8 @@ def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWal
 
 
 def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
-    """Return the wall of the same stiffness with the shortest settling time, among those near the best one that fulfil
-    the wish."""
+    """Find the fastest wall with the stiffness of the best wall. Only walls near it that meet the requirements are
+    considered."""
     B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
     walls = np.column_stack([np.full(len(B), best.stiffness), B])
     room = _room(_corners(loop, wish.tolerance), wish, walls, -math.inf)
@@ -135,9 +137,9 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
 
 
 def decay(loop: Loop, wish: DesignTarget) -> float:
-    """Return the largest decay rate [1/s] of the slowest mode over the walls of the first grid.
+    """Compute the largest decay rate [1/s] of the slowest mode over the walls of the first grid.
 
-    It is faster to compute than the margin, and a large rate means early settling and little overshoot.
+    It is faster to compute than the margin. A large rate implies early settling and little overshoot.
     """
     unit = loop.units
     K, B = np.array(list(product(*_first_look(loop, wish)))).T
@@ -147,7 +149,7 @@ def decay(loop: Loop, wish: DesignTarget) -> float:
 
 
 def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
-    """Return stiffness and damping of the first grid of walls."""
+    """Return the stiffnesses and the dampings of the first grid of walls."""
     largest = 2.5 * loop.apparent().mass / loop.sampling_period_s / (0.5 + loop.delay_samples)
     largest = max(largest, _largest_damping(loop))
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
@@ -158,9 +160,9 @@ def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
 
 
 def _largest_damping(loop: Loop) -> float:
-    """Return approximately the largest stable B of a device with lag: |(m s + b)(tau s + 1)| at the phase -pi.
+    """Estimate the largest stable B of a device with lag, which is |(m s + b)(tau s + 1)| at a phase of -pi.
 
-    With the delay of d + 1/2 samples, the phase condition is atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
+    With a delay of d + 1/2 samples, the phase condition is atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
     """
     device, lag = loop.apparent(), loop.actuator_lag_s
     m, b, delay = device.mass, device.damping, (0.5 + loop.delay_samples) * loop.sampling_period_s
@@ -173,7 +175,7 @@ def _largest_damping(loop: Loop) -> float:
 
 
 def _between(axis: Floats, value: float) -> Floats:
-    """Return points between the two grid neighbours of a value on an axis."""
+    """Return points between the two neighbours of a value on a grid axis."""
     if len(axis) == 1:
         return axis
     i = int(np.argmin(np.abs(axis - value)))
@@ -181,7 +183,7 @@ def _between(axis: Floats, value: float) -> Floats:
 
 
 def _corners(loop: Loop, tolerance: float) -> list[Loop]:
-    """Return the rigs at the corners of a tolerance; a mode's load keeps its share of the mass."""
+    """Return the rigs at the corners of the tolerance. The load of a mode keeps its share of the mass."""
     if tolerance == 0:
         return [loop]
     rigs = []
@@ -198,7 +200,7 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
 
 
 def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float) -> Floats:
-    """Return the margin of each wall, shape (n,), for the worst-case rig; not exact where it is below ``above``."""
+    """Compute the margin of each wall for the worst rig, shape (n,). Values below ``above`` are not exact."""
     room = np.full(len(walls), np.inf)
     for rig in rigs:
         loop, unit = rig.normalised_loop, rig.units
@@ -208,30 +210,30 @@ def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float)
         left = _softer(loop, wish.margin * alpha, beta, left)
         if wish.settling_s is not None or wish.overshoot is not None:
             stable = left > 0
-            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # any stable wall precedes any unstable one
+            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # unstable walls rank below all stable walls
             left[stable] = np.minimum(left[stable], _spare(rig, wish, alpha[stable], beta[stable], above))
         room = np.minimum(room, left)
     return room
 
 
 def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
-    """Return the smallest -ln of the spectral radius over each wall and the softer ones that are unstable, shape
-    (n,)."""
-    if first_branch(loop) is not None:  # softer walls are stable
+    """Compute -ln of the spectral radius for each wall, shape (n,). If softer walls are unstable, the smallest value
+    over the wall and the softer walls is used."""
+    if first_branch(loop) is not None:  # all softer walls are stable
         return left
     share = np.geomspace(_SOFTEST, 1.0, _SOFTER, endpoint=False)
     with np.errstate(divide="ignore"):
         softer = -np.log(spectral_radius(loop, np.outer(alpha, share).ravel(), np.repeat(beta, _SOFTER)))
     least = softer.reshape(len(alpha), _SOFTER).min(axis=1)
     result = np.where(least < 0, np.minimum(left, least), left)
-    # an unstable stretch may be narrower than the steps between softer walls
+    # an unstable interval may be narrower than the spacing of the softer walls
     levels, of = np.unique(beta, return_inverse=True)
     island = (result > 0) & (alpha > stiffness_limit(loop, levels)[of])
     return np.where(island, -_NARROW, result)
 
 
 def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: float) -> Floats:
-    """Return the margins of stable walls to the allowed settling time and overshoot."""
+    """Compute the margins of stable walls to the allowed settling time and overshoot."""
     bands, swings = (0.02,) * (wish.settling_s is not None), wish.overshoot is not None
     longest = (wish.settling_s or math.inf) / rig.sampling_period_s * math.exp(-max(above, _NOTHING))
     found = transient_costs(
@@ -239,7 +241,7 @@ def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: fl
     )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
-        # a response that is given up settles too late
+        # a response whose simulation was stopped settles too late
         settled = np.nan_to_num(found["settle_2pct"], nan=math.inf) * rig.sampling_period_s
         spare = np.maximum(math.log(wish.settling_s) - np.log(settled), _NOTHING)
     if wish.overshoot is not None:

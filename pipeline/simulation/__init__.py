@@ -1,1 +1,1 @@
-"""Simulated devices, and the sweep over walls that a lab would run on them."""
+"""Simulation of devices and of the sweep over walls that a lab performs with them."""

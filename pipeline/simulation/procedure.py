@@ -1,9 +1,9 @@
-"""The order in which a lab tests pairs (K, B): coarse steps up to the first unstable trial, then fine ones.
+"""The order in which a lab tests pairs (K, B): coarse steps up to the first unstable trial, then fine steps.
 
-Ladders of several dampings are climbed in parallel. Trials are simulated ahead in waves, and those after the first
-unstable one are discarded, so that the result equals that of sequential testing.
+The ladders of several dampings are climbed in parallel. Trials are simulated in waves. Trials after the first unstable
+one are discarded, so that the result equals the result of sequential testing.
 
-Source: Hulin 2017, sec. 6.1.1 and, for the trials without stiffness, 6.1.2.
+Source: Hulin 2017, sec. 6.1.1, and sec. 6.1.2 for the trials without stiffness.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from pipeline.records.trials import Floats, Integers, Trial, Trials
 Strings = NDArray[np.str_]
 
 FINE_STEPS = 5
-"""Number of fine steps in a coarse one: 20 % of the original value (6.1.1)."""
+"""Number of fine steps in a coarse step. A fine step is 20 % of the coarse step (6.1.1)."""
 
 WAVE = 12
-"""Number of trials simulated ahead for each damping: a smaller number needs more passes of the sample loop, a larger
-one discards more trials."""
+"""Number of trials that are simulated in advance for each damping. A smaller number requires more runs of the
+simulator, a larger number discards more trials."""
 
 LONGEST_CLIMB = 2000
 """Largest number of stiffness steps at one damping; the stiffest column of the thesis needs 65."""
 
 AT_ZERO_STIFFNESS = 1 << 30
-"""Column index of the trials with K = 0, after all dampings."""
+"""Column index of the trials with K = 0, which follow the trials of all dampings."""
 
 
 @dataclass(frozen=True)
 class _Ladder:
-    """Pairs (K, B) in the order of testing: rung i lies ``origin + i * stride`` fine steps along K or -B."""
+    """Pairs (K, B) in the order of testing. Rung i is at ``origin + i * stride`` fine steps of K or of -B."""
 
     column: int
     damping: float | None
@@ -46,26 +46,27 @@ class _Ladder:
 
     @property
     def number(self) -> int:
-        """Return the pass over the column: 1 coarse, 2 fine."""
+        """Number of the pass over the column: 1 for coarse steps, 2 for fine steps."""
         return 1 if self.stride == FINE_STEPS else 2
 
 
 @dataclass
 class Climb:
-    """Run of parallel ladders, each up to its first unstable trial; the trials up to and including it are kept.
+    """Parallel test of several ladders. The trials of a ladder are kept up to and including the first unstable one.
 
     Parameters
     ----------
     run : callable
-        Trials and verdicts of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad], both of shape (n,).
+        Function of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad], both of shape (n,), that returns the trials
+        and their verdicts.
     stiffness_step, damping_step : float
-        Coarse step of K at a fixed damping, and of -B at K = 0.
+        Coarse step of K at a fixed damping, and coarse step of -B at K = 0.
     lowest_damping : float
-        Largest -B that is tested at K = 0: friction or a force limit may keep a device at rest for any B.
+        Largest value of -B that is tested at K = 0. Friction or a force limit may keep a device at rest for any B.
     progress : callable or None
-        Called with the number of trials kept so far.
+        Function that is called with the number of trials kept so far.
     kept, verdicts, order : list
-        The kept trials, their verdicts, and (column, pass, rung) of each.
+        The kept trials, their verdicts and their places (column, pass, rung).
     """
 
     run: Callable[[Floats, Floats], tuple[Trials, Strings]]
@@ -78,7 +79,7 @@ class Climb:
     order: list[tuple[int, int, int]] = field(default_factory=list)
 
     def columns(self, dampings: Sequence[float | None]) -> None:
-        """Run the coarse and the fine pass of columns by their damping B, in order; None for the trials at K = 0.
+        """Run the coarse and the fine pass of columns. A column is given by its damping B, or by None for K = 0.
 
         Raises
         ------
@@ -87,7 +88,7 @@ class Climb:
         """
         last = ceil(self.lowest_damping / self.damping_step) + 1
         coarse = [
-            # at K = 0 the first rung is B = 0, at a fixed damping it is K = one step
+            # the first rung at K = 0 is B = 0; at a fixed damping, it is the first step of K
             _Ladder(AT_ZERO_STIFFNESS, None, -FINE_STEPS, FINE_STEPS, last)
             if damping is None
             else _Ladder(column, damping, 0, FINE_STEPS, None)
@@ -101,7 +102,7 @@ class Climb:
         self._climb(fine)
 
     def _climb(self, ladders: Sequence[_Ladder]) -> Integers:
-        """Return the number of stable trials before the first unstable one of each ladder."""
+        """Return the number of stable trials before the first unstable trial of each ladder."""
         reached = np.zeros(len(ladders), dtype=np.int64)
         ahead = list(range(len(ladders)))
         below = 0
@@ -126,8 +127,8 @@ class Climb:
             if ahead and below >= LONGEST_CLIMB:
                 K, B = self._pairs(ladders[ahead[0]], rungs[-1:])[0]
                 raise ParameterError(
-                    f"no unstable trial after {below} steps (K = {K:g}, B = {B:g}); expected the limit of "
-                    "stability much earlier. Choose larger steps in the device file."
+                    f"no unstable trial after {below} steps (K = {K:g}, B = {B:g}); expected an unstable trial "
+                    "much earlier. Choose larger steps in the device file."
                 )
         return reached
 
@@ -138,7 +139,7 @@ class Climb:
         return np.stack((steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1)
 
     def result(self) -> tuple[list[Trial], Integers, Strings]:
-        """Return trials, pass and verdict in the order of testing."""
+        """Return the trials, their passes and their verdicts in the order of testing."""
         order = sorted(range(len(self.order)), key=self.order.__getitem__)
         passes = np.array([self.order[i][1] for i in order], dtype=np.int64)
         return [self.kept[i] for i in order], passes, np.array([self.verdicts[i] for i in order], dtype=np.str_)

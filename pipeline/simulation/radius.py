@@ -1,4 +1,4 @@
-"""Growth of the simulated loop per sample: the spectral radius of its linear part."""
+"""Spectral radius of the linear part of the simulated loop: the growth of a motion from one sample to the next."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from pipeline.simulation.simulate import coefficients
 
 
 def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
-    """Return the spectral radius of each linear loop at its nominal constant delay, shape (n,).
+    """Compute the spectral radius of each linear loop at its nominal, constant delay.
 
     Parameters
     ----------
     setup : Setup
-        Parts listed in ``setup.left_out`` are omitted.
+        Conditions of the trials. The parts listed in ``setup.left_out`` are neglected.
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad].
 
     Returns
     -------
     float64, shape (n,)
-        Below 1 if the loop is stable. Without any stiffness (K = k = 0) z = 1 is a pole for every B; it
-        is left out, so that the radius states whether the velocity decays.
+        Spectral radius, which is below 1 if the loop is stable. Without any stiffness (K = k = 0), z = 1 is a pole
+        for every B. This pole is ignored, so that the radius shows whether the velocity decays.
 
     Notes
     -----
-    State of the simulated loop: that of the plant, last positions, last velocities, delayed commands.
+    The state contains the state of the plant, past positions, past velocities and delayed commands.
 
     Source: Hulin 2017, eq. 3.18, in physical units and with a fractional delay.
     """
@@ -72,7 +72,7 @@ def spectral_radius(setup: Setup, stiffness: Floats, damping: Floats) -> Floats:
 
 
 def _transition(linear: StateSpace, time_s: float) -> tuple[Floats, Floats]:
-    """Return the state transition matrix over a time [s], and the response to a unit command."""
+    """Return the state transition matrix over a time [s] and the response to a unit command."""
     from scipy.linalg import expm
 
     n = len(linear.matrix)

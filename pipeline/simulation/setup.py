@@ -1,6 +1,6 @@
-"""Common settings of the trials of one experiment: loop, step, length, travel limits, and undocumented faults.
+"""Conditions of all trials of an experiment: loop, step, duration, travel limits and undocumented faults.
 
-In addition, the random quantities of each trial: noise, delays, repeated sensor samples, missing rows.
+The module also draws the random quantities of each trial: noise, delays, repeated sensor samples and missing rows.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from pipeline.records.trials import Booleans, Floats, Integers
 _WORD = 2**32 - 1
 
 MOST_ROWS = 10_000_000
-"""Largest number of samples of a trial; it takes a few GB."""
+"""Largest number of samples of a trial. Such a trial takes a few GB of memory."""
 
 NOTHING_HIDDEN = SimulationParts()
-"""No hidden faults: everything as stated and complete."""
+"""Default without hidden faults: the device behaves as stated, and its logs are complete."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """Conditions of the trials of one experiment.
+    """Conditions of all trials of an experiment.
 
     Parameters
     ----------
     loop : Loop
-        As stated: the controller differentiates by its sampling period. Its delay is not used if there is jitter.
+        Loop as stated. The controller differentiates with its sampling period. With jitter, its delay is not used.
     step : float
-        External step F_0 [N, Nm], commanded from ``edge_row`` on.
+        External step F_0 [N, Nm], which is commanded from ``edge_row`` on.
     rows, edge_row : int
-        Number of samples of a trial that stays within its travel, and the row k0 of the step.
+        Number of samples of a trial that stays within its travel, and the row k0 in which the step begins.
     centre, travel : float
-        Steady-state position and largest true distance from it [m, rad].
+        Steady-state position, and the largest permitted distance of the true position from it [m, rad].
     hidden : SimulationParts
-        Faults unknown to theory and estimates.
+        Faults that neither theory nor estimates account for.
     stop : float
-        Distance of rigid stops from ``centre`` [m, rad]: the device rests there, without a rebound, until the
-        force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
+        Distance of the rigid stops from ``centre`` [m, rad]. At a stop, the device rests without a rebound until the
+        force turns inwards. A start at or beyond a stop moves the stop outwards, as for the travel limit.
 
     Raises
     ------
     ParameterError
-        If a delay of the jitter is negative, or the step lies outside the rows.
+        If a delay of the jitter is negative, or if the step is not within the rows.
 
     Examples
     --------
@@ -71,41 +71,41 @@ class Setup:
 
     def __post_init__(self) -> None:
         if any(delay < 0 for delay in self.loop.jitter_samples):
-            raise ParameterError(f"jitter of {self.loop.jitter_samples} samples: none may be negative.")
+            raise ParameterError(f"jitter of {self.loop.jitter_samples} samples: expected no negative delay.")
         if not 0 <= self.edge_row < self.rows:
             raise ParameterError(
-                f"the step in row {self.edge_row} lies outside the log of {self.rows} rows; "
+                f"the step in row {self.edge_row} is not within the {self.rows} rows of the log; "
                 "a trial must last longer than its baseline."
             )
 
     def with_loop(self, **changes: Any) -> Setup:
-        """Return the same conditions with other entries of the loop, such as ``sensor`` or ``jitter_samples``."""
+        """Return the same conditions with changed fields of the loop, such as ``sensor`` or ``jitter_samples``."""
         return replace(self, loop=replace(self.loop, **changes))
 
     @property
     def mean_delay_samples(self) -> float:
-        """Delay of a command [samples]; with jitter, the mean of the drawn delays."""
+        """Delay of a command [samples]. With jitter, it is the mean of the delays that are drawn."""
         drawn = self.loop.jitter_samples or (self.loop.delay_samples,)
         return sum(drawn) / len(drawn)
 
     @property
     def true_period_s(self) -> float:
-        """True sampling period between two rows [s]."""
+        """True time between two samples [s]."""
         return self.loop.sampling_period_s * (1 + self.hidden.clock_error)
 
     @property
     def true_gain(self) -> float:
-        """Force at the actuator per unit of command, with its undocumented error."""
+        """Force at the actuator per unit of command, including the undocumented error of the gain."""
         return self.loop.force_gain * (1 + self.hidden.gain_error)
 
     @property
     def constant_force(self) -> float:
-        """Force on the motor in addition to the command, stated or not [N, Nm]."""
+        """Sum of the stated and the undocumented force on the motor in addition to the command [N, Nm]."""
         return self.loop.constant_force + self.hidden.constant_force
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of parts that a spectral radius cannot include: those of the loop, clipping, and hidden faults."""
+        """Names of parts that a spectral radius cannot include: parts of the loop, clipping and hidden faults."""
         present = {
             "force_limit": self.loop.force_limit is not None,
             "one_sided_wall": self.hidden.one_sided_wall,
@@ -115,7 +115,7 @@ class Setup:
 
 
 def setup_of(device: Device, experiment: Experiment) -> Setup:
-    """Return the setup of an experiment as its device file describes it.
+    """Return the conditions of an experiment as described in its device file.
 
     Raises
     ------
@@ -140,17 +140,21 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
 
 
 def idealise(setup: Setup) -> Setup:
-    """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction and hidden faults."""
+    """Return the loop of linear theory: without noise, quantisation, jitter, friction or hidden faults.
+
+    The limits are kept.
+    """
     loop = replace(setup.loop, sensor=Sensor(), jitter_samples=(), friction=None, constant_force=0.0)
     return replace(setup, loop=loop, hidden=NOTHING_HIDDEN)
 
 
 @dataclass(frozen=True, eq=False)
 class TrialDraws:
-    """Random draws for each row of a trial, shape (rows,); None if there is nothing to draw.
+    """Random draws for each row of a trial, shape (rows,). A draw is None if its quantity is not random.
 
-    ``noise`` [m, rad] comes before the sensor's rounding, ``delays`` [samples] are those of the commands. In ``held``
-    samples the sensor repeats its last value, in ``repeated`` rows the log does; ``lost`` rows are missing in the log.
+    ``noise`` [m, rad] is added before the sensor rounds. ``delays`` [samples] are the delays of the commands. In
+    ``held`` samples the sensor repeats its last value. In ``repeated`` rows the log repeats the last position. The log
+    lacks the ``lost`` rows.
     """
 
     noise: Floats | None
@@ -162,7 +166,7 @@ class TrialDraws:
 
 @dataclass(frozen=True)
 class RandomStream:
-    """Random streams of a trial, each determined by seed, stream, K, B, repetition and the drawn quantity."""
+    """Random streams of a trial. A stream is determined by all fields and by the drawn quantity."""
 
     seed: int
     stream: str
@@ -171,16 +175,16 @@ class RandomStream:
     repetition: int
 
     def generator(self, what: int) -> np.random.Generator:
-        """Return the generator of a drawn quantity."""
+        """Return the random generator of a drawn quantity."""
         name = int.from_bytes(hashlib.sha256(self.stream.encode()).digest()[:8])
-        # + 0.0: -0.0 is the same trial as 0.0
+        # + 0.0: the trials with -0.0 and 0.0 are the same
         bits = (np.array([self.stiffness, self.damping]) + 0.0).view(np.uint64).tolist()
         words = _words(self.seed, name, *bits, self.repetition)
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(words, spawn_key=(what,))))
 
 
 def _words(*numbers: int) -> NDArray[np.uint32]:
-    """Convert integers to seed words of numpy, lowest word first: passing plain integers takes twice as long."""
+    """Convert integers to seed words of numpy, lowest word first. Passing plain integers takes twice as long."""
     words = []
     for number in numbers:
         words.append(number & _WORD)
@@ -190,14 +194,14 @@ def _words(*numbers: int) -> NDArray[np.uint32]:
 
 
 def draw(setup: Setup, stream: RandomStream) -> TrialDraws:
-    """Return all random quantities of a trial."""
+    """Draw all random quantities of a trial."""
     rows, hidden = setup.rows, setup.hidden
 
     def some(what: int, share: float) -> Booleans | None:
         if share == 0:
             return None
         chosen: Booleans = stream.generator(what).random(rows) < share
-        chosen[0] = False  # the first row gives the rest position of the wall
+        chosen[0] = False  # the first row determines the rest position of the wall
         return chosen
 
     noise = delays = None

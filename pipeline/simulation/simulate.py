@@ -1,9 +1,9 @@
-"""Hybrid simulator of the virtual wall: sampled controller, delayed command, exact motion between samples.
+"""Hybrid simulation of the virtual wall: sampled controller, delayed command and exact motion between the samples.
 
-Per sample k: the true position is disturbed by noise and rounded to the sensor's quantum; the wall force
-``K (x_k - x_0) + B v_k`` is subtracted from the external step; the command, clipped to the force limit, reaches the
-plant some samples later. Between two changes of its input the plant moves exactly. Each trial has its own random
-streams, and is simulated by `pipeline.loop.closed_loop`.
+In each sample k, noise is added to the true position, and the sum is rounded to the quantum of the sensor. The wall
+force ``K (x_k - x_0) + B v_k`` is subtracted from the external step. The command is clipped to the force limit and
+reaches the plant some samples later. The motion of the plant is exact between two changes of its input. Each trial has
+its own random streams, and is simulated by `pipeline.loop.closed_loop`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from pipeline.records.trials import Floats, Integers, Trial, Trials
 from pipeline.simulation.setup import RandomStream, Setup, TrialDraws, draw
 
 DIGITS = 40
-"""Decimal digits for filter coefficients in powers of 1/z: a low cut-off causes large cancellation."""
+"""Number of decimal digits for filter coefficients in powers of 1/z. A low cut-off causes large cancellation."""
 
 MOST_DELAYS, MOST_ALIKE = 9, 8
-"""Largest number of consecutive delays from which commands draw (the applied delay then has a standard deviation of 1.6
-samples), and largest multiplicity of one of them."""
+"""Largest number of consecutive delays among which commands draw, and largest multiplicity of one of them. The standard
+deviation of the applied delay is then 1.6 samples."""
 
 START_MARGIN = 1.1
-"""Smallest travel limit relative to the distance of the start: noise must not end a trial where it starts."""
+"""Smallest ratio of travel limit and start distance. Noise must not end a trial at its start."""
 
 
 def simulate(
@@ -44,7 +44,7 @@ def simulate(
     repetition: int = 0,
     disturbance: Floats | None = None,
 ) -> Trials:
-    """Simulate step responses, one per pair (K, B), from rest at ``centre - F_0/K`` (``centre`` for K <= 0).
+    """Simulate a step response for each pair (K, B), from rest at ``centre - F_0/K``, or at ``centre`` for K <= 0.
 
     Parameters
     ----------
@@ -52,26 +52,27 @@ def simulate(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad]; both may be negative.
     seed, stream, repetition : int, str, int
-        Name the random streams together with K and B: the same five give the same trial, independent of others
-        simulated with it, and a longer trial starts with the samples of the shorter one.
+        Seed, name and repetition that together with K and B determine the random streams. Equal values give the same
+        trial, independent of other trials. A longer trial begins with the samples of a shorter one.
     disturbance : float64, shape (rows, n), optional
-        Force on the device in addition to the command [N, Nm], such as the push of a hand, constant from one row to the
-        next. It is unknown to the controller and acts without delay.
+        Force on the device in addition to the command [N, Nm], such as the push of a hand. It is constant between
+        two rows, is unknown to the controller and acts without delay.
 
     Returns
     -------
     Trials
-        A trial that leaves its travel ends with the first sample outside. ``trial_id`` is a running number.
+        Simulated trials. A trial that leaves its travel ends with the first sample outside. ``trial_id`` is a running
+        number.
 
     Raises
     ------
     ParameterError
-        If K or B is not finite, or the seed is negative, or the disturbance has another shape.
+        If K or B is not finite, if the seed is negative, or if the disturbance has another shape.
 
     Notes
     -----
-    A start at or beyond the travel limit (F_0/K >= travel) widens the limit to a little more than that
-    distance: the response moves inwards first, and would otherwise end before it began.
+    If the start is at or beyond the travel limit (F_0/K >= travel), the limit is set slightly farther than the start.
+    Otherwise the trial would end at its start, although the response first moves inwards.
 
     Source: Hulin 2017, sec. 3.1 and 6.1.1, eq. 6.1.
     """
@@ -87,11 +88,11 @@ def simulate(
 
 
 Shared = tuple[Floats, tuple[int, Floats, float], tuple[Floats, int, tuple[Interval, Interval]]]
-"""External force, velocity estimator and motion, as required by `run_trial`."""
+"""External force, velocity estimator and motion, in the form that `run_trial` requires."""
 
 
 def _shared(setup: Setup) -> Shared:
-    """Return the common inputs of all trials of a call."""
+    """Return the inputs that are common to all trials of a call."""
     T, motion = setup.true_period_s, FrictionalMotion.of(setup.loop)
     part = setup.loop.delay_samples % 1
     spans = (T, T) if setup.loop.jitter_samples or part == 0 else (part * T, (1 - part) * T)
@@ -103,7 +104,7 @@ def _shared(setup: Setup) -> Shared:
 def _run(
     setup: Setup, shared: Shared, wall: tuple[float, float], draws: TrialDraws, push: Floats
 ) -> tuple[Floats, Floats]:
-    """Return command and position of a trial."""
+    """Return the command and the position of a trial."""
     (K, _), loop, hidden, (external, estimator, motion) = wall, setup.loop, setup.hidden, shared
     start = setup.centre - (setup.step * (1.0 / K) if K > 0 else 0.0)  # eq. 6.1
     farthest = START_MARGIN * abs(start - setup.centre)
@@ -126,13 +127,13 @@ def _check(setup: Setup, K: Floats, B: Floats, seed: int, disturbance: Floats | 
     if not (np.isfinite(K).all() and np.isfinite(B).all()):
         raise ParameterError("simulated stiffness and damping must be finite.")
     if seed < 0:
-        raise ParameterError(f"seed {seed}: expected 0 or a positive whole number.")
+        raise ParameterError(f"seed {seed}: expected 0 or a positive integer.")
     if disturbance is not None and disturbance.shape != (expected := (setup.rows, len(K))):
         raise ParameterError(f"disturbance of shape {disturbance.shape}: expected (rows, n) = {expected}.")
 
 
 def external_force(setup: Setup) -> Floats:
-    """Return the external force of each row [N, Nm], shape (rows,): the step, its ramp, and later steps."""
+    """Compute the external force of each row [N, Nm], shape (rows,), from the step, its ramp and later steps."""
     row = np.arange(setup.rows)
     rise = np.clip((row - setup.edge_row + 1) / setup.hidden.ramp_samples, 0.0, 1.0)
     result: Floats = setup.step * rise
@@ -142,9 +143,9 @@ def external_force(setup: Setup) -> Floats:
 
 
 def _rest_depth(setup: Setup, K: float) -> float:
-    """Return the penetration depth at which the constant force is balanced before the step [m, rad].
+    """Compute the penetration depth at which the wall balances the constant force before the step [m, rad].
 
-    A wall without stiffness cannot balance it, nor can a one-sided wall that the force pulls away from.
+    The depth is 0 if the wall has no stiffness, or if it is one-sided and the force pulls the device away from it.
     """
     constant = setup.constant_force
     holds = K > 0 and (not setup.hidden.one_sided_wall or constant * setup.step > 0)
@@ -152,9 +153,9 @@ def _rest_depth(setup: Setup, K: float) -> float:
 
 
 def applied_delays(delays: Integers) -> Integers:
-    """Return the command applied to the plant in each interval when every command has a separate delay.
+    """Find the command that is applied to the plant in each interval if every command has its own delay.
 
-    The newest command that has arrived is applied; an older one that arrives later is ignored.
+    The newest command that has arrived is applied. An older command that arrives later is ignored.
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ def applied_delays(delays: Integers) -> Integers:
     Returns
     -------
     int64, shape (rows,)
-        Row of the applied command in the interval that starts with each row; -1 before any arrival.
+        Row of the command that is applied in the interval after each row; -1 before the first arrival.
 
     Examples
     --------
@@ -180,10 +181,11 @@ def applied_delays(delays: Integers) -> Integers:
 
 
 def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
-    """Return mean and standard deviation [samples] of the delay of the applied command.
+    """Compute the mean and the standard deviation of the delay of the applied command [samples].
 
-    Each command draws its delay from integer delays of equal probability. As later commands overtake earlier ones, the
-    mean is below that of ``delays``: the applied command is older than j samples if none of the last j + 1 has arrived.
+    Each command draws its delay from the given integers with equal probability. The mean is below the mean of
+    ``delays`` because later commands overtake earlier ones. The applied command is older than j samples if none of the
+    last j + 1 commands has arrived.
     """
     drawn = np.array(delays)
     older = np.cumprod([(drawn > age).mean() for age in range(int(drawn.max()) + 1)])
@@ -194,10 +196,10 @@ def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
 
 
 def delays_of(age: float, jitter: float) -> tuple[int, ...]:
-    """Return integer delays of equal probability for a mean and a standard deviation of the applied delay [samples].
+    """Find integer delays whose applied delay has a given mean and standard deviation [samples].
 
-    Empty if a constant delay fits better. An error of the mean has four times the weight of one of the deviation,
-    because limits follow the mean.
+    All delays have equal probability. The result is empty if a constant delay fits better. An error of the mean has
+    four times the weight of an error of the deviation because the stability limits depend on the mean.
     """
     drawn, mean, deviation = _drawn()
     first = np.maximum(np.rint(age - mean), 0)
@@ -208,7 +210,10 @@ def delays_of(age: float, jitter: float) -> tuple[int, ...]:
 
 @cache
 def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
-    """Return sets of delays starting at 0, one of them up to `MOST_ALIKE` times, with mean and deviation as applied."""
+    """List candidate sets of delays from 0 on, with the mean and the deviation of each applied delay.
+
+    One delay of a set may occur up to `MOST_ALIKE` times.
+    """
     every = [tuple(range(count)) for count in range(2, MOST_DELAYS + 1)]
     every = [(*alike, *(one,) * more) for alike in every for one in alike for more in range(MOST_ALIKE)]
     mean, deviation = np.array([applied_delay_moments(drawn) for drawn in every]).T
@@ -216,7 +221,7 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
 
 
 def _slots(setup: Setup, delays: Integers | None) -> Integers:
-    """Return the row of the applied command, from 1, in the parts of the interval after each row, (parts, rows)."""
+    """Return the row (from 1) of the command applied in each part of the interval after each row, (parts, rows)."""
     if delays is not None:
         slots = applied_delays(delays) + 1
         return slots[None]
@@ -227,21 +232,21 @@ def _slots(setup: Setup, delays: Integers | None) -> Integers:
 
 
 def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[Floats, Floats]:
-    """Return b and a of the filter b(z)/a(z) that acts on (x_k - x_{k-1})/T, in powers of 1/z, a[0] = 1."""
+    """Return b and a of the filter b(z)/a(z) of (x_k - x_{k-1})/T, in powers of 1/z with a[0] = 1."""
     with many_digits(DIGITS):
         b, a = filter_in_z(per_sample(kind, sampling_period_s))
         return as_floats(b), as_floats(a)
 
 
 def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[int, Floats, float]:
-    """Return the velocity estimator of a controller, as input of `pipeline.loop.closed_loop.velocity`.
+    """Return the velocity estimator of a controller as an input of `pipeline.loop.closed_loop.velocity`.
 
     Parameters
     ----------
     kind : VelocityFilter or None
-        None for the backward difference.
+        Velocity filter; None for the backward difference.
     sampling_period_s : float
-        Sampling period T that the controller assumes [s].
+        Sampling period T that the controller uses [s].
     """
     if isinstance(kind, AdaptiveWindow):
         return WINDOW, np.array([[kind.bound, kind.longest], [0.0, 0.0]]), sampling_period_s
@@ -257,7 +262,7 @@ def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
 
 
 def _logged(setup: Setup, draws: TrialDraws, command: Floats, position: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return time stamps, command and position as a lab logs them."""
+    """Return time stamps, command and position as they are logged in a lab."""
     rows = len(position)
     time = setup.loop.sampling_period_s * np.arange(rows, dtype=np.float64)
     if draws.repeated is not None:

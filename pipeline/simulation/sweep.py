@@ -1,8 +1,8 @@
-"""A simulated sweep: the pairs (K, B) that a lab would test, and the logs that it would record.
+"""Simulation of a sweep: the pairs (K, B) that a lab would test, and the logs that it would record.
 
-For each damping B the stiffness K is raised by the stiffness step until a trial is unstable, then once more
-from the last stable K in steps of 20 % (6.1.1). Trials at K = 0 with falling B follow, from which the
-physical damping is read (6.1.2). Whether a trial is unstable is judged from its log, as in the lab.
+For each damping B, the stiffness K is increased by the stiffness step until a trial is unstable. It is then increased
+again from the last stable K, in steps of 20 % of the stiffness step (6.1.1). Trials at K = 0 with decreasing B follow,
+which determine the physical damping (6.1.2). As in the lab, the verdict on a trial is based on its log.
 """
 
 from __future__ import annotations
@@ -33,32 +33,32 @@ from pipeline.simulation.tested_grid import tested_grid
 from pipeline.store.names import folder_for
 
 LOWEST_DAMPING = 2.0
-"""Largest -B tested at K = 0, relative to the physical damping, if the tested B end before: the limit is reached
-immediately."""
+"""Largest -B tested at K = 0 relative to the physical damping, unless the grid contains a larger B. Friction or a force
+limit may hide the limit of stability, which is at 1."""
 
 LONGEST_TRIAL = 20_000
-"""Largest number of samples of a trial, 20 s at 1 kHz: fifty times those of the thesis. Each array of a sweep of 2,300
-trials then takes 370 MB."""
+"""Largest number of samples of a trial: 20 s at 1 kHz, fifty times as long as in the thesis. Each array of a sweep of
+2,300 trials then takes 370 MB."""
 
 TRUTH_FILE = "truth.json"
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSweep:
-    """Trials of one sweep in the order in which a lab would have recorded them, and their ground truth.
+    """Trials of a sweep in the order in which a lab would have recorded them, and their ground truth.
 
     Parameters
     ----------
     device, experiment : Device, Experiment
     setup : Setup
-        Simulated conditions: loop, step, limits.
+        Simulated conditions, such as loop, step and limits.
     seed : int
     trials : Trials
-        ``trial_id`` is the file name of the log without its extension.
+        Trials, whose ``trial_id`` is the file name of the log without its extension.
     passes : int64, shape (n,)
-        1 for a trial of the coarse steps, 2 for one of the fine steps.
+        Pass of each trial: 1 for the coarse steps, 2 for the fine steps.
     verdict : array of str, shape (n,)
-        Verdict from the log: stable, unstable or undecided.
+        Verdict on each log: stable, unstable or undecided.
     """
 
     device: Device
@@ -81,7 +81,7 @@ def run_sweep(
     progress: Callable[[int], None] | None = None,
     **changes: Any,
 ) -> SimulatedSweep:
-    """Simulate the sweep of one experiment.
+    """Simulate the sweep of an experiment.
 
     Parameters
     ----------
@@ -89,35 +89,35 @@ def run_sweep(
     experiment : str
         Name of an experiment of the device.
     seed : int
-        Seed of noise and jitter; the same seed gives the same logs.
+        Seed of noise and jitter. The same seed gives the same logs.
     ideal : bool
-        Without noise, quantum and jitter, unless they are given here.
+        Whether noise, quantum, jitter, friction and hidden faults are omitted. ``changes`` may restore them.
     duration_s : float, optional
-        Length of a trial [s] in place of the device's, at most `LONGEST_TRIAL` samples.
+        Duration of a trial [s] instead of the device's, at most `LONGEST_TRIAL` samples.
     coarsen : int
-        Every n-th damping and n times the stiffness step, for a small sweep. K = 0 is tested in full.
+        Factor n for a small sweep: every n-th damping is tested with n times the stiffness step. K = 0 is tested fully.
     progress : callable, optional
-        Called with the number of trials kept so far.
+        Function that is called with the number of trials kept so far.
     **changes
-        Entries of the `Loop` in place of the device's, such as ``sensor`` or ``jitter_samples``.
+        Fields of the `Loop` that replace those of the device, such as ``sensor`` or ``jitter_samples``.
 
     Raises
     ------
     DeviceError
-        If the device has no such experiment.
+        If the device has no experiment with this name.
     ParameterError
-        If a value is out of range, or no unstable trial is found within `procedure.LONGEST_CLIMB` steps.
+        If a value is out of range, or if no unstable trial is found within `procedure.LONGEST_CLIMB` steps.
 
     Notes
     -----
     An undecided trial counts as stable. The fifth fine step would repeat the unstable coarse trial and is omitted.
-    If B = 0 is already unstable at K = 0, the fine steps start one damping step above it, so that the limit is still
-    bracketed.
+    If B = 0 is already unstable at K = 0, the fine steps start one damping step above B = 0, so that they still bracket
+    the limit.
 
     Source: Hulin 2017, sec. 6.1.1, 6.1.2, 6.2.1.
     """
     if coarsen < 1:
-        raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
+        raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger integer.")
     conditions = find_experiment(device, experiment)
     setup = _setup(device, conditions, duration_s, ideal=ideal).with_loop(**changes)
     stream = f"{device.name}/{conditions.name}"
@@ -130,7 +130,7 @@ def run_sweep(
     lowest = max(grid.damping_last, LOWEST_DAMPING * conditions.damping)
     climb = Climb(run, coarsen * grid.stiffness_step, grid.damping_step, lowest, progress)
     stride = coarsen * grid.damping_step
-    tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
+    tolerance = 1e-9  # of a step: rounding of a quotient such as 184/4 must not omit the last damping
     count = floor((grid.damping_last - grid.damping_first) / stride + tolerance) + 1
     climb.columns([*(grid.damping_first + j * stride for j in range(count))])
     climb.columns([None])
@@ -149,7 +149,7 @@ def _setup(device: Device, conditions: Experiment, duration_s: float | None, *, 
         return setup
     longest_s = LONGEST_TRIAL * device.sampling_period_s
     if not 0 < duration_s < inf:
-        raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
+        raise ParameterError(f"duration = {duration_s} s: expected a finite positive duration of a trial.")
     if duration_s > longest_s:
         raise ParameterError(f"duration = {duration_s} s: expected at most {longest_s:g} s ({LONGEST_TRIAL} samples).")
     return replace(setup, rows=round(duration_s / setup.loop.sampling_period_s))
@@ -160,36 +160,36 @@ def _log_name(stiffness: float, damping: float, number: int) -> str:
 
 
 def _digits(value: float, width: int) -> str:
-    """Return a number with leading zeros, so that names sort, and enough decimals to make it unique."""
+    """Format a number with leading zeros, so that names sort, and with as many decimals as it needs."""
     text = np.format_float_positional(abs(value), trim="-")
     whole, point, decimals = text.partition(".")
     return ("-" if value < 0 else "") + whole.zfill(width) + point + decimals
 
 
 def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False) -> int:
-    """Write a sweep as native logs with ``truth.json`` below ``folder/<device>/<experiment>``.
+    """Write a sweep as native logs with ``truth.json`` to ``folder/<device>/<experiment>``.
 
     Parameters
     ----------
     sweep : SimulatedSweep
     folder : Path
-        Created if missing.
+        Output folder, which is created if it is missing.
     overwrite : bool
-        Replace the logs of an earlier simulation, those that the ``truth.json`` there lists. Other files
-        are never touched.
+        Whether to replace the logs of an earlier simulation, which are listed in its ``truth.json``. Other files are
+        never changed.
 
     Returns
     -------
     int
-        Number of logs written.
+        Number of logs that were written.
 
     Raises
     ------
     UsageError
-        If the folder contains an earlier simulation and ``overwrite`` is false, or a file that is not listed has
-        the name of a log; nothing is written then.
+        If the folder contains an earlier simulation and ``overwrite`` is false, or if an unlisted file has the name
+        of a log. Nothing is written in these cases.
     PipelineError
-        If a file cannot be written. Existing logs are complete and listed in ``truth.json``.
+        If a file cannot be written. The logs written so far are complete and listed in ``truth.json``.
     """
     target = folder_for(folder_for(folder, sweep.device.name), sweep.experiment.name)
     names = [f"{name}.csv" for name in sweep.trials.trial_id]
@@ -198,11 +198,11 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
         foreign = [name for name in names if name not in earlier and (target / name).exists()]
         if foreign:
             raise UsageError(
-                f"{target / foreign[0]} ({len(foreign)} such file(s)) is no log of an earlier simulation "
-                f"by its {TRUTH_FILE}, and is not replaced. Choose another folder (--out)."
+                f"{target / foreign[0]} ({len(foreign)} such file(s)) is not listed in {TRUTH_FILE} as a log of an "
+                "earlier simulation, and is not replaced. Choose another folder (--out)."
             )
         truth = _truth(sweep)
-        # files are listed before they are written, so that the next run can replace those of an interrupted run
+        # files are listed before they are written, so that the next run can replace the files of an interrupted run
         pending = {"complete": False, "logs": [*sorted(earlier), *names]}
         write_text(target / TRUTH_FILE, json.dumps({**truth, **pending}))
         for name in earlier.difference(names):
@@ -219,7 +219,7 @@ def write_sweep(sweep: SimulatedSweep, folder: Path, *, overwrite: bool = False)
 
 def _write_logs(sweep: SimulatedSweep, target: Path, names: Sequence[str]) -> None:
     device, experiment, hidden = sweep.device, sweep.experiment, sweep.setup.hidden
-    # time stamps are the same in every log without gaps, so they are text of the template
+    # logs without missing rows have the same time stamps, which are therefore part of a template
     longest, period = int(sweep.trials.rows.max(initial=0)), sweep.setup.loop.sampling_period_s
     stamped = bool(hidden.lost_rows) and not hidden.lost_rows_hidden
     stamps = ["%.17g" if stamped else "%.17g" % (k * period) for k in range(longest)]
@@ -249,7 +249,7 @@ def _write_logs(sweep: SimulatedSweep, target: Path, names: Sequence[str]) -> No
 
 
 def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
-    """Return the names of the logs that an earlier simulation wrote here."""
+    """Return the names of the logs that an earlier simulation wrote to a folder."""
     path = target / TRUTH_FILE
     if not path.exists():
         return set()

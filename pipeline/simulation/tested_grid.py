@@ -1,4 +1,4 @@
-"""Tested walls of a series of trials: those of a device file, or all stable ones."""
+"""Walls that a series of trials tests, from the device file or else from the range of stable walls."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 
 from pipeline.theory.cases import case_of, limits_of_walls
 
-if TYPE_CHECKING:  # loading its classes takes longer than a short command
+if TYPE_CHECKING:  # importing these classes takes longer than a short command
     from pipeline.records.models import Device, Experiment
 
 GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
-"""Default grid of walls if a device file states none: dampings over half of the stable ones, stiffnesses up to the
-limit."""
+"""Size of the default grid of walls if a device file states no grid. Its dampings span half of the stable range, and
+its stiffnesses reach up to the limit."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Tested walls: dampings [Ns/m, Nms/rad], and step of the stiffness [N/m, Nm/rad]."""
+    """Grid of tested walls: range and step of the damping [Ns/m, Nms/rad], and step of the stiffness [N/m, Nm/rad]."""
 
     damping_first: float
     damping_last: float
@@ -29,12 +29,12 @@ class Grid:
 
 
 def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the walls that an experiment tests: those of the device file, otherwise over the range of stable ones.
+    """Return the grid of an experiment. Values that the device file lacks follow from the range of stable walls.
 
     Raises
     ------
     ParameterError
-        If the file names no grid and no wall is stable.
+        If a value of the grid is missing in the file and no wall is stable.
     """
     e = experiment
     if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:

@@ -312,7 +312,7 @@ def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     if tree == "stages":
         return
     # a device with a damaged experiment is refused
-    with pytest.raises(StoreError, match=rf"{tree}/lwr/delay-2/.*`pipeline check --repair` saves it"):
+    with pytest.raises(StoreError, match=rf"{tree}/lwr/delay-2/.*`pipeline check --repair` saves them"):
         run(own)
 
 

@@ -276,7 +276,7 @@ MODE = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15}
             r"velocity.*expected a stable filter.*distance 1",
         ),
         ({"motion": "bend"}, r"motion = 'bend': expected translation or rotation"),
-        ({"mode": {"far_mass": 0.1}}, r"mode\.far_mass = 0\.1: .*keys are those of a device file"),
+        ({"mode": {"far_mass": 0.1}}, r"mode\.far_mass = 0\.1: .*Use the keys of a device file"),
     ],
 )
 def test_numbers_that_contradict_each_other_are_refused(parts: dict[str, Any], message: str) -> None:
