@@ -1,7 +1,7 @@
 """Start and end of this package's processes, and pools of worker processes.
 
-A worker ends when the process that started it ends for any reason. It waits on a pipe whose other end only its parent
-holds open, and which the operating system closes when the parent ends. (Linux's parent-death signal would be sent when
+A worker ends when the process that started it ends for any reason. It waits on a pipe whose other end is open only in
+its parent. The operating system closes the pipe when the parent ends. (Linux's parent-death signal would be sent when
 the starting *thread* ends.) A termination signal is raised as an exception, so that incomplete files are removed. A
 second signal ends the process immediately.
 """

@@ -72,7 +72,7 @@ def points(
     shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
     document = answer.to_json()
     lines = console.table(document, (*columns, "stable", "spectral_radius", *shown, "reason"))
-    console.tell(document, [*lines, *_beside({} if device is None or case is None else case.said), *files])
+    console.tell(document, [*lines, *_beside({} if device is None or case is None else case.loop_entries), *files])
 
 
 def boundary(
@@ -116,7 +116,7 @@ _ROUNDING = 1e-12
 
 
 def _boundary_lines(answer: Boundary) -> Iterator[str]:
-    said, axes = answer.case.said, answer.case.axes
+    said, axes = answer.case.loop_entries, answer.case.axes
     if "device" in said:
         yield f"device {said['device']}, experiment {said['experiment']}"
     columns = answer.columns()
@@ -184,7 +184,7 @@ def optimum(
         k, b = case.axes
         columns = ("criterion", k, b, "cost", f"critical_{b}", f"amplitude_optimal_{b}")
         words = [best.reason] if best.reason else []
-        console.tell(document, [*console.table([document], columns), *words, *_beside(case.said), *files])
+        console.tell(document, [*console.table([document], columns), *words, *_beside(case.loop_entries), *files])
         return
     with console.progress("optimum"):
         answer = best_wall(case, criterion, signal)
@@ -197,7 +197,7 @@ def optimum(
     document = answer.to_json()
     lines = console.table([document], ("criterion", *case.axes, "cost"))
     words = [text for text in (answer.reason, answer.note, _reachable_line(answer)) if text]
-    console.tell(document, [*lines, *words, *_beside(case.said), *files])
+    console.tell(document, [*lines, *words, *_beside(case.loop_entries), *files])
 
 
 def _reachable_line(answer: Optimum) -> str:
