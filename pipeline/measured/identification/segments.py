@@ -191,9 +191,9 @@ def segments_of(
         Whether only rows with a known direction of motion are used, in segments of one direction. Friction requires
         this, since the time of a reversal is uncertain by a fraction of a row. Otherwise all rows are used.
     free : tuple of float
-        As in `Segments`; logs are then not cut, as the run goes through reversals.
+        As in `Segments`. If it is not empty, logs are not cut, since free runs include reversals.
     whole : bool
-        Whether logs longer than `LONGEST` are not cut either without free runs.
+        Whether logs longer than `LONGEST` are not cut.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / units.period) for each in recordings]
