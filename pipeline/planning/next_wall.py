@@ -344,15 +344,16 @@ def plan_state(
             goal, largest, trial_s, float(ahead.limit[i]), float(ahead.error[i]), float(ahead.low[i]), stable, decided
         )
         column = _wall_to_try(goal.dampings[i], of, own, task, tried.stiffness, holds=ahead.misfit <= goal.accuracy)
+        refuted = (own.verdict != "unstable").any()
         if (
             len(tried)
-            and not len(own)
+            and not refuted
             and goal.bold == inf
-            and task.limit <= 0
+            and task.limit <= task.half
             and (task.error <= width or goal.gentle)
         ):
-            # nothing is stable here with sufficient certainty, so a trial is not needed
-            column = DampingState(goal.dampings[i], of, 0.0, note="no stable wall")
+            # a limit that the accuracy cannot tell from 0: every wall above it would only be unstable
+            column = DampingState(goal.dampings[i], of, max(task.limit, 0.0), note="no stable wall")
         if rig is not None:
             column = _as_set(column, rig, goal)
         if by is not None and not len(tried) and column.wall is not None:

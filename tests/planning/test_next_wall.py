@@ -213,6 +213,22 @@ def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
     assert plan_state(trials.select(np.zeros(2, dtype=bool)), PlanGoal((60.0, 120.0)), by).columns[1].wall is not None
 
 
+@pytest.mark.parametrize(("limit", "verdict", "tried"), [
+    (1e-4, "unstable", False),  # the accuracy of 2 % of 9000 cannot tell this limit from 0
+    (179.0, "unstable", False),
+    (181.0, "unstable", True),
+    (1e-4, "stable", True),  # a stable wall refutes the forecast
+    (1e-4, "undecided", True),
+])  # fmt: skip
+def test_no_wall_far_above_a_limit_near_zero_is_tried_again(limit, verdict, tried):
+    by = Forecast(np.array([9000.0, limit]), np.ones(2))
+    K, B = np.array([8900.0, 9100.0, 400.0]), np.array([60.0, 60.0, 0.0])
+    trials = TriedWalls(K, B, np.array(["stable", "unstable", verdict]), np.array([-9.0, 9.0, 5.0]))
+    column = plan_state(trials, PlanGoal((60.0, 0.0)), by).columns[1]
+    assert (column.wall is not None) == tried
+    assert (column.note == "no stable wall") == (not tried)
+
+
 @pytest.mark.parametrize(
     ("trials", "width", "found"),
     [
