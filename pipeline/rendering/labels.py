@@ -171,13 +171,26 @@ def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
 
 
 def stiffness_text(value: float) -> str:
-    """Return a stiffness as printed in Tables D.1 to D.5: an integer from 100, else four digits."""
-    return decimal(value, 0) if abs(value) >= 100 else significant(value, 4)
+    """Return a stiffness as printed in Tables D.1 to D.5: an integer from 100, else at most four digits.
+
+    >>> stiffness_text(4469.4), stiffness_text(4.5), stiffness_text(33.25)
+    ('4469', '4.5', '33.25')
+    """
+    return decimal(value, 0) if abs(value) >= 100 else _shortest(significant(value, 4))
 
 
 def damping_text(value: float) -> str:
-    """Return a damping as printed in Tables D.1 to D.5: at most two decimals."""
-    return decimal(value, 2) if abs(value) >= 1 or value == 0 else significant(value, 3)
+    """Return a damping as printed in Tables D.1 to D.5: at most two decimals, below 1 at most three digits.
+
+    >>> damping_text(73.054), damping_text(22.5), damping_text(0.25)
+    ('73.05', '22.5', '0.25')
+    """
+    return _shortest(decimal(value, 2) if abs(value) >= 1 or value == 0 else significant(value, 3))
+
+
+def _shortest(text: str) -> str:
+    """Return a number without zeros at the end of its decimals: 4.500 may be read as 4500."""
+    return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def cost_text(criterion: str, value: float) -> str:
@@ -194,7 +207,7 @@ def cost_range_text(criterion: str, low: float, high: float) -> str:
     """
     unit = criterion_of(criterion).family.printed_unit
     ends = (0.0 if abs(cost) < ALL_BUT_ROUNDING else cost for cost in (low, high))
-    text = range_text(lambda cost: significant(cost * printed_scale(criterion), 3), *ends)
+    text = range_text(lambda cost: _shortest(significant(cost * printed_scale(criterion), 3)), *ends)
     return f"{text} {unit}" if unit else text
 
 

@@ -13,7 +13,7 @@ from pipeline.rendering.labels import at_least, damping_text, estimate_texts, pe
     [
         (
             stiffness_text,
-            {7.5: "7.500", 0.0431: "0.04310", 99.96: "99.96", 6800.4: "6800", 250.4: "250", -7.5: "−7.500"},
+            {7.5: "7.5", 0.0431: "0.0431", 99.96: "99.96", 6800.4: "6800", 250.4: "250", -7.5: "−7.5"},
         ),
         (damping_text, {7e-5: "7.00e−05", 6.98e-4: "0.000698", 18.256: "18.26"}),
         # a lower bound is never rounded up
