@@ -352,7 +352,7 @@ def plan_state(
             and task.limit <= task.half
             and (task.error <= width or goal.gentle)
         ):
-            # a limit that the accuracy cannot tell from 0: every wall above it would only be unstable
+            # the limit is 0 within the accuracy: every wall above it would only be unstable
             column = DampingState(goal.dampings[i], of, max(task.limit, 0.0), note="no stable wall")
         if rig is not None:
             column = _as_set(column, rig, goal)

@@ -214,7 +214,7 @@ def test_nothing_is_tried_where_the_device_of_the_logs_has_no_stable_wall():
 
 
 @pytest.mark.parametrize(("limit", "verdict", "tried"), [
-    (1e-4, "unstable", False),  # the accuracy of 2 % of 9000 cannot tell this limit from 0
+    (1e-4, "unstable", False),  # it is 0 within the accuracy of 2 % of 9000
     (179.0, "unstable", False),
     (181.0, "unstable", True),
     (1e-4, "stable", True),  # a stable wall refutes the forecast
