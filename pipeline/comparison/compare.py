@@ -268,7 +268,8 @@ def _figures(finished: FinishedComparison) -> Iterator[Figure]:
     if told is not None and told.boundary and shown.has_figure("boundaries"):
         number = data.scene.experiments.index(told.experiment)
         theory = theories.get(told.experiment) if shown.has_overlay("theory") else None
-        yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]))
+        others = [each for each in result.experiments if each is not told]
+        yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]), others)
     if told is not None and shown.has_figure("response") and (wall := _recommended(finished, told)) is not None:
         yield wall
     known = data.device.published_as if data.device is not None else ""

@@ -426,7 +426,8 @@ STIFFEST = "stiffness"
 class UsePoint(Record):
     """Recommended tested wall of a region, with the costs of its trial and the margin of the limit over its stiffness.
 
-    ``margin_large_motion`` is that for large motions, if friction was found.
+    ``margin_large_motion`` is that for large motions, if friction was found. ``better`` names the trial of the least
+    cost, and why it was not chosen; empty if this one has the least cost.
     """
 
     stiffness: float
@@ -435,6 +436,7 @@ class UsePoint(Record):
     costs: dict[str, float]
     margin: float
     margin_large_motion: float | None = None
+    better: str = ""
 
 
 class UseRegion(Record):
@@ -497,11 +499,11 @@ class ReachableCost(Record):
 class Prediction(Record):
     """Agreement of theory with the device: distance of the measured limits from it, and of the costs on tested walls.
 
-    ``percent`` is the median distance of ``limits`` limits, null if it is not a headline (`scores.agreement`);
-    ``percent_with_friction`` that from the device with its friction, null if they lie on both sides of it. Of
-    ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than that. ``safe`` is true
-    if all walls that are stable in theory are stable. ``reason`` states why the agreement is unknown, if ``code`` is
-    "unknown".
+    ``percent`` is the median distance of ``limits`` limits, null if it is not a headline (`scores.agreement`). Limits
+    near K = 0 are left out, so that these are fewer than the ``dampings`` with trials. ``percent_with_friction`` is the
+    distance from the device with its friction, null if limits lie on both sides of it. Of ``bounded`` limits with an
+    interval, ``above`` and ``below`` deviate from theory by more than that. ``safe`` is true if all walls that are
+    stable in theory are stable. ``reason`` states why the agreement is unknown, if ``code`` is "unknown".
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted if at most one limit in
     twenty lies outside, and partly if the regions overlap well nevertheless; costs if their median deviation is at most
@@ -514,6 +516,7 @@ class Prediction(Record):
     percent: float | None = None
     percent_with_friction: float | None = None
     limits: int = 0
+    dampings: int = 0
     bounded: int = 0
     above: int = 0
     below: int = 0
@@ -611,7 +614,7 @@ class MeasuredExperiment(Record):
 class ExperimentNumbers(MeasuredExperiment, LoopFindings):
     """All results for one experiment, except the first screen.
 
-    ``use_reason`` states why there is no recommended region, or why none was chosen by a cost.
+    ``use_reason`` states why no wall is recommended, or by what the wall was chosen if not by costs of its region.
     """
 
     theory: SourcedLoop | None = None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 
 from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
@@ -292,7 +293,7 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         spring = declared_spring(known_devices().get(device), experiment)
         stages = ExperimentStages.stored(processed, device, experiment, spring)
         figures.append(trial_figure(stages, result.experiments[0], trial, result.motion))
-        row = next((row for row in stages.trials.to_pylist() if row["trial_id"] == trial), None)
+        row = next(iter(stages.trials.filter(pc.equal(stages.trials["trial_id"], trial)).to_pylist()), None)
         if row is None and len(asked["places"]) > 1:
             raise DeviceError(f"trial {trial} is excluded by hand. Use it again, or leave it out.")
         k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))

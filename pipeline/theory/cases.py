@@ -510,6 +510,31 @@ class BestDamping:
         return {name: [value] for name, value in ({"reason": None} | self.to_json()).items() if name not in of_loop}
 
 
+def continuous_rules(mass: float, damping: float, spring: float, stiffness: float) -> tuple[float, float]:
+    """Return the dampings of a wall by the rules for continuous time: critical, and optimal for the amplitude.
+
+    Parameters
+    ----------
+    mass, damping, spring : float
+        m, b and k of the device, in any consistent units.
+    stiffness : float
+        K of the wall; K + k is positive.
+
+    Notes
+    -----
+    2 sqrt(m (K + k)) - b and sqrt(2 m (K + k)) - b: damping ratios of 1 and of 1/sqrt(2) without delay and sampling.
+
+    Source: Hulin 2017, eq. 5.17.
+
+    Examples
+    --------
+    >>> continuous_rules(2.0, 1.0, 0.0, 8.0)
+    (7.0, 4.656854249492381)
+    """
+    square = mass * (stiffness + spring)
+    return 2 * math.sqrt(square) - damping, math.sqrt(2 * square) - damping
+
+
 def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDamping:
     """Return the best damping for a stiffness, and the dampings from the rules for continuous time.
 
@@ -533,8 +558,7 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
     reason = f"no damping stabilises this stiffness; the largest stable stiffness is {top:.6g}"
     if alpha * k < top:
         reason = "no response settles within the samples of the search"
-    root = math.sqrt(alpha + loop.gamma)
-    rules = [(factor * root - loop.delta) * b for factor in (2.0, math.sqrt(2.0))]
+    rules = continuous_rules(1.0, loop.delta, loop.gamma, alpha)
     return BestDamping(
         case,
         criterion,
@@ -543,8 +567,8 @@ def best_damping_for(case: Case, criterion: str, stiffness: float) -> BestDampin
         cost=cost if known else None,
         low=low * b if known else None,
         high=high * b if known else None,
-        critical=rules[0],
-        amplitude=rules[1],
+        critical=rules[0] * b,
+        amplitude=rules[1] * b,
         reason=None if known else reason,
     )
 

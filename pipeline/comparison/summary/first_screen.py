@@ -165,12 +165,13 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
             found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], **about))
     point = result.stiffest
     if point is not None and limit:
+        of = point.limit
         found.append(
             AnswerEstimate(
                 name="stiffness_max",
-                value=point.estimate or point.stable or 0.0,
+                value=of.stiffness if of else point.stable or 0.0,
                 low=point.low or point.stable,
-                high=point.high,
+                high=None if of is None or of.censored else of.high,
                 unit=units.stiffness,
                 large_motion=point.stiffness_large_motion,
                 damping=point.damping,
@@ -243,21 +244,25 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
     """
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
-    if not misled and region is None and (rubbed := _with_friction(result)) is not None:
-        return Prediction(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
-    if misled or region is None or distance is None:
-        why = misled.rstrip(".") or "no theory to compare limits with"
-        return Prediction(code="unknown", reason=why)
+    if misled:
+        return Prediction(code="unknown", reason=misled.rstrip("."))
+    costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
+    percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
+    apart: dict[str, Any] = {"costs": len(costs), "costs_percent": percent, "dampings": len(result.boundary)}
+    apart["optimal_costs"] = None if percent is None else _graded(*(percent <= most for most in COSTS_WITHIN))
+    if region is None and (rubbed := _with_friction(result)) is not None:
+        of_friction = {"percent_with_friction": _percent(rubbed), "limits": rubbed.dampings}
+        return Prediction(code="with_friction", **of_friction, **apart)
+    if region is None or distance is None:
+        return Prediction(code="unknown", reason="no theory to compare limits with", **apart)
     if not _known(result):
         why = (
             f"no trial was unstable at any of {counted(region.dampings, 'tested damping')}; theory calls "
             f"{share_text(region.overlap, 0)} % of the tested region stable"
         )
-        return Prediction(code="unknown", reason=why)
+        return Prediction(code="unknown", reason=why, **apart)
     if distance.dampings < FEWEST_COMPARISONS:
-        return Prediction(code="unknown", reason=_too_few_limits(result, distance.dampings))
-    costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
-    costs_percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
+        return Prediction(code="unknown", reason=_too_few_limits(result, distance), **apart)
     outside = distance.bounded - distance.agreeing
     rubbed = None if region.overlap >= WELL else _with_friction(result)
     return Prediction(
@@ -270,19 +275,23 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         below=distance.bounded - distance.agreeing - distance.above,
         overlap_percent=100 * region.overlap,
         safe=distance.above > 0 and distance.agreeing + distance.above == distance.bounded,
-        costs=len(costs),
-        costs_percent=costs_percent,
         boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
-        optimal_costs=None if costs_percent is None else _graded(*(costs_percent <= most for most in COSTS_WITHIN)),
+        **apart,
     )
 
 
-def _too_few_limits(result: ExperimentNumbers, known: int) -> str:
+def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     """Return how many limits are missing to judge theory, at which dampings, and the prediction of the identified loop
     there."""
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
-    at = f", for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
-    text = f"only {counted(known, 'limit')} to compare; {FEWEST_COMPARISONS} are needed{at}"
+    if not unknown and len(result.boundary) > 1:
+        B = np.array([point.damping for point in result.boundary])
+        widest = int(np.argmax(np.diff(B)))
+        unknown = [float(0.5 * (B[widest] + B[widest + 1]))]
+    at = f"; record more, for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
+    text = f"{counted(distance.dampings, 'limit')} to compare, {FEWEST_COMPARISONS} are needed{at}"
+    if distance.bounded:
+        text += f". {distance.agreeing} of {distance.bounded} agree with theory within their interval"
     best = max(result.loop_boundary or (), key=lambda limit: limit.stiffness, default=None)
     if best is None:
         return text

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, MeasuredExperiment, UsePoint, UseRegion
 from pipeline.records.trials import Booleans, Floats
-from pipeline.rendering.labels import criterion_name, significant
+from pipeline.rendering.labels import at_least, cost_range_text, criterion_name, damping_text, stiffness_text
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
 """Criteria for recommended walls; the first one with a cost is used. A user feels how fast a wall comes to rest.
@@ -59,21 +59,22 @@ def recommended(result: MeasuredExperiment) -> tuple[str, Optimum] | None:
 def region_to_use(
     result: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float] | None = None
 ) -> tuple[UseRegion | None, str]:
-    """Return the walls to use (None if there are none), and why there are none or why they were not chosen by a cost.
+    """Return the walls to use (None if there are none), and why there are none or why no cost of a region chose them.
 
     Parameters
     ----------
     result : MeasuredExperiment
     stages : ExperimentStages
     linear : mapping of damping to stiffness, optional
-        For a device with friction, the limit for large motions at each tested damping. A wall above it is not
-        recommended.
+        For a device with friction, the limit for large motions at each tested damping. A wall within the margin
+        `NARROW` of it is not recommended.
 
     Notes
     -----
     Usable trials are stable, have K > 0 and overshoot by at most `CALM`, if that is known. If too few of them have a
-    cost, the stiffest walls at the margin `FAR` are recommended. The wall to set has a cost, its log came to rest
-    undisturbed, and no softer wall of its damping is undecided.
+    cost, the stiffest walls at the margin `FAR` are recommended. Without `FEWEST` good ones of these side by side, the
+    wall of the least cost is recommended alone, if as many of its neighbours are stable and calm. The wall to set has
+    a cost, its log came to rest undisturbed, and no softer wall of its damping is undecided.
     """
     # keep away from limits that have a lower bound only
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -82,7 +83,9 @@ def region_to_use(
         return None, _no_limit(K, stages)
     stable = (stages.verdicts.verdict == "stable") & (K > 0)
     over = stages.sure_cost("overshoot") if "overshoot" in result.optimum else np.zeros_like(K)
-    usable = stable & ~(over > CALM)
+    usable = calm = stable & ~(over > CALM)
+    if linear:
+        usable = calm & (np.array([linear[damping] for damping in B.tolist()]) >= NARROW * K)
     clean, finished = _judged(result, stages)
     finished &= ~_above_undecided(K, B, stages.verdicts.verdict == "undecided")
     found, why, region = recommended(result), "no criterion by which walls are chosen has a cost", None
@@ -94,22 +97,35 @@ def region_to_use(
         why = "" if region else _too_few(criterion, int((stable & np.isfinite(cost)).sum()), int(stable.sum()))
     if region is None:
         softness = np.where(K > 0, 1 / np.where(K > 0, K, 1.0), np.inf)
-        tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable, finished)
-        criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
+        stiff = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable, finished)
+        region = best_rectangle(stiff, limits, FAR)
+        if region is not None:
+            return _described(STIFFEST, stiff, region, limits, result, stages, linear or {}), f"stiffness: {why}"
+        if found:
+            tested = replace(tested, level=np.where(usable & np.isfinite(cost), cost, np.inf))
+            region = _single(tested, limits, calm)
         if region is None:
-            return None, f"{why}; {_lacking(limits, K, B, usable & clean, unit_of('stiffness', stages.motion))}"
-    use = _described(criterion, tested, region, limits, result, stages, linear or {})
-    if use.point.margin_large_motion is not None and use.point.margin_large_motion < NARROW:
-        limit = use.point.margin_large_motion * use.point.stiffness
-        return None, (
-            f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
-            f"from {significant(limit, 3)} on: friction dissipates a smaller part of it"
-        )
-    return use, why
+            lacking = _lacking(limits, K, B, usable & clean, unit_of("stiffness", stages.motion))
+            return None, f"{why}; {lacking}"
+        why = f"the cost of its trial alone: {why}"
+    return _described(criterion, tested, region, limits, result, stages, linear or {}), why
+
+
+def _single(tested: WallTrials, limits: MeasuredLimits, calm: Booleans) -> Rectangle | None:
+    """Return the wall of the least cost at the margin `NARROW` that has `FEWEST` stable and calm neighbours."""
+    K, B = tested.stiffness, tested.damping
+    walls = np.flatnonzero(K > 0)
+    around = np.zeros(len(K), dtype=np.int64)
+    if len(walls) > NEIGHBOURS:
+        around[walls] = calm[walls][_nearest(K[walls], B[walls])].sum(axis=1)
+    fit = tested.usable & tested.finished & (around >= FEWEST) & (room_at(limits, B) >= NARROW * K)
+    level = np.where(fit, tested.level, np.inf)
+    best = int(np.argmin(level))
+    return (float(K[best]), float(K[best]), float(B[best]), float(B[best])) if np.isfinite(level[best]) else None
 
 
 def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable: Booleans, unit: str) -> str:
-    """Return how many trials are missing around a wall, and the two walls to test next."""
+    """Return how many trials are missing around a wall, and the two walls to test."""
     bound = np.interp(damping, limits.damping[limits.known], limits.limit[limits.known]) / FAR
     count = int((usable & (stiffness <= bound)).sum())
     best = np.flatnonzero(limits.known)[np.argsort(-limits.limit[limits.known])][:2]
@@ -118,7 +134,7 @@ def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable:
     if count >= FEWEST:
         there += f", but no {FEWEST} good ones are neighbours"
     needed = f"a wall needs {FEWEST} stable trials around it, at half the limit or below"
-    return f"{needed}; {there}. Next: {' and '.join(walls)}"
+    return f"{needed}; {there}. Record {' and '.join(walls)}"
 
 
 def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
@@ -150,10 +166,9 @@ def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) ->
 
 
 def _judged(result: MeasuredExperiment, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
-    """Return which trials have a cost due to the wall alone, and which of them came to rest.
+    """Return which trials have a cost due to the wall alone, and which of them came to rest at x_0 + F_0/K.
 
-    With friction a device comes to rest away from x_0 + F_0/K. An offset within the range of friction is not a
-    disturbance.
+    With friction a device comes to rest elsewhere. An offset within the range of friction is not a disturbance.
     """
     costs = [np.isfinite(stages.sure_cost(name)) for name in result.optimum]
     known = np.any(costs, axis=0) if costs else np.zeros(len(stages.verdicts.verdict), dtype=np.bool_)
@@ -164,10 +179,12 @@ def _judged(result: MeasuredExperiment, stages: ExperimentStages) -> tuple[Boole
     holds = STICKS * (friction.high or 0.0) if friction is not None and (friction.low or 0.0) > 0 else 0.0
     apart = stages.column("response", "position_final_measured") - stages.column("response", "position_final_expected")
     held = (ended == "disturbed") & ~moved & (np.abs(apart) * stages.column("response", "stiffness") <= holds)
-    return known & (held | ~np.isin(ended, SPOILT)), known & (held | (ended == "settled"))
+    return known & (held | ~np.isin(ended, SPOILT)), known & (ended == "settled")
 
 
 def _too_few(criterion: str, known: int, stable: int) -> str:
+    if known == stable:
+        return f"no {FEWEST} neighbours have a low {criterion_name(criterion)}"
     return f"only {known} of {stable} stable trials have a {criterion_name(criterion)}"
 
 
@@ -201,8 +218,33 @@ def _described(
             costs={name: float(cost[best]) for name, cost in costs.items() if np.isfinite(cost[best])},
             margin=float(rooms[best] / tested.stiffness[best]),
             margin_large_motion=linear[float(tested.damping[best])] / float(tested.stiffness[best]) if linear else None,
+            better=_not_chosen(criterion, tested, best, limits, result, stages.texts("response", "trial_id")),
         ),
     )
+
+
+def _not_chosen(
+    criterion: str,
+    tested: WallTrials,
+    chosen: int,
+    limits: MeasuredLimits,
+    result: MeasuredExperiment,
+    trials: Sequence[str],
+) -> str:
+    """Return the trial of the least cost, and why it was not chosen; empty if it was, or if no cost decides."""
+    least = result.optimum.get(criterion)
+    if least is None or not least.cost < tested.cost[chosen]:
+        return ""
+    K, B, at = least.stiffness, least.damping, trials.index(least.trial_id)
+    margin = float(room_at(limits, np.array([B]))[0]) / K
+    if margin < NARROW:
+        why = f"its limit may be at {at_least(margin)} × K"
+    elif not tested.usable[at]:
+        why = "it overshoots, or a harder push is unstable"
+    else:
+        why = "walls around it cost more" if tested.finished[at] else "it did not come to rest undisturbed"
+    cost = cost_range_text(criterion, least.cost, least.cost)
+    return f"{cost} at K = {stiffness_text(K)}, B = {damping_text(B)}: {why}"
 
 
 def _range(values: Floats) -> CostRange:
@@ -240,18 +282,22 @@ class WallTrials:
 
 def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -> Floats:
     """Return the median cost of the `NEIGHBOURS` of each usable trial with a cost; inf for the others."""
-    from scipy.spatial import cKDTree
-
     judged = usable & np.isfinite(cost)
     level = np.full(len(cost), np.inf)
-    if judged.sum() < FEWEST:
-        return level
-    points = np.stack([stiffness, damping], axis=1)[judged]
+    if judged.sum() >= FEWEST:
+        level[judged] = np.median(cost[judged][_nearest(stiffness[judged], damping[judged])], axis=1)
+    return level
+
+
+def _nearest(stiffness: Floats, damping: Floats) -> np.ndarray:
+    """Return the indices of the `NEIGHBOURS` of each trial, or of all others if there are fewer; shape (n, count)."""
+    from scipy.spatial import cKDTree
+
+    points = np.stack([stiffness, damping], axis=1)
     spread = points.std(axis=0)
     points = points / np.where(spread > 0, spread, 1.0)
-    nearest = cKDTree(points).query(points, k=range(2, min(NEIGHBOURS + 1, len(points)) + 1))[1]
-    level[judged] = np.median(cost[judged][nearest], axis=1)
-    return level
+    found: np.ndarray = cKDTree(points).query(points, k=range(2, min(NEIGHBOURS + 1, len(points)) + 1))[1]
+    return found
 
 
 def room_at(limits: MeasuredLimits, damping: Floats) -> Floats:

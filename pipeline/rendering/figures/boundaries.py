@@ -89,8 +89,8 @@ def _identified(result: ExperimentNumbers, label: str) -> Series:
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
     """Return a figure of limits with equal axis ranges; wide intervals extend beyond them."""
     series = [s for panel in panels for s in panel.series]
-    B = [s.y for s in series if s.kind != "linear"]
-    limits = (0.0, reach(*(s.x for s in series if s.kind != "envelope"))[1]), reach(*B)
+    B = [s.y for s in series if s.kind not in ("linear", "others")]
+    limits = (0.0, reach(*(s.x for s in series if s.kind not in ("envelope", "others")))[1]), reach(*B)
     width = 350.0 if len(panels) > 2 else 440.0
     even = tuple(replace(panel, limits=limits) for panel in panels)
     kind: FigureKind = "plane" if identifier == "boundaries-normalised" else "boundaries"
@@ -111,10 +111,15 @@ def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tu
 
 
 def answer_figure(
-    result: ExperimentNumbers, theory: Theory | None, motion: Motion, number: int, trials: tuple[Floats, Floats, Floats]
+    result: ExperimentNumbers,
+    theory: Theory | None,
+    motion: Motion,
+    number: int,
+    trials: tuple[Floats, Floats, Floats],
+    others: Sequence[ExperimentNumbers] = (),
 ) -> Figure:
     """Return the figure of the first screen: measured and theoretical limits, limits with friction, walls to use, all
-    trials.
+    trials, and the limits of other experiments.
 
     Parameters
     ----------
@@ -125,6 +130,8 @@ def answer_figure(
         Index of the experiment in its report.
     trials : (float64, float64, array of str), shape (n,) each
         Stiffness, damping and verdict.
+    others : sequence of ExperimentNumbers
+        Other experiments of the report; their limits do not change the range of the axes.
     """
     K, B, verdict = trials
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
@@ -135,15 +142,21 @@ def answer_figure(
         u = result.use
         corners = [(u.stiffness_low, u.damping_low), (u.stiffness_high, u.damping_low)]
         corners += [(u.stiffness_high, u.damping_high), (u.stiffness_low, u.damping_high), corners[0]]
-        series.append(Series("walls to use", "use", *np.array(corners).T))
+        series += [Series("box: walls to use", "use", *np.array(corners).T)] if u.trials > 1 else []
         series.append(Series("recommended wall", "mark", np.array([u.point.stiffness]), np.array([u.point.damping])))
     for kind in ("stable", "unstable"):
         at = (K > 0) & (verdict == kind)
         series += [Series(f"{kind} trial", kind, K[at], B[at])] if at.any() else []
-    bars = ", pale bars its 95 % interval" if any(point.low for point in result.boundary) else ""
+    for place, other in enumerate(others):
+        line = next(measured(other.boundary, f"_experiment {other.experiment}" if place else "other experiments", None))
+        series.append(Series(line.label, "others", line.x, line.y))
     title = f"Where experiment {result.experiment} is stable"
-    caption = f"Every trial, and the limit of stability at each damping by the growth rates of the trials{bars}."
-    return limits_figure(title, caption, [limits_panel("", series, motion)], ANSWER)
+    caption = "Every trial, and the limit of stability at each damping by the growth rates of the trials"
+    if any(point.low for point in result.boundary):
+        caption += "; pale bars: its 95 % interval, in which the verdict of a single trial may be on either side"
+    if result.use is not None and result.use.trials > 1:
+        caption += ". Box: stable walls of low cost around the recommended one, far from the limit"
+    return limits_figure(title, f"{caption}.", [limits_panel("", series, motion)], ANSWER)
 
 
 def plane_figure(entries: Sequence[tuple[str, ExperimentNumbers, Theory, int]], *, predicted: bool = True) -> Figure:

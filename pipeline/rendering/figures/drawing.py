@@ -80,6 +80,7 @@ LARGER = 1.4
 
 _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
 LOOKS: dict[str, dict[str, Any]] = {
+    "others": {"color": INK, "lw": 0.8, "alpha": 0.45},
     "use": {"color": GREEN, "lw": 1.4, "fill": 0.3},
     "stable": {"color": INK, "dots": 2.6},
     "unstable": {"color": INK, "ls": "none", "marker": "x", "ms": 5.0, "mew": 1.3},

@@ -33,7 +33,7 @@ from pipeline.rendering.table import Table, footnote, marked, word_table
 SEVERAL = ("optima", "delay_tables")
 """Names that denote any number of tables."""
 
-ALWAYS = ("missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
+ALWAYS = ("overview", "missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
 """Tables needed to judge the others: no scene leaves them out."""
 
 OF_COSTS = ("optima", "delay_tables", "delay_form", "measured_optima", "use")

@@ -30,11 +30,13 @@ from pipeline.rendering.labels import (
     range_text,
     share_text,
     significant,
+    size_text,
     stiffness_text,
     table_label,
     unit_text,
 )
 from pipeline.rendering.table import Column, Row, Table, is_sweep, records, table_of
+from pipeline.theory.cases import continuous_rules
 
 MAIN = ("delay_samples", "mass", "damping")
 """Quantities in the table of experiments; the others are in the table of methods only."""
@@ -139,6 +141,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     units = UNITS[result.motion]
     place = _place(trials)
     made: dict[str, Table | None] = {
+        "overview": _overview(result),
         "scores": _scores(result, units.stiffness),
         "experiments": _experiments(result),
         "measured_optima": _measured_optima(f["optima"], units, place),
@@ -147,6 +150,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "loops": _loops(result),
         "shapes": _shapes(result),
         **_of_logs(f),
+        "rules": _rules(result),
         "outcomes": _outcomes(result),
         "truth": _truth(result),
         "use": _use(result, place),
@@ -262,6 +266,62 @@ def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
             _of_experiment,
         ),
     }
+
+
+GRADES = {"yes": "yes", "partly": "partly", "no": "no", "with_friction": "with friction"}
+"""Words for how far theory predicts a boundary or costs."""
+
+
+def _overview(result: ComparisonResult) -> Table | None:
+    """Return what the answers about several experiments differ in, one row each; None for one experiment."""
+    units, rows = UNITS[result.motion], []
+    for answer in [e.answer for e in result.experiments if e.answer is not None]:
+        predicts, wall, step = answer.predicts, answer.wall, answer.next
+        boundary = predicts.code if predicts.code == "with_friction" else predicts.boundary
+        row: dict[str, Any] = {"experiment": answer.experiment, "boundary": GRADES.get(boundary or "")}
+        row |= {"costs": GRADES.get(predicts.optimal_costs or ""), "reason": predicts.reason}
+        row |= {"wall_stiffness": wall and wall.stiffness, "wall_damping": wall and wall.damping}
+        row |= {"next_stiffness": step and step.stiffness, "next_damping": step and step.damping}
+        for found in answer.estimates:
+            row |= {found.name: found.value, f"{found.name}_low": found.low, f"{found.name}_high": found.high}
+        rows.append(row)
+    mass = "inertia J" if result.motion.startswith("rotation") else "mass m"
+    columns = (
+        Column("experiment"),
+        Column("wall_stiffness", "K", units.stiffness, "wall to use", _stiffness, why="none is recommended"),
+        Column("wall_damping", "B", units.damping, "wall to use", _damping, why="none is recommended"),
+        Column("boundary", "boundary", group="theory predicts", why="too few limits to compare"),
+        Column("costs", "costs", group="theory predicts", why="too few costs to compare"),
+        Column(
+            "stiffness_max",
+            "largest stable K",
+            units.stiffness,
+            show=_stiffness,
+            aside=_within("stiffness_max"),
+            why="no stable trial",
+        ),
+        *(
+            Column(name, label, unit, show=digits(4), aside=_within(name), why="the logs do not determine it")
+            for name, label, unit in (("delay_samples", "delay d", "samples"), ("mass", mass, units.mass))
+        ),
+        Column("next_stiffness", "K", units.stiffness, "measure next", _stiffness, why="nothing is left to measure"),
+        Column("next_damping", "B", units.damping, "measure next", _damping, why="nothing is left to measure"),
+    )
+    table = table_of("overview", "The answers about each experiment, with 95 % intervals", columns, rows, _name)
+    return table if len(rows) > 1 else None
+
+
+def _within(name: str) -> Callable[[Row], str]:
+    """Return the text of the larger side of an interval relative to its value; empty if an end is missing."""
+
+    def text(row: Row) -> str:
+        value, low, high = (row.get(key) for key in (name, *_ends(name)))
+        if not value or low is None or high is None:
+            return ""
+        percent = 100 * max(high - value, value - low) / abs(value)
+        return "± < 0.1 %" if percent < 0.1 else f"± {size_text(percent)}"
+
+    return text
 
 
 def _place(trials: TrialPage) -> Callable[[Row], str]:
@@ -446,12 +506,12 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
         here = "this report" if any(row["published_cost"] is not None for row in own) else ""
         columns = (
             Column("condition", notes=lambda row: [row["note"], *_at_edge(row)]),
-            Column("stiffness", "stiffness K", units.stiffness, here, _stiffness, linked=True),
-            Column("damping", "damping B", units.damping, here, _damping, linked=True),
+            Column("stiffness", "stiffness K", units.stiffness, here, _stiffness, aside=_off("stiffness"), linked=True),
+            Column("damping", "damping B", units.damping, here, _damping, aside=_off("damping"), linked=True),
             Column("cost", "", "", here, _cost, linked=True),
             Column(
                 "deviation_percent",
-                "deviation",
+                "deviation of the cost",
                 "%",
                 here,
                 _percent,
@@ -524,6 +584,12 @@ def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
 
     counts = Counter(name for row in rows for name in set(names(row)))
     return lambda row: next((name for name in names(row) if counts[name] == 1), names(row)[0])
+
+
+def _off(axis: str) -> Callable[[Row], str]:
+    """Return the text of the deviation of an optimum from that of theory along an axis; empty without one."""
+    name = f"{axis}_deviation_percent"
+    return lambda row: "" if row.get(name) is None else f"{percent_text(row[name], 0)} %"
 
 
 def _parts(row: Row) -> str:
@@ -641,7 +707,7 @@ def _loops(result: ComparisonResult) -> Table | None:
             row["replay"] = ", ".join([right, *told])
         if e.passive:
             K, B = e.passive.stiffness, e.passive.damping
-            row["passive"] = f"K = {K:.4g} {units.stiffness}, B = {B:.4g} {units.damping}"
+            row["passive"] = f"K = {stiffness_text(K)} {units.stiffness}, B = {damping_text(B)} {units.damping}"
         rows.append(row | {"reason": e.passive_reason})
     columns = [Column("experiment"), Column("adequate", "adequate loop"), Column("why")]
     columns.append(Column("source", "parameters by"))
@@ -667,7 +733,7 @@ def _shapes(result: ComparisonResult) -> Table | None:
         if line is not None:
             row |= {"slope": line.slope, "slope_low": line.slope_low, "slope_high": line.slope_high}
             sign = "+" if line.slope >= 0 else "\N{MINUS SIGN}"
-            row["line"] = f"K = {line.stiffness:.4g} {sign} {abs(line.slope):.3g} B"
+            row["line"] = f"K = {stiffness_text(line.stiffness)} {sign} {significant(abs(line.slope), 3)} B"
             row["dampings"] = f"{line.damping_first:g} to {line.damping_last:g}"
             excluded = line.excludes_theory
             row["curvature"] = None if excluded is None else YES_OR_NO[not excluded]
@@ -689,6 +755,48 @@ def _shapes(result: ComparisonResult) -> Table | None:
         table.mark(
             "A pure delay with which an ideal loop of this mass and damping has these limits. It is longer than that "
             "of the logs by what a lag or a velocity filter costs; friction and jitter move it, too."
+        )
+    return table
+
+
+def _rules(result: ComparisonResult) -> Table | None:
+    """Return what design rules give for each experiment: dampings at the recommended stiffness, and the cost of delay.
+
+    Source: Hulin 2017, eqs. 5.17 and 5.19, sec. 5.5.
+    """
+    units, rows = UNITS[result.motion], []
+    for e in result.experiments:
+        loop = e.theory.loop.apparent() if e.theory else None
+        wall, best = e.use.point if e.use else None, e.answer.reachable if e.answer else None
+        row: dict[str, Any] = {"experiment": e.experiment}
+        if wall is not None:
+            row |= {"K": wall.stiffness, "B": wall.damping}
+        if loop is not None and wall is not None:
+            rules = continuous_rules(loop.mass, loop.damping, loop.stiffness, wall.stiffness)
+            row |= {"critical": rules[0], "amplitude": rules[1]}
+        if best is not None:
+            row |= {"best": best.best, "reached": best.reached, "per_sample": best.per_sample}
+        rows.append(row)
+    of_wall, of_delay = "wall to use, and damping by the rules for continuous time", "settling time (2 %) by the delay"
+    columns = (
+        Column("experiment"),
+        Column("K", "K", units.stiffness, of_wall, _stiffness, why="no wall is recommended"),
+        Column("B", "B", units.damping, of_wall, _damping, why="no wall is recommended"),
+        Column("critical", "critical", units.damping, of_wall, _damping, why="needs a wall and a loop"),
+        Column("amplitude", "amplitude optimum", units.damping, of_wall, _damping, why="needs a wall and a loop"),
+        Column("best", "least", "samples", of_delay, digits(3), why="no delay is known"),
+        Column("reached", "reached", "samples", of_delay, digits(3), why="no trial settled"),
+        Column(
+            "per_sample", "saved by a sample less of delay", "samples", of_delay, digits(2), why="no delay is known"
+        ),
+    )
+    table = table_of("rules", "Design rules", columns, [row for row in rows if len(row) > 1], _name)
+    if table is not None:
+        table.mark(
+            "Critical damping and damping of the amplitude optimum (damping ratio 0.71) of a loop without delay and "
+            "sampling, less the damping of the device (5.17): a guide well below the optimal stiffness only.",
+            "Least settling time of a device without damping (5.19). Delay and sampling period together must stay "
+            "below 20 % of a wanted settling time (5.5).",
         )
     return table
 
@@ -777,10 +885,11 @@ def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
 
 
 def use_note(result: ExperimentResult) -> str:
-    """Return why the walls to use were not selected by a cost, or why there are none; empty if a cost selected them."""
+    """Return why the walls to use were not selected by the costs of a region, or why there are none; else empty."""
     if not result.use_reason:
         return ""
-    return f"{'None' if result.use is None else 'Chosen by stiffness'}: {result.use_reason}."
+    text = result.use_reason if result.use else f"none: {result.use_reason}"
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _header(result: ComparisonResult) -> Table | None:

@@ -11,7 +11,7 @@ from pipeline.device.loop import Loop
 from pipeline.device_data.published import published_bound
 from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, SourcedLoop, StraightBound
+from pipeline.records.results import Cause, SourcedLoop, StraightBound, UsePoint, UseRegion
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -125,6 +125,31 @@ def test_answer_shows_every_trial_behind_a_wall() -> None:
     found = {s.kind: s for s in figure.panels[0].series}
     assert (found["stable"].x.tolist(), found["unstable"].x.tolist()) == ([100], [200])
     assert figure.panels[0].names[0] == "stiffness K [Nm/rad]"
+
+
+def test_answer_shows_the_limits_of_other_experiments_within_its_own_range() -> None:
+    nothing = np.array([]), np.array([]), np.array([])
+    alone = answer_figure(experiment("1"), theory(), "translation", 0, nothing)
+    stiff = tuple(p.model_copy(update={"stable": p.stable and 9 * p.stable}) for p in experiment("1").boundary)
+    others = [experiment(name).model_copy(update={"boundary": stiff}) for name in ("2", "3")]
+    figure = answer_figure(experiment("1"), theory(), "translation", 0, nothing, others)
+    lines = [s for s in figure.panels[0].series if s.kind == "others"]
+    assert [s.label for s in lines] == ["other experiments", "_experiment 3"], "one entry of the legend"
+    assert np.nanmax(lines[0].x) > 8 * np.nanmax(next(measured(experiment("1").boundary, "", None)).x)
+    assert figure.panels[0].limits == alone.panels[0].limits
+
+
+def test_the_box_of_walls_to_use_is_explained_and_a_single_wall_has_none() -> None:
+    point = UsePoint(stiffness=900.0, damping=4.0, trial_id="a", costs={}, margin=2.0)
+    ends = {"stiffness_low": 800.0, "stiffness_high": 1000.0, "damping_low": 0.0, "damping_high": 8.0}
+    nothing = np.array([]), np.array([]), np.array([])
+    for trials, boxes in ((6, 1), (1, 0)):
+        use = UseRegion(criterion="overshoot", **ends, trials=trials, costs={}, margin=2.0, bound=False, point=point)
+        result = experiment("1").model_copy(update={"use": use})
+        figure = answer_figure(result, theory(), "translation", 0, nothing)
+        labels = [s.label for s in figure.panels[0].series]
+        assert labels.count("box: walls to use") == figure.caption.count("Box: ") == boxes
+        assert "recommended wall" in labels
 
 
 def test_answer_shows_the_limits_with_friction_that_it_tells_of() -> None:

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from report_data import estimate, report_data
 
 from pipeline.device.parts import LoopTable
-from pipeline.records.results import ComparisonResult, HeaderLine, SourcedLoop, Truth, TruthHeld
+from pipeline.records.results import (
+    Answer,
+    AnswerEstimate,
+    ComparisonResult,
+    HeaderLine,
+    Prediction,
+    ReachableCost,
+    SourcedLoop,
+    Truth,
+    TruthHeld,
+    UsePoint,
+    UseRegion,
+)
 from pipeline.rendering.figures.drawing import draw
 from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
@@ -168,3 +181,70 @@ def test_no_interval_of_a_report_is_printed_without_a_width(falcon_outcome):
              for row in t.rows for cell in row if " to " in cell.aside]  # fmt: skip
     assert len(found) > 10
     assert [aside for aside in found if len(set(aside.split(" to "))) == 1] == []
+
+
+def answer(name: str, **changes: Any) -> Answer:
+    """An answer with a wall, two estimates and a prediction."""
+    mass = AnswerEstimate(name="mass", value=0.58, low=0.57, high=0.6, unit="kg")
+    delay = AnswerEstimate(name="delay_samples", value=4.0, low=3.999999, high=4.000001, unit="samples")
+    about = {
+        "wall": UsePoint(stiffness=4.5, damping=0.25, trial_id="a", costs={}, margin=2.0),
+        "estimates": (delay, mass),
+        "predicts": Prediction(code="yes", boundary="partly", optimal_costs="yes"),
+        "reachable": ReachableCost(delay_samples=4.0, best=24.5, reached=30.0, per_sample=4.9, within=0.012),
+    }
+    return Answer(experiment=name, **about | changes)
+
+
+def answered(result: ComparisonResult) -> ComparisonResult:
+    use = UseRegion(criterion="overshoot", stiffness_low=4.0, stiffness_high=5.0, damping_low=0.0, damping_high=1.0,
+                    trials=6, costs={}, margin=2.0, bound=False, point=answer("1").wall)  # fmt: skip
+    unknown = Prediction(code="unknown", reason="too few limits")
+    answers = [answer("1"), answer("2", wall=None, estimates=(), predicts=unknown), answer("3")]
+    own = [
+        e.model_copy(update={"answer": a, "use": use if a.wall else None})
+        for e, a in zip(result.experiments, answers, strict=True)
+    ]
+    return result.model_copy(update={"experiments": tuple(own)})
+
+
+def cells(table: Table) -> list[dict[str, str]]:
+    return [{c.name: f"{c.text} {c.aside}".strip() for c in row} for row in table.rows]
+
+
+def test_experiments_are_compared_in_one_table_that_begins_with_wall_and_verdict(result: ComparisonResult) -> None:
+    (table,) = tables_of(answered(result))["overview"]
+    names = ["experiment", "wall_stiffness", "wall_damping", "boundary", "costs"]
+    assert [column.name for column in table.columns][:5] == names
+    first, second, _ = cells(table)
+    assert [first[name] for name in names] == ["1", "4.5", "0.25", "partly", "yes"]
+    assert (first["mass"], first["delay_samples"]) == ("0.5800 ± 3.4 %", "4 ± < 0.1 %"), "the larger side"
+    assert {second[name] for name in (*names[1:], "mass")} == {"–"}
+    assert all(cell.why for cell in table.rows[1] if cell.text == "–"), "reasons in place of dashes"
+    alone = answered(result).model_copy(update={"experiments": answered(result).experiments[:1]})
+    assert tables_of(alone)["overview"] == [], "one experiment is answered by the first screen"
+
+
+def test_design_rules_are_those_of_the_wall_and_the_delay(result: ComparisonResult) -> None:
+    (table,) = tables_of(answered(result))["rules"]
+    rows = {row["experiment"]: row for row in cells(table)}
+    # roots of m s^2 + (b + B) s + K: equal for critical damping, at 45 degrees for the amplitude optimum (5.17)
+    mass, damping, stiffness = 0.58, 4.0, 4.5
+    for name, angle in (("critical", 0.0), ("amplitude", np.pi / 4)):
+        B = float(rows["1"][name].replace("−", "-"))
+        root = np.roots([mass, damping + B, stiffness])[0]
+        assert abs(np.angle(-root)) == pytest.approx(angle, abs=0.1), name
+    assert (rows["1"]["best"], rows["1"]["reached"], rows["1"]["per_sample"]) == ("24.5", "30", "4.9")
+    assert rows["2"]["critical"] == "–"
+
+
+def test_optima_state_how_far_they_lie_from_those_of_theory(result: ComparisonResult) -> None:
+    rows = tuple(
+        row.model_copy(update={"stiffness_deviation_percent": -19.5, "damping_deviation_percent": 4.2})
+        if row.condition == "experiment_1"
+        else row
+        for row in result.tables
+    )
+    table = tables_of(result.model_copy(update={"tables": rows}))["optima"][0]
+    shown = {cell.name: cell.aside for name, row in table.blocks[0][1] if "experiment_1" in name for cell in row}
+    assert (shown["stiffness"], shown["damping"]) == ("−20 %", "+4 %")
