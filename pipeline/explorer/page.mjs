@@ -64,7 +64,7 @@ function make(tag, attributes = {}, ...children) {
 }
 
 /** Formats by number of digits: to make one takes longer than to use it a hundred times. */
-const FORMATS = [1, 1, 2, 3, 4, 5, 6].map((digits) => new Intl.NumberFormat("en", { maximumSignificantDigits: digits }));
+const FORMATS = [1, 1, 2, 3, 4, 5, 6].map((digits) => new Intl.NumberFormat("en", { maximumSignificantDigits: digits, useGrouping: false }));
 
 /** @param {number | null | undefined} value @param {number} [digits] @returns {string} a number as people write it */
 function text(value, digits = 4) {

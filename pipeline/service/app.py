@@ -1,4 +1,4 @@
-"""The server: its parts put together."""
+"""The ASGI application, assembled from its parts."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class Selection:
     text: str = ""
 
     def where(self, said: Sequence[tuple[list[str], str]]) -> tuple[str, list[object]]:
-        """Return the same as an SQL condition with its values; ``said`` are notes and tags with their owners."""
+        """Return the selection as an SQL condition with its values; ``said`` are notes and tags with their owners."""
         parts, values = ["1"], list[object]()
         for name, word in self.words.items():
             parts.append(f"{name} IS ?")

@@ -286,7 +286,7 @@ class Database:
         return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
 
     def has_tokens(self) -> bool:
-        """Return whether there is any token for other computers."""
+        """Return whether any token for other computers exists."""
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
 
     def holder_of(self, token: str) -> tuple[Role, str] | None:

@@ -179,7 +179,7 @@ def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) ->
 
 
 def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -> dict[str, Any]:
-    """Ask the planner which walls to try next."""
+    """Return the walls that the planner asks for next."""
     found = plan(asked["device"], settings.processed, asked["experiments"][0], PlanOptions(goal=asked["goal"]))
     return found.model_dump(mode="json")
 
@@ -190,7 +190,7 @@ def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> 
 
 
 def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Drawn:
-    """Draw trials or experiments; experiments are compared first if needed."""
+    """Draw trials or experiments. Experiments are compared first if needed."""
     results = []
     for device, name in dict.fromkeys((place[0], place[1]) for place in asked["places"]):
         of = whole(device, name)
@@ -271,7 +271,7 @@ def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
 
 
 def limits(_processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
-    """Draw the limits of experiments over each other, with theory, in K and B or (`plane`) in alpha and beta."""
+    """Draw the limits of several experiments with theory in one plane: K and B, or (`plane`) alpha and beta."""
     runs = [(f"{r.device}, {r.experiments[0].experiment}", r.experiments[0]) for r in results]
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
     if asked["plane"] == "normalised":

@@ -98,7 +98,7 @@ class Rates:
 
 
 class Guard:
-    """The outermost part of the server."""
+    """Outermost layer of the server: it checks each request before any other code reads it."""
 
     def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
         self.app, self.settings, self.database = app, settings, database
@@ -201,7 +201,7 @@ def form_token(database: Database, browser: str) -> str:
 
 
 class _Body:
-    """The body of a request: limited in size and time: of the whole body, or with logs of the next piece."""
+    """Body of a request, limited in size and time: the time of the whole body, or for logs that of the next piece."""
 
     def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
         self.receive, self.most, self.wait_s, self.whole, self.seen = receive, most, wait_s, whole, 0

@@ -1,4 +1,4 @@
-"""What all requests share: the store, jobs, and requests to both."""
+"""Resources that all requests share: the store, its jobs, and queries of both."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
 
 class Form(BaseModel):
-    """Base of what a request brings; a field that is not named is refused."""
+    """Base of the models of requests; an unknown field is refused."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class Against(Form):
-    """The other experiment."""
+    """Second experiment of a comparison."""
 
     device: Annotated[str, Field(max_length=500)]
     experiment: Annotated[str, Field(max_length=500)]
 
 
 class ComparisonRequest(Form):
-    """What is to be compared."""
+    """Request for a comparison."""
 
     device: Annotated[str, Field(max_length=500)]
     experiments: Annotated[list[str], Field(max_length=500)] | None = None
@@ -63,7 +63,7 @@ class ComparisonRequest(Form):
 
 @dataclass(frozen=True)
 class Service:
-    """What all requests share."""
+    """Resources that all requests share."""
 
     settings: Settings
     database: Database
@@ -242,7 +242,7 @@ def service_of(request: Request) -> Service:
 
 
 def who_of(request: Request) -> str:
-    """Return who asks, by name."""
+    """Return the name of the sender of a request."""
     who: str = request.state.who
     return who
 

@@ -20,7 +20,7 @@ WAIT_S = 2.0
 
 
 class Theory:
-    """Computes one thing at a time.
+    """Process that computes one request at a time.
 
     Parameters
     ----------

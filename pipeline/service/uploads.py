@@ -269,7 +269,7 @@ async def received(
 ) -> AsyncGenerator[Upload, None]:
     """Store the files of a request for a block; remove them if it fails.
 
-    ``check`` looks at the fields of the form before.
+    ``check`` inspects the fields of the form first.
     """
     upload = Upload(settings, folder)
     try:
@@ -284,7 +284,7 @@ async def received(
 
 
 def _parts(name: str) -> list[str]:
-    """Return a name from a request as names of folders and a file; none of them leads outside the upload folder."""
+    """Return a name from a request as names of folders and a file. None of them leads outside the upload folder."""
     parts = [folder_name(part) for part in name.replace("\\", "/").split("/") if part]
     if not parts or len(parts) > DEEPEST or any(len(part.encode()) > LONGEST_NAME for part in parts):
         raise Problem(

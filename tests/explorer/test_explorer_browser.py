@@ -140,7 +140,7 @@ def test_a_wall_is_typed(opened):
     tab.keyboard.press("Enter")
     tab.wait_for_function("document.querySelector('.what-walls').textContent.includes('stable, passive')")
     tab.wait_for_function(
-        "document.querySelector('.live').textContent.includes('Wall of 1,000 N/m and 2 Ns/m: stable, passive')"
+        "document.querySelector('.live').textContent.includes('Wall of 1000 N/m and 2 Ns/m: stable, passive')"
     )
     tab.get_by_label("wall damping B [Ns/m]").fill("20")
     tab.keyboard.press("Enter")

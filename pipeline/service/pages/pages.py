@@ -106,7 +106,7 @@ def home(service: Shared, request: Request) -> Response:
 
 @pages.get("/devices/{device}")
 def one_device(service: Shared, request: Request, device: Segment) -> Response:
-    """Show the experiments of a device over each other."""
+    """Show the limits of all experiments of a device in one plane."""
     own = [e for e in service.catalogue.experiments if e["device"] == device]
     if not own:
         raise Problem(404, "There are no trials of this device.", found=device)
@@ -117,7 +117,7 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
 
 @pages.get("/devices/{device}/file")
 def one_device_file(service: Shared, request: Request, device: Segment, download: bool = False) -> Response:
-    """Show the file of a device to be edited, or a draft of one by the logs; or give it as a file."""
+    """Show the file of a device for editing, or a draft made from the logs. On request, return it as a file."""
     try:
         text, problem = device_files.text_of(device), ""
     except Problem as none:
@@ -144,7 +144,7 @@ def _device_file(
 
 @pages.post("/devices/{device}/file")
 async def keep_device_file(service: Shared, request: Request, who: Who, device: Segment) -> Response:
-    """Keep the file of a device, as edited or as uploaded; a wrong one is shown with its mistakes."""
+    """Store the edited or uploaded file of a device; a wrong one is shown again with its mistakes."""
     form = await request.form()
     check(service, request, str(form.get("form", "")))
     sent, text = form.get("upload"), str(form.get("file", "")).replace("\r\n", "\n")
@@ -160,7 +160,7 @@ async def keep_device_file(service: Shared, request: Request, who: Who, device: 
 
 
 class TrialView(BaseModel):
-    """Which trials of an experiment its page lists and plots, and by which quantities."""
+    """Selection of the trials and quantities that the page of an experiment lists and plots."""
 
     verdict: str = ""
     tag: str = ""
@@ -240,7 +240,7 @@ def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
 
 @pages.post("/marked")
 def marked(service: Shared, who: Who, fields: Fields) -> Response:
-    """Lay chosen trials over each other, exclude them, or tag them."""
+    """Superimpose the chosen trials, exclude them, or tag them."""
     chosen, act = fields.get("trial", []), fields.get("act", [""])[0]
     if act == "overlay":
         return RedirectResponse(f"/overlay?{urlencode({'trial': chosen}, doseq=True)}", 303)
@@ -252,7 +252,7 @@ def marked(service: Shared, who: Who, fields: Fields) -> Response:
 
 
 def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
-    """Return the answer of a document of the service, None before there is one."""
+    """Return the answer of a document of the service; None if it is not computed yet."""
     told = (document or {}).get("answer")
     return Answer.model_validate(told) if told else None
 
@@ -282,7 +282,7 @@ def clickable(drawn: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> 
 
 
 class TrialForm(api.TrialQuery):
-    """The same as a form sends it: an empty field asks for nothing, and one that is not here is refused."""
+    """Query of the list of trials as a form sends it: an empty field is ignored, an unknown one is refused."""
 
     sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
     format: Literal["", "csv", "all"] = ""
@@ -320,7 +320,7 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
 
 @pages.get("/overlay")
 def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query(max_length=50)] = []) -> Response:  # noqa: B006
-    """Show the responses of chosen trials over each other, with those of theory."""
+    """Show the superimposed responses of chosen trials, with those of theory."""
     chosen = list(dict.fromkeys(trial))
     if not 1 <= len(chosen) <= OVERLAID:
         raise Problem(422, "Choose one to six trials by their boxes.", where="trial", found=len(chosen))
@@ -350,7 +350,7 @@ def upload(service: Shared, request: Request, profile: str = "") -> Response:
 
 @pages.post("/upload")
 async def receive(service: Shared, request: Request) -> Response:
-    """Take logs."""
+    """Store the uploaded logs, and redirect to the page of their job."""
     accepted = await api.receive(service, request, lambda fields: check(service, request, fields.get("form", "")))
     return RedirectResponse(f"/jobs/{accepted['job']}", 303)
 
@@ -365,7 +365,7 @@ async def draft(service: Shared, request: Request) -> Response:
 
 @pages.post("/profile")
 def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Response:
-    """Try a profile on its sample, or keep it."""
+    """Try a profile on its sample, or store it."""
     answers = {int(key[7:]): value for key, (value, *_) in fields.items() if re.fullmatch(r"answer-\d+", key)}
     given = {name: fields.get(name, [""])[0] for name in ("profile", "sample", "name", "act", "confirmation")}
     text = profiles.answered(given["profile"].replace("\r\n", "\n"), answers)
@@ -388,7 +388,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
 
 
 def _unclear(problem: Problem) -> str:
-    """Return why a profile needs a confirmation in words; empty if a confirmation does not help."""
+    """Return, in words, why a profile needs a confirmation; empty if a confirmation does not help."""
     about = problem.document
     if problem.status == 404 and about.get("where") == "sample":
         return "The sample is not kept any more, so that the profile cannot be tried on it."
@@ -437,7 +437,7 @@ def theory(service: Shared, request: Request) -> Response:
 
 @pages.get("/audit")
 def audit(service: Shared, request: Request, before: int = NEWEST) -> Response:
-    """List who did what, and what is in the bin."""
+    """List the recorded actions with their users, and the trials in the bin."""
     found, last = service.database.audit(before, SHOWN)
     rubbish = Counter((one.device, one.experiment) for one in in_bin(service.settings.processed))
     return page_of(service, request, "audit.html.j2", actions=found, last=last, rubbish=rubbish)

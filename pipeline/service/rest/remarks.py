@@ -38,7 +38,7 @@ class Tags(Form):
 
 
 class Exclusion(Form):
-    """Reason why a trial, or a whole experiment, is excluded from all results; null: it is used again."""
+    """Reason why a trial or a whole experiment is excluded from all results. With null it is used again."""
 
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
 
@@ -57,7 +57,7 @@ class Change(Form):
 
 
 class InBin(Form):
-    """Selection of trials in the bin: a device, one of its experiments, or a trial."""
+    """Selection of trials in the bin: those of a device or of one of its experiments, or one trial."""
 
     device: Name | None = None
     experiment: Name | None = None
