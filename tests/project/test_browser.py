@@ -10,6 +10,7 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -387,7 +388,7 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
         # one part wider than its paper, and the browser shrinks the whole report
         ends = "[...document.querySelectorAll('main > * *')].map((e) => e.getBoundingClientRect().right)"
         assert max(page.evaluate(ends)) <= 681
-        opened = ":not(details:not([open]):not(.printed) *):not([hidden] *)"
+        opened = ":not(details:not([open]):not(.printed) *):not([hidden] *):not(.on-screen *)"
         figures, tables = page.locator(f"figure svg{opened}").all(), page.locator(f"table.cells{opened}").all()
         assert len(figures) > 5
         assert len(tables) > 4
@@ -421,6 +422,25 @@ def test_one_experiment_prints_on_six_sheets(browser: Any, lwr: Any, falcon_outc
             kept = "[...document.querySelectorAll('tbody tr:nth-child(2)')].map((e) => getComputedStyle(e).breakBefore)"
             assert set(page.evaluate(kept)) == {"avoid"}, "no heading of a table alone at the end of a sheet"
         assert 3 < len(re.findall(rb"/Type /Page\b", pdf)) <= 6, path
+
+
+def test_all_five_answers_are_above_the_fold(browser: Any, sweep: Any, falcon_outcome: Outcome, tmp_path: Path) -> None:
+    """A common laptop shows 1440 by 1000 pixels: with one experiment and with seven, nothing has to be scrolled."""
+    seven = sweep.compare(report=tmp_path / "sweep.html").report
+    for path in (falcon_outcome.report, seven):
+        with Opened(browser, path) as page:
+            page.set_viewport_size({"width": 1440, "height": 1000})
+            ends = page.evaluate(
+                "[...document.querySelector('.answers').children].map((e) => e.getBoundingClientRect().bottom)"
+            )
+            assert len(ends) == 10
+            assert max(ends) <= 1000, path
+    with Opened(browser, seven, width=390) as page:
+        shown = page.locator(".overview thead tr:last-child th").all()[:4]
+        assert [each.inner_text().split()[0] for each in shown] == ["experiment", "K", "B", "boundary"]
+        assert all(each.bounding_box()["x"] + each.bounding_box()["width"] <= 390 for each in shown)
+        hint = "getComputedStyle(document.querySelector('.overview'), '::before').content"
+        assert "Scrolls sideways" in page.evaluate(hint)
 
 
 def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: Any, measured: Path) -> None:
@@ -516,19 +536,23 @@ def test_nothing_moves_while_the_page_opens(page: Any) -> None:
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, scheme: str) -> None:
-    axe = Path(pytest.importorskip("axe_playwright_python").__file__).with_name("axe.min.js")
     with Opened(browser, measured, width=width, color_scheme=scheme) as page:
-        page.evaluate(OPEN_ALL)
-        page.evaluate(axe.read_text(encoding="utf-8"))
-        tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
-        found = page.evaluate("(tags) => axe.run({ runOnly: tags, resultTypes: ['violations'] })", tags)
-        faults = [
-            f"{rule['impact']} {rule['id']}: {node['target']} {node.get('failureSummary', '')}"
-            for rule in found["violations"]
-            for node in rule["nodes"][:3]
-        ]
-        assert faults == []
-        assert len(found["passes"]) > 20
+        assert faults_by_axe(page) == []
+
+
+def faults_by_axe(page: Any) -> list[str]:
+    """Findings of axe-core in a page with all its parts unfolded."""
+    axe = Path(pytest.importorskip("axe_playwright_python").__file__).with_name("axe.min.js")
+    page.evaluate(OPEN_ALL)
+    page.evaluate(axe.read_text(encoding="utf-8"))
+    tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+    found = page.evaluate("(tags) => axe.run({ runOnly: tags, resultTypes: ['violations'] })", tags)
+    assert len(found["passes"]) > 20
+    return [
+        f"{rule['impact']} {rule['id']}: {node['target']} {node.get('failureSummary', '')}"
+        for rule in found["violations"]
+        for node in rule["nodes"][:3]
+    ]
 
 
 @pytest.mark.parametrize("width", [320, 390, 768])
@@ -564,9 +588,10 @@ def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
 def test_the_page_of_two_experiments_has_the_layout_of_a_report(browser: Any, lwr: Any, tmp_path: Path) -> None:
     page_of_pair = against_experiments(lwr.processed, ("lwr", "delay-2"), ("lwr", "delay-4"), ("overshoot",))
     report_against.write(page_of_pair, tmp_path / "pair.html")
-    for width in WIDTHS:
-        opened = Opened(browser, tmp_path / "pair.html", width=width, wait=False)
+    for width, scheme in product(WIDTHS, SCHEMES):
+        opened = Opened(browser, tmp_path / "pair.html", width=width, wait=False, color_scheme=scheme)
         with opened as page:
+            assert faults_by_axe(page) == []
             assert page.evaluate("document.documentElement.scrollWidth") == width
             header, section = (page.locator(part).bounding_box() for part in ("h1", "#main section"))
             contents = page.locator("nav.contents").bounding_box()

@@ -148,8 +148,9 @@ def answer_figure(
         at = (K > 0) & (verdict == kind)
         series += [Series(f"{kind} trial", kind, K[at], B[at])] if at.any() else []
     for place, other in enumerate(others):
-        line = next(measured(other.boundary, f"_experiment {other.experiment}" if place else "other experiments", None))
-        series.append(Series(line.label, "others", line.x, line.y))
+        label = f"_experiment {other.experiment}" if place else "other experiments"
+        line = next(measured(other.boundary, label, None, intervals=True))
+        series.append(Series(label, "others", line.x, line.y))
     title = f"Where experiment {result.experiment} is stable"
     caption = "Every trial, and the limit of stability at each damping by the growth rates of the trials"
     if any(point.low for point in result.boundary):

@@ -268,7 +268,7 @@ def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
     }
 
 
-GRADES = {"yes": "yes", "partly": "partly", "no": "no", "with_friction": "with friction"}
+GRADES = {"yes": "yes", "partly": "partly", "no": "no", "with_friction": "with friction", None: "not known"}
 """Words for how far theory predicts a boundary or costs."""
 
 
@@ -278,8 +278,8 @@ def _overview(result: ComparisonResult) -> Table | None:
     for answer in [e.answer for e in result.experiments if e.answer is not None]:
         predicts, wall, step = answer.predicts, answer.wall, answer.next
         boundary = predicts.code if predicts.code == "with_friction" else predicts.boundary
-        row: dict[str, Any] = {"experiment": answer.experiment, "boundary": GRADES.get(boundary or "")}
-        row |= {"costs": GRADES.get(predicts.optimal_costs or ""), "reason": predicts.reason}
+        row: dict[str, Any] = {"experiment": answer.experiment, "boundary": GRADES[boundary]}
+        row["costs"] = GRADES[predicts.optimal_costs]
         row |= {"wall_stiffness": wall and wall.stiffness, "wall_damping": wall and wall.damping}
         row |= {"next_stiffness": step and step.stiffness, "next_damping": step and step.damping}
         for found in answer.estimates:
@@ -290,8 +290,8 @@ def _overview(result: ComparisonResult) -> Table | None:
         Column("experiment"),
         Column("wall_stiffness", "K", units.stiffness, "wall to use", _stiffness, why="none is recommended"),
         Column("wall_damping", "B", units.damping, "wall to use", _damping, why="none is recommended"),
-        Column("boundary", "boundary", group="theory predicts", why="too few limits to compare"),
-        Column("costs", "costs", group="theory predicts", why="too few costs to compare"),
+        Column("boundary", "boundary", group="theory predicts"),
+        Column("costs", "costs", group="theory predicts"),
         Column(
             "stiffness_max",
             "largest stable K",
@@ -750,7 +750,9 @@ def _shapes(result: ComparisonResult) -> Table | None:
         Column("dampings", "dampings", units.damping, stiffest, why=few),
         Column("curvature", "curved as theory", group=stiffest, why=curved),
     ]
-    table = table_of("shapes", "What the measured boundary stands for, with 95 % intervals", columns, rows, _name)
+    table = table_of(
+        "shapes", "Delay and line that the measured boundary implies, with 95 % intervals", columns, rows, _name
+    )
     if table is not None:
         table.mark(
             "A pure delay with which an ideal loop of this mass and damping has these limits. It is longer than that "
@@ -888,8 +890,7 @@ def use_note(result: ExperimentResult) -> str:
     """Return why the walls to use were not selected by the costs of a region, or why there are none; else empty."""
     if not result.use_reason:
         return ""
-    text = result.use_reason if result.use else f"none: {result.use_reason}"
-    return f"{text[:1].upper()}{text[1:]}."
+    return f"{'Chosen by' if result.use else 'None:'} {result.use_reason}."
 
 
 def _header(result: ComparisonResult) -> Table | None:

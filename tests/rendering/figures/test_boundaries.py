@@ -130,12 +130,17 @@ def test_answer_shows_every_trial_behind_a_wall() -> None:
 def test_answer_shows_the_limits_of_other_experiments_within_its_own_range() -> None:
     nothing = np.array([]), np.array([]), np.array([])
     alone = answer_figure(experiment("1"), theory(), "translation", 0, nothing)
-    stiff = tuple(p.model_copy(update={"stable": p.stable and 9 * p.stable}) for p in experiment("1").boundary)
+    factor = {"stable": 9.0, "unstable": 9.0}
+    stiff = tuple(
+        p.model_copy(update={name: by * (getattr(p, name) or 0.0) or None for name, by in factor.items()})
+        for p in experiment("1").boundary
+    )
     others = [experiment(name).model_copy(update={"boundary": stiff}) for name in ("2", "3")]
     figure = answer_figure(experiment("1"), theory(), "translation", 0, nothing, others)
     lines = [s for s in figure.panels[0].series if s.kind == "others"]
     assert [s.label for s in lines] == ["other experiments", "_experiment 3"], "one entry of the legend"
-    assert np.nanmax(lines[0].x) > 8 * np.nanmax(next(measured(experiment("1").boundary, "", None)).x)
+    own = next(measured(experiment("1").boundary, "", None, intervals=True))
+    assert np.nanmax(lines[0].x) == pytest.approx(9 * np.nanmax(own.x))
     assert figure.panels[0].limits == alone.panels[0].limits
 
 
