@@ -136,8 +136,8 @@ def _errors(windows: Segments, device: Device) -> Floats:
 def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Floats], list[Floats]]:
     """Return the position errors of two naive motions in the windows of a log.
 
-    The first motion has a constant speed in each window. The second one also has the mean acceleration of the log, which
-    is the same in all windows.
+    The first motion has a constant speed in each window. The second one also has the mean acceleration of the log, the
+    same in all windows.
     """
     moved, bent = [], []
     for time, position in zip(times, readings, strict=True):

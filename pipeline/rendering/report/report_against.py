@@ -75,7 +75,8 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
         Column("interval", "95 %", show=lambda text, _: str(text), why="no interval"),
         Column("sure", "significant", why="no interval"),
     )
-    values = (Column("head", "quantity"), Column("first", first, show=_four), Column("second", second, show=_four), *judged)
+    both = Column("first", first, show=_four), Column("second", second, show=_four)
+    values = (Column("head", "quantity"), *both, *judged)
     costs = (
         Column("head", "criterion"),
         Column("points", show=_four),
