@@ -462,7 +462,7 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
     low, high = (max(noise.jitter + sign * NORMAL_95 * noise.jitter_error, 0.0) for sign in (-1, 1))
     return {
         "source": "estimated",
-        "adequate": is_known and follows(fit, naive) and not found.drive,
+        "adequate": is_known and follows(fit, naive) and not (found.drive or found.departure),
         "reason": (
             "no log could be replayed"
             if fit is None
@@ -470,6 +470,7 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
         )
         + ("" if is_known else "; mass or delay cannot be identified from these logs")
         + ("; the gain of the drive differs by direction" if found.drive else "")
+        + (f"; {found.departure[:1].lower()}{found.departure[1:].rstrip('.')}" if found.departure else "")
         + (f"; {drift}" if drift else ""),
         "explained": None,
         **{name: number(name) for name in LINEAR},

@@ -66,6 +66,7 @@ REAL: dict[str, tuple[dict[str, float], str]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", REAL)
 def test_a_drive_is_identified_or_the_true_reason_is_given(folder: str) -> None:
+    from pipeline import Loop
     from pipeline.surface.identify import identify
 
     truth, reason = REAL[folder]
@@ -79,5 +80,8 @@ def test_a_drive_is_identified_or_the_true_reason_is_given(folder: str) -> None:
         assert abs(found / value - 1) < 0.02
     reasons = " ".join(row["reason"] or "" for row in rows.values())
     assert reason in reasons
-    if folder in ("real_cogging", "real_ramp_saturated", "real_gain_direction", "real_fast_motor"):
+    if folder == "real_ramp_saturated":  # the limit of the linear loop of the README
+        limit = Loop(mass=0.0033, damping=0.257, sampling_period_s=0.002, delay_samples=1.5).boundary().stiffness.max()
+        assert document["boundary"]["stiffness_max"]["low"] < limit < document["boundary"]["stiffness_max"]["high"]
+    if folder in ("real_cogging", "real_gain_direction", "real_fast_motor"):
         assert document["boundary"] is None, "no limit of walls without an adequate device"

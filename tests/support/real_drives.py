@@ -177,7 +177,7 @@ def two_carts(seed: int, *, load_friction: bool = False, load_damping: bool = Tr
         quantum=5e-6,
     )
     rig.truth.update({"mass": motor_mass + load, "damping": b, "mode.frequency_hz": turn / 2 / np.pi})
-    rig.truth.update({"mode.mass": load, "friction.coulomb": 0.5})
+    rig.truth.update({"mode.mass": load, "friction.coulomb": 0.5 + rig.load_friction})
     return _logs(rig, [square(rng, 1500, 250, size) for size in (1.5, 2.2)], seed)
 
 

@@ -45,6 +45,9 @@ from pipeline.records.trials import Floats
 EXPLAINS = 0.5
 """Smallest weight of a trial that the device explains (see `scatter.OWN_ROWS`)."""
 
+PRECISE = 95.0
+"""Fit of free runs [%] above which the errors are too small to matter, whatever they depend on."""
+
 SLOW_ROWS = 10.0
 """Time constant [rows] above which rows show the inertia of a device."""
 
@@ -105,6 +108,8 @@ class Identification:
     folds : list of dict of str to float
         Values of the parameters if one fold of the logs is left out (every fifth log, starting at the first, the second
         and so on). Empty for fewer than `FEWEST` logs.
+    departure : str
+        Sentence that names the group in which the errors of free motions differ, empty if they differ in none.
     choice : Choice
     """
 
@@ -123,6 +128,7 @@ class Identification:
     drive: dict[str, Interval]
     covariance: Floats
     folds: list[dict[str, float]]
+    departure: str
     choice: Choice
 
     @property
@@ -188,12 +194,14 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     recorded = Recorded.of(recordings)
     replay = _replay(recordings, choice)
     walls = any(any(each.wall) for each in recordings)
-    misfit = "" if walls else _misfit(replay, choice, known="mass" not in unknown)
+    fit_percent = medians(replay)[0]
+    where = "" if walls or fit_percent is None or fit_percent > PRECISE else departure(choice)
+    misfit = "" if walls else _misfit(replay, where, known="mass" not in unknown)
     parts = dict.fromkeys(choice.parts, 0.0) if misfit else dict(choice.parts)
     if misfit and alone is None:
         # the intervals of a model that does not predict the motion have no meaning
         unknown = set(parameters)
-    if not walls and medians(replay)[0] is None:
+    if not walls and fit_percent is None:
         # without a replay, nothing tests whether a vibration predicts the motion
         unknown |= {name for name in parameters if name.startswith("mode.")}
         parts |= dict.fromkeys(parts.keys() & set(SENSED.values()), 0.0)
@@ -216,6 +224,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         _drive(errors, units),
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
+        where,
         choice,
     )
 
@@ -238,18 +247,18 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
     }
 
 
-def _misfit(replay: list[Replay], choice: Choice, *, known: bool) -> str:
+def _misfit(replay: list[Replay], where: str, *, known: bool) -> str:
     """Return why no device is identified if the fitted one does not predict its logs.
 
     The result is empty if the device predicts the logs, or if there is no replay. If the mass is not ``known``, it is
-    also empty unless the errors depend on a known quantity: the wide intervals are then the better reason.
+    also empty unless ``where`` names a quantity on which the errors depend: the wide intervals are then the better
+    reason.
     """
     fit, naive = medians(replay)
     if fit is None or naive is None or follows(fit, naive):
         return ""
-    place = departure(choice)
     words = f"No device with these parts predicts logs left out: free runs fit {fit:.0f} % of the velocity"
-    return f"{words}, and a motion without the command {naive:.0f} %. {place or REMEDY}" if known or place else ""
+    return f"{words}, and a motion without the command {naive:.0f} %. {where or REMEDY}" if known or where else ""
 
 
 def _scatter(choice: Choice) -> dict[str, float]:

@@ -572,7 +572,7 @@ def _further(
         fit = plain if some is segments else refined(segments, alone, far=False)
         part, gain = left.pop(name), held_out(other) - held_out(fit)
         worth = gain > WORTH * len(part.numbers) and _is_inside(other.device, part)
-        if worth and _predicts(logs, segments, fit, other):
+        if worth and _predicts(logs, segments, name, (fit, other)):
             fit, parts = other, parts | {name: gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # jitter may have replaced the residual before the search for a part ended
@@ -613,19 +613,23 @@ def _is_inside(device: Device, part: Part) -> bool:
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
 
 
-def _predicts(logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, other: Fit) -> bool:
-    """Return whether a fit with another part predicts more of the motion.
+def _predicts(
+    logs: tuple[list[Recording], LogUnits, int], segments: Segments, name: str, fits: tuple[Fit, Fit]
+) -> bool:
+    """Return whether the second fit, which has one more part, predicts more of the motion than the first one.
 
-    There are two ways: the fit leaves less random force (`_takes_away`) and predicts the free runs of logs left out
-    equally well, or its free runs have at most `LEFT` of the variance of the error. The second one is for a ripple of
-    the force at each turn, a random force that no part removes. For walls, and for a single log, only the random force
-    is judged.
+    There are two ways: the fit leaves less random force (`_takes_away`), or its free runs of logs left out have at most
+    `LEFT` of the variance of the error. The second one is for a ripple of the force at each turn, a random force that
+    no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, for a single
+    log, and while the estimate of friction is negative, which no free run can have.
     """
     recordings, units, lead = logs
-    taken = _takes_away(fit, other)
-    if len(recordings) == 1 or any(any(each.wall) for each in recordings):
+    taken = _takes_away(*fits)
+    slides = all(fit.device.numbers.get("coulomb", 0.0) >= 0 for fit in fits)
+    judged = len(recordings) > 1 and slides and not any(any(each.wall) for each in recordings)
+    if not judged or (taken and name not in {*SENSED.values(), *LOAD_PARTS}):
         return taken
-    before, behind = (medians(replays_left_out(recordings, units, lead, segments, each))[0] for each in (fit, other))
+    before, behind = (medians(replays_left_out(recordings, units, lead, segments, fit))[0] for fit in fits)
     if before is None or behind is None:
         return taken
     return 100 - behind <= (AS_WELL if taken else LEFT**0.5) * (100 - before)

@@ -104,6 +104,8 @@ def test_friction_along_the_way_is_named_by_its_place():
     rng = np.random.default_rng(5)
     rig = Rig(0.009, 0.4, 0.9, friction=0.18, spring=160.0, cogging=(10.0, 300.0), quantum=5e-6)
     found = identified([rig.log(str(i), levels(rng, 1200, 60, 2.0), i) for i in range(2)])
-    assert not any(found.parts.values())
-    assert found.unidentifiable == set(found.parameters)
-    assert "position" in found.reasons["mass"]
+    # the numbers hold within wide intervals, and no limit of walls follows from them
+    assert set(found.parts) <= {"friction", "stiffness"}
+    assert found.parameters["mass"].low < 0.4 < found.parameters["mass"].high
+    assert found.parameters["stiffness"].low < 160.0 < found.parameters["stiffness"].high
+    assert "position" in found.departure
