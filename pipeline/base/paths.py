@@ -105,7 +105,7 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     if document_beside and path.suffix.lower() == ".json":
         raise UsageError(
             f"{place}: is the name of the JSON document, which is written next to the page and would replace it; "
-            f"expected the name of the page. Use {path.with_suffix('.html')}."
+            f"expected the name of the page. Give {path.with_suffix('.html')}."
         )
     # the nearest existing parent decides; a removed working folder raises the error below
     folder = next((above for above in path.parents if above.exists()), Path("."))

@@ -227,10 +227,6 @@ def march(
     -----
     At a single sample, all states of the device may be small while a delayed force or a filter stores future motion. A
     response is therefore at rest if all motion was small for as long as the memory of the loop.
-    Notes
-    -----
-    At a single sample all states of the device may be small while a delayed force or a filter stores future motion. A
-    response is at rest when all motion was small for as long as the memory of the loop.
     """
     step, ends, curves, timing = interval
     z, line, moved, curve, laws, levers, n, _, _ = body

@@ -179,7 +179,7 @@ def test_jitter_is_the_standard_deviation_of_the_delays() -> None:
 @pytest.mark.parametrize("call", [lambda: IDEAL.value("lag"), lambda: IDEAL.replace({"mode.far_mass": 1.0})])
 def test_an_unknown_name_is_refused_with_the_known_ones(call: Any) -> None:
     with pytest.raises(
-        ParameterError, match=r"is no parameter of a loop; expected one of mass, damping.*sensor\.noise"
+        ParameterError, match=r"is not a parameter of a loop; expected one of mass, damping.*sensor\.noise"
     ):
         call()
 

@@ -94,7 +94,7 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.M
     altered(tmp_path, name="a.toml")
     altered(tmp_path, name="b.toml")
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))
-    with pytest.raises(DeviceError, match=r"b\.toml: field name: found 'falcon', which a\.toml defines too"):
+    with pytest.raises(DeviceError, match=r"b\.toml: field name: found 'falcon', which a\.toml also defines"):
         known_devices()
 
 
@@ -111,7 +111,7 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.M
         (("damping_last = 184.0", "damping_last = -4.0"), r"experiment\[1\] .*damping_last \(-4\.0\) is below"),
         (("delay_samples = 4", "delay_samples = -4"), r"experiment\[1\]\.delay_samples .*found -4; "),
         (("jitter_samples = [3, 4, 5]", "jitter_samples = [3, 4.5]"), r"jitter_samples\[2\] .*found 4\.5; "),
-        (('name = "2"', 'name = "1"'), r"file as a whole: experiment names must be unique.*'1'"),
+        (('name = "2"', 'name = "1"'), r"entire file: experiment names must be unique.*'1'"),
         (
             ('theory_from = "1"', 'theory_from = "9"'),
             r"table D\.1 names experiments that are not defined: \['9'\]",
@@ -186,7 +186,7 @@ def test_other_toml_files_beside_device_files_are_left_alone(tmp_path, monkeypat
     for name, text in (("lab.toml", profile), ("pyproject.toml", '[project]\nname = "x"\n'), ("empty.toml", "")):
         (tmp_path / name).write_text(text)
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))
-    if_empty = "empty.toml: wrong device file"
+    if_empty = "empty.toml: invalid device file"
     with pytest.raises(DeviceError, match=if_empty):
         known_devices()
     (tmp_path / "empty.toml").unlink()
@@ -194,5 +194,5 @@ def test_other_toml_files_beside_device_files_are_left_alone(tmp_path, monkeypat
     assert {"lab", "x", "pyproject"}.isdisjoint(known_devices())
     # a device file with a mistake is named
     (tmp_path / "wrong.toml").write_text("masss = 0.2\nsampling_period_s = 0.001\n")
-    with pytest.raises(DeviceError, match=r"wrong\.toml: wrong device file"):
+    with pytest.raises(DeviceError, match=r"wrong\.toml: invalid device file"):
         known_devices()

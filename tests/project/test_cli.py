@@ -344,7 +344,7 @@ def test_compare_prints_one_document_and_writes_the_report(call, course, tmp_pat
         (["--device", "lwr", "--report", ""], 2, "is a folder; expected a file"),
         (["--device", "lwr", "--report", "stored"], 2, "is a folder; expected a file"),
         (["--device", "lwr", "--report", "a.json"], 2, "Give a.html."),
-        (["--device", "lwr", "--report", "stored/file/new/a.html"], 1, "since stored/file takes no files (Not a dir"),
+        (["--device", "lwr", "--report", "stored/file/new/a.html"], 1, "can be created in stored/file (Not a dir"),
     ],
 )
 def test_wrong_comparisons_are_refused(call, course, arguments, status, message, tmp_path):
@@ -364,7 +364,7 @@ def test_a_file_that_cannot_be_written_is_told_before_the_work(call, command, tm
     words = command.split()
     for place, expected, message in (
         (".", 2, f"{words[-1]} .: is a folder"),
-        ("file/a.html", 1, "since file takes no files (Not a directory)"),
+        ("file/a.html", 1, "because no file can be created in file (Not a directory)"),
     ):
         status, out, err = call(*words, place)
         assert (status, out) == (expected, "")
@@ -377,7 +377,7 @@ def test_reports_that_cannot_be_written_stop_demo_and_comparison_at_once(call, c
     for words in (["demo"], ["compare", "--device", "lwr", "--processed", course]):
         status, out, err = call(*words)
         assert (status, out) == (1, "")
-        assert "since reports takes no files (Not a directory)" in err
+        assert "because no file can be created in reports (Not a directory)" in err
     assert [path.name for path in tmp_path.iterdir()] == ["reports"]
 
 
@@ -455,8 +455,8 @@ def test_theory_map(call, tmp_path):
         ("theory boundary --delay -1 --json", 1, "delay = -1"),
         ("theory boundary --delay nan --json", 1, "delay = nan"),
         ("theory boundary --delay 1 --gamma -0.1 --json", 1, "gamma = -0.1"),
-        ("theory optimum --delay 1 --criterion speed --json", 1, "supported are alpha_max"),
-        ("theory map --delay 1 --criteria speed --out m.pq", 1, "expected some of settle_1pct"),
+        ("theory optimum --delay 1 --criterion speed --json", 1, "expected one of alpha_max"),
+        ("theory map --delay 1 --criteria speed --out m.pq", 1, "expected names from settle_1pct"),
         ("theory map --delay -1 --out m.pq", 1, "delay = -1"),
         ("theory points none.csv --json", 1, "cannot be read"),
     ],

@@ -192,7 +192,7 @@ def test_signal_and_suffix_mean_the_same():
 @pytest.mark.parametrize(
     ("criterion", "signal", "message"),
     [
-        ("speed", None, "'speed'; supported are alpha_max.*energy_step_w2"),
+        ("speed", None, "'speed'; expected one of alpha_max.*energy_step_w2"),
         ("damping_discrete", None, "expected one of"),
         ("alpha_max_discrete", None, "expected one of"),
         ("overshoot_discrete", "continuous", "signal is continuous"),

@@ -176,7 +176,7 @@ def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"criteria": ("overshoot", "speed")}, "'speed' is unknown; expected some of settle_1pct"),
+        ({"criteria": ("overshoot", "speed")}, "'speed' is unknown; expected names from settle_1pct"),
         ({"criteria": ("pole_radius_discrete",)}, "is unknown"),
         ({"criteria": ("",)}, "'' is unknown"),
         ({"size": 1}, "size = 1"),
