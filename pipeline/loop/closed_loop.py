@@ -1,16 +1,16 @@
-"""Simulate one trial at a wall row by row: sensor, velocity, wall law, delayed command, and exact motion with friction.
+"""Simulate a trial at a wall row by row: sensor, velocity, wall law, delayed command, and exact motion with friction.
 
 The compiled run models a controller that samples at t_k = k T:
 
     y[k] = round((p(t_k) + n[k])/q) q        F[k] = E[k] - K (y[k] - y[0] + s) - B v[k]
 
-The position p of the sensor has the noise n and the resolution q. E is the external force, s the depth in the wall at
-the first row, and v the velocity estimated from y. F is limited and amplified, and reaches the plant after the delay.
-While F is constant, the plant moves by x(t + h) = e^(A h) x(t) within its region of friction (`pipeline.loop.motion`).
+The sensor reads the position p with noise n and resolution q. E is the external force, s the depth in the wall at the
+first row, and v the velocity estimated from y. F is limited and amplified, and reaches the plant after the delay. While
+F is constant, the plant moves with x(t + h) = e^(A h) x(t) within its region of friction (`pipeline.loop.motion`).
 
 The parts of a row (velocity estimator, step of motion) are separate functions. Numba inlines them into the loops that
-call them; in other calls they run as plain Python. To detect outdated machine code, numba checks only the file of the
-loop. These functions and their constants must therefore be in this module.
+call them; in other calls they run as plain Python. Numba checks only the file of the loop to detect outdated machine
+code. These functions and their constants must therefore be in this module.
 
 Source: Hulin 2017, sec. 3.1 and 6.1.1.
 """
@@ -28,7 +28,7 @@ STICK, CREEP, SLIDE = 0, 1, 2
 """Regions of friction. Without a Stribeck effect there is no `SLIDE`: all motion is a `CREEP` at constant friction."""
 
 CELLS = 32
-"""Number of cells of a time grid in which a change of region is searched for."""
+"""Number of cells of a time grid that is searched for a change of region."""
 
 TERMS = 17
 """Number of terms of the power series within a cell."""
@@ -37,10 +37,10 @@ MOST_EVENTS = 400
 """Largest number of region changes. After that, a motion stays in its region, which ends any chatter."""
 
 SETTLED = 2.0**-50
-"""Newton step, relative to a cell, that is a rounding error."""
+"""Newton step relative to a cell below which the step is only a rounding error."""
 
 MOST_STEPS = 60
-"""Largest number of steps to a zero. Bisection alone needs 53 for a double."""
+"""Largest number of iterations in the search for a zero. Bisection alone needs 53 for a double."""
 
 FILTER, DIFFERENCE, WINDOW, LEVANT = 0, 1, 2, 3
 """Velocity estimators: a linear filter, the difference over several samples, the adaptive window, and Levant's."""
@@ -52,10 +52,10 @@ Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
   friction, R is 1 and only the state is stored.
 - ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): state, guard and slope at the edges of cells. Each level divides one
   cell of the level above.
-- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid.
-- ``bounds`` (2, R): lower and upper bounds of the guard in each region; (2, 0) without friction.
-- ``force`` (n + 3,): force on the motor without friction.
-- Duration [s], and whether the motion is slow enough for its end points to show whether it may leave a region.
+- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid. - ``bounds`` (2,
+R): lower and upper bounds of the guard in each region; (2, 0) without friction. - ``force`` (n + 3,): force on the
+motor without friction. - Duration [s], and a flag. The flag is True if the motion is so slow that its end points show
+whether it may leave a region.
 
 All are multiplied by z: state, command, additional force, and direction of friction.
 """
@@ -103,7 +103,7 @@ def derivative(series: Floats) -> Floats:
 def last_zero(series: Floats, end: float) -> float:
     """Return the last zero of a polynomial that is nonnegative at 0 and negative at ``end``."""
     slopes, low, high = derivative(series), 0.0, end
-    # start from the parabola through value and slope at 0 and value at the end
+    # start from the parabola with the value and slope at 0 and the value at the end
     first, rate = series[0], series[1] * end
     bend = min(polynomial(series, end), 0.0) - first - rate
     divisor = sqrt(max(rate * rate - 4 * bend * first, 0.0)) - rate
@@ -127,8 +127,8 @@ def last_zero(series: Floats, end: float) -> float:
 def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[float, int]:
     """Return the time at which a polynomial leaves its bounds within [0, span], and the direction: down (-1) or up (1).
 
-    If it stays inside, the direction is 0 and the time is the span. If it starts on a bound, its further motion
-    decides. It may turn only once within the span.
+    If it stays inside, the direction is 0 and the time is the span. If it starts on a bound, the direction of its slope
+    decides. The polynomial may have only one extremum within the span.
     """
     start, slope, until = series[0], series[1], span
     slopes = derivative(series)
@@ -153,7 +153,7 @@ def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[fl
 @inlined
 def extent(guard: float, later: float, slope: float, later_slope: float, span: float) -> tuple[float, float]:
     """Return the lower and upper bounds of a guard over a time span, from value and slope at both ends."""
-    # between the ends, a turning guard is never steeper than the sum of both end slopes
+    # between the ends, a guard with an extremum is never steeper than the sum of both end slopes
     reach = span * (abs(slope) + abs(later_slope)) if slope * later_slope < 0 else 0.0
     return min(guard, later) - reach, max(guard, later) + reach
 

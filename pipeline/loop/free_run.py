@@ -23,7 +23,7 @@ def free_run(
     """Return the sensor positions of a device in a free run, shape (N,).
 
     Side i (0 for the motor, 1 for the load of a mode) has position and velocity as states 2 i and 2 i + 1, and friction
-    c_i against its direction s_i. In each sub-step of each piece of an interval, the command u is constant:
+    c_i opposite to its direction s_i. In each sub-step of each piece of an interval, the command u is constant:
 
         x <- F x + G_1 u + G_2 (f - c_1 s_1) - G_3 c_2 s_2
 
@@ -38,8 +38,8 @@ def free_run(
         (sides,), for a device of mass 1.
     pieces : F, G, place
         Transitions (2^sides, m, n, n) over a sub-step, and gains (2^sides, m, n, 1 + sides) of a unit command and of
-        forces on the sides. The bits of the first index are sides at rest. ``place`` (P, N) is the second index for
-        each piece of the interval after each row.
+        forces on the sides. The bits of the first index mark the sides at rest. ``place`` (P, N) is the second index
+        for each piece of the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
     forces : f, c

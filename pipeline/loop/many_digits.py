@@ -1,4 +1,4 @@
-"""Compute small matrices and polynomials with many digits, for quantities computed once per loop without cancellation.
+"""Compute with small matrices and polynomials with many digits, which avoids cancellation in quantities of a loop.
 
 Matrices and polynomials are numpy arrays of `decimal.Decimal`. Polynomials have the lowest power first. The decimal
 context of `many_digits` determines the number of digits.

@@ -3,7 +3,7 @@
 The compiled loops of `pipeline.loop.closed_loop` use them. Without friction, the motion is that of
 `pipeline.loop.state_space`, and a time step is one product with its exponential. Friction makes the motion piecewise
 linear: the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a region change is
-found on the exact motion. Between rest and the Stribeck velocity, friction decreases linearly from stiction to Coulomb
+a zero of the exact motion. Between rest and the Stribeck velocity, friction decreases linearly from stiction to Coulomb
 friction.
 """
 
@@ -25,13 +25,14 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command takes 
     from pipeline.device.parts import Friction
 
 BREAKAWAY = 1e-12
-"""Force beyond stiction, relative to stiction, that sets a resting device in motion. It exceeds rounding errors."""
+"""Excess of a force over stiction, relative to stiction, that sets a resting device in motion. It exceeds rounding
+errors."""
 
 LEFT_OUT = 1e-17
 """Largest truncation error of the power series, relative to the motion."""
 
 QUARTER = pi / 4
-"""Largest phase [rad] of the fastest oscillation over an interval for which the ends show whether a region is left."""
+"""Largest phase [rad] of the fastest oscillation over an interval. Up to it, the ends show whether a region is left."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class FrictionalMotion:
         return _interval(self, time_s)
 
     def rates(self) -> list[Floats]:
-        """Return A of z' = A z for each region. The last row of z is the direction."""
+        """Return the matrix A of z' = A z for each region. The last row of z is the direction."""
         n, linear = self.states, _of_motor_and_load(self.plant)
         free = np.zeros((n + 3, n + 3))
         free[:n, : n + 2] = np.column_stack((linear.matrix, linear.command, linear.force))
@@ -117,7 +118,7 @@ class FrictionalMotion:
 
     @property
     def levels(self) -> tuple[float, float, float]:
-        """Coulomb friction, stiction [N, Nm], and decrease of friction per speed below the Stribeck velocity."""
+        """Coulomb friction and stiction [N, Nm], and the decrease of friction per speed below the Stribeck velocity."""
         assert self.friction is not None
         stiction = self.friction.coulomb if self.friction.stiction is None else self.friction.stiction
         return self.friction.coulomb, stiction, (stiction - self.friction.coulomb) / self.friction.stribeck_velocity
@@ -129,7 +130,8 @@ class FrictionalMotion:
         return np.concatenate((linear.matrix[1], [linear.command[1], linear.force[1], 0.0]))
 
     def guards(self) -> list[tuple[Floats, float, float]]:
-        """Return a row C and two bounds for each region: inside it, C z times the direction is between the bounds."""
+        """Return a row C and two bounds for each region. Inside the region, C z times the direction is between the
+        bounds."""
         assert self.friction is not None
         velocity = np.zeros(self.states + 3)
         velocity[1] = 1.0

@@ -35,18 +35,19 @@ LARGEST_DELAY = 256
 """Largest delay factor. For longer delays, the loop matrices of a map would need too much memory."""
 
 LARGEST_FILTER = 96
-"""Longest memory of a velocity filter in samples. For longer ones, boundaries and modes would take seconds."""
+"""Longest memory of a velocity filter in samples. For longer filters, boundaries and modes would take seconds."""
 
 SMALLEST, LARGEST = 1e-60, 1e60
-"""Range of a mass per unit of command, and of a sampling period, in which units of stiffness and damping neither
+"""Range of a mass per unit of command and of a sampling period, in which units of stiffness and damping neither
 overflow nor underflow. The parameters of a device have narrower ranges (`device.parts`)."""
 
 LARGEST_RATE = 1e7
 """Largest entry of the normalised matrix of the device. A lag below 1e-7 samples is ignored."""
 
 _DIGITS = 100
-"""Number of digits of quantities computed once per loop. One digit is added per order, for the binomials. Boundaries
-need 16 digits at angles of 1e-6, where products of ten factors of 1e-6 are added to terms of size 1."""
+"""Number of digits of quantities that are computed once per loop. Each order adds one digit for the binomial
+coefficients. Boundaries need 16 digits at angles of 1e-6, where products of ten factors of 1e-6 are added to terms of
+size 1."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class OwnSteps:
 
 @dataclass(frozen=True)
 class NormalisedLoop:
-    """Plant with delay, without its wall. alpha and beta are arguments of its methods.
+    """Plant with delay, velocity filter and no particular wall. The wall (alpha, beta) is an argument of the methods.
 
     The loop is linear: a continuous device with two to five states, and a wall law with a filter.
 
@@ -217,11 +218,12 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """Delay of a slow command by the actuator, in sampling periods; for a first-order lag, its time constant."""
+        """Delay of a slow command by the actuator in sampling periods. For a first-order lag, it is the time
+        constant."""
         return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:
-        """Return the loop with another damping of the device."""
+        """Return the loop with a new damping of the device."""
         return replace(self, plant=replace(self.plant, damping=delta))
 
     @cached_property
@@ -235,7 +237,7 @@ class NormalisedLoop:
 
     @property
     def oldest_force(self) -> int:
-        """Delay in samples of the oldest wall force that still acts."""
+        """Age in samples of the oldest wall force that still acts."""
         return self.segments[0].age
 
     @cached_property
@@ -260,7 +262,7 @@ class NormalisedLoop:
 
     @cached_property
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
-        """Transition over a whole sampling interval, and input gain of the force of each segment."""
+        """Transition over a sampling interval, and input gain of the force in each segment."""
         with many_digits(self.digits):
             whole = as_exact(np.eye(len(self.device.sensor)))
             gains: list[Digits] = []
@@ -276,7 +278,7 @@ class NormalisedLoop:
             whole, gains = self.pushes
             bottom, adjugate = resolvent(whole)
             tops = [as_exact(self.device.sensor) @ adjugate @ gain for gain in gains]
-            # the newer force is one sample ahead, so its polynomial is multiplied by z
+            # the newer force was computed one sample later, so its polynomial is multiplied by z
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
             return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *filter_in_w(self.velocity))

@@ -32,15 +32,16 @@ class Plant:
     Parameters
     ----------
     mass, damping, stiffness : float
-        m, b, k of the whole device, per unit of command if the input is a command.
+        Parameters m, b and k of the total device, per unit of command if the input is a command.
     lag : float
         Time constant of the actuator; 0 for no lag.
     load_mass, load_damping : float
-        Parts of mass and damping that belong to the load of a vibration mode. There is no mode if ``load_mass`` is 0.
+        Mass and damping of the load of a vibration mode, which are included in ``mass`` and ``damping``. There is no
+        mode if ``load_mass`` is 0.
     spring, spring_damping : float
         Stiffness and damping between load and motor.
     sensor_at_load : bool
-        Whether the sensor reads the position of the load instead of that of the motor.
+        Whether the sensor reads the position of the load instead of the position of the motor.
     """
 
     mass: float
@@ -117,7 +118,8 @@ class StateSpace:
 
     @property
     def actuator(self) -> tuple[Floats, Floats, Floats]:
-        """A, B, C of the actuator from command to force, x' = A x + B u, f = C x; without states if it is ideal."""
+        """Matrices A, B, C of the actuator, x' = A x + B u, f = C x, from command u to force f. An ideal one has no
+        states."""
         first = self.mechanical
         inner = self.matrix[first:, first:]
         return inner, self.command[first:], np.eye(1, len(inner))[0]
@@ -144,9 +146,9 @@ def state_space(plant: Plant) -> StateSpace:
 
     Notes
     -----
-    Coordinates are relative to the centre of mass, so that an impulse on the motor, however light, changes each state
-    by 1/m. With the motor at x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l) x_1' - b_l
-    x_2'.
+    Coordinates are relative to the centre of mass. A unit impulse on the motor then changes each velocity by 1/m, even
+    if the motor is light. With the motor at x_c - (m_2/m_1) y and the load at x_c + y, m x_c'' = f - k x_1 - (b - b_l)
+    x_1' - b_l x_2'.
 
     Examples
     --------

@@ -68,7 +68,7 @@ def filter_in_w(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
 
 def filter_in_z(velocity: LinearFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter in powers of 1/z, normalised to a[0] = 1."""
-    # w = (1 - 1/z)/(1 + 1/z), so the same substitution leads back to powers of -1/z
+    # since w = (1 - 1/z)/(1 + 1/z), the same substitution gives powers of -1/z
     b, a = (
         bilinear(part, len(part) - 1) * as_exact([(-1) ** k for k in range(len(part))])
         for part in filter_in_w(velocity)

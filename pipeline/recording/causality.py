@@ -1,4 +1,4 @@
-"""Check whether the position responds before its command. Such a log shows neither delay nor wall limit."""
+"""Check whether the position responds before its command. Neither delay nor stability limit follow from such a log."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ BASELINE = 8
 """Smallest number of rows at rest before an edge for the detection of an early departure from rest."""
 
 LIKELIER = 6.0
-"""Log-likelihood ratio of growth to decay, from rest, above which filtered noise is excluded as the cause."""
+"""Log-likelihood ratio of growth to decay of a position at rest. Above it, filtered noise is excluded as the cause."""
 
 SURE = {False: 10.0, True: 18.0}
-"""Threshold of the acceleration of a growth at an edge, in standard errors, for plain and for oscillating growth. It is
-high because noise that was filtered in one direction is correlated."""
+"""Threshold of the acceleration of a growth at an edge, in standard errors, for exponential and for oscillating growth.
+It is high because noise that was filtered in one direction is correlated."""
 
 OF_THE_ANSWER = {False: 0.15, True: 0.015}
 """Threshold of the same acceleration, relative to the acceleration of the response to the edge. A zero-phase filter
@@ -25,33 +25,34 @@ causes a ratio of up to 0.5, or less if a vibration mode responds later. Noise i
 almost none."""
 
 CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
-"""Thresholds for few rows. The first one is the displacement at the edge, relative to the largest one in the first half
-of the rows before it (2 for a drift). Above it, a growth need not be more likely than a decay. The others replace the
-two thresholds above in this case."""
+"""Thresholds for few rows. The first threshold is the displacement at the edge, relative to the largest displacement in
+the first half of the rows before the edge. (A drift has a ratio of 2.) Above it, a growth need not be more likely than
+a decay. The others replace the two thresholds above in this case."""
 
 SURELY = 30.0
 """Threshold of the log-likelihood ratio of growth to decay before edges during a motion."""
 
 BETTER = 4.0
-"""Threshold of the ratio of the residual sums of squares of decay and growth. Below it, both are poor models of the
-device."""
+"""Threshold of the ratio of the residual sums of squares of decay and growth. Below it, neither models the device
+well."""
 
 SPREAD = (0.1, 0.75)
-"""Smallest and largest acceleration of such a growth, relative to the acceleration of the response."""
+"""Smallest and largest acceleration of a growth before edges during a motion, relative to the acceleration of the
+response."""
 
 EARLY = 0.75
 """Smallest lead of the position [rows], as a negative fitted delay, that is reported."""
 
 CLEARLY = (1.15, 1.6)
-"""Thresholds of the ratio of the residuals for the best non-negative delay and the best delay: if only noise remains,
-and if unmodelled parts of the device remain."""
+"""Thresholds of the ratio of the residuals for the best non-negative delay and the best delay. The first threshold
+applies if only noise remains, and the second if effects remain that the model does not contain."""
 
 BY_CHANCE = 20.0
 """Log-likelihood ratio above which a difference is not attributed to chance."""
 
 MOST_RESIDUAL = 0.06
-"""Largest residual of the best delay, relative to the motion. Above it, unmodelled parts of the device may act like a
-delay."""
+"""Largest residual of the best delay, relative to the motion. Above it, parts of the device that are not modelled may
+act like a delay."""
 
 CLEARLY_LATE = 5.0
 """Threshold of the ratio of the residuals of the wall law with the logged rows and with commands shifted to earlier
@@ -70,8 +71,8 @@ def moves_before_command(samples: Samples) -> Finding | None:
     """Return a finding if the position responds before its command, with the number of rows.
 
     A position at rest must not leave its baseline before the edge of the command, and a moving position must not leave
-    its path before a later edge. In free motion, the best-fit delay of the whole log, searched for over both signs,
-    must not be negative. If the command of a wall matches the position in its row, the controller used that reading.
+    its path before a later edge. In free motion, the delay that fits the log best must not be negative. If the command
+    of a wall matches the position in its row, the controller used that reading.
     """
     if samples.obeys_wall:
         return None
@@ -125,7 +126,7 @@ def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
 
 
 def _grows(samples: Samples, edge: int, turning: bool, answer: float, is_convex: bool) -> bool:
-    """Return whether the position grows from rest towards an edge, like a part of the response to that edge."""
+    """Return True if the position grows from rest towards an edge as if it were part of the response to the edge."""
     growth = growth_from_rest(samples, edge, turning=turning)
     if growth is None or growth.acceleration <= OF_THE_ANSWER[turning] * answer:
         return False
@@ -169,7 +170,8 @@ def _negative_delay(samples: Samples) -> float | None:
 
 
 def _late_command(samples: Samples) -> int | None:
-    """Return by how many rows the command of a wall lags its position; None if it does not, or no law fits.
+    """Return the number of rows by which the command of a wall lags its position, or None if it does not lag or no law
+    fits.
 
     If the controller applies the wall law u_k = F - K (x_k - x_0) - B (x_k - x_(k-1))/T, the command of a row belongs
     to the position of that row. A filter, clipping or another wall leaves a larger residual for every shift.

@@ -44,9 +44,9 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
     Notes
     -----
-    For a log without motion, or one that is too short for any model, only this is reported, possibly with a fault of
-    its sampling period. A position that is interpolated linearly between fewer readings also seems to move before its
-    command and to change its speed abruptly. These effects are not reported as separate findings.
+    If a log has no motion or is too short for any model, no other fault is reported except for its sampling period. A
+    position that is interpolated linearly between fewer readings also seems to move before its command and to change
+    its speed abruptly. These effects are not reported as separate findings.
     """
     nothing = unusable_signal(samples)
     if nothing is None:
@@ -56,7 +56,7 @@ def check_recording(samples: Samples) -> tuple[Finding, ...]:
 
 
 def check_recordings(logs: Sequence[Samples]) -> list[tuple[Finding, ...]]:
-    """Return the findings of each log like `check_recording`, ten times as fast for hundreds of logs.
+    """Return the same findings as `check_recording` for each log. It is ten times as fast for hundreds of logs.
 
     Parameters
     ----------

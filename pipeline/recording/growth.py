@@ -35,17 +35,17 @@ WINDOW = 5.0
 """Length of the window before an edge, in time constants."""
 
 FEWEST, MOST = 16, 64
-"""Smallest and largest length of this window in rows. Any curve fits fewer rows, and a parabola does not fit the motion
-over more rows."""
+"""Smallest and largest number of rows in the window before an edge. Any curve would fit fewer rows, and a parabola
+would not fit the motion over more rows."""
 
 BEHIND = 64
 """Number of rows after an edge from which the acceleration due to the edge is estimated."""
 
 SINGULAR = 1e-10
-"""Energy of a curve, relative to the energy of the other curve of its pair, below which it is a rounding error."""
+"""Ratio of the energies of the two curves of a pair below which the smaller energy is a rounding error."""
 
 LATEST = 32
-"""Largest delay in the estimate of this acceleration [rows]."""
+"""Largest delay in the estimate of the acceleration due to an edge [rows]."""
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,15 @@ def acceleration(samples: Samples, edge: int) -> float:
     """Return the acceleration due to an edge, in the direction of its jump [position/row^2]; 0 if there is none.
 
     It is estimated at the delay for which the command fits the rows after the edge best. The rest position is the
-    median over the first half of the rows before the edge, since a motion that begins too early has not started there.
+    median over the first half of the rows before the edge, because a motion that begins too early affects only the
+    second half.
     """
     first = max(edge - BEHIND, 0)
     x = samples.position[edge : edge + BEHIND] - middle(samples.position[first : max((first + edge) // 2, first + 1)])
     command = np.concatenate([np.zeros(LATEST), samples.command[edge : edge + BEHIND]])
     velocity = np.concatenate([[0.0], np.cumsum(command)])
     twice = np.concatenate([[0.0], np.cumsum(velocity[:-1] + 0.5 * command)])
-    driven = np.lib.stride_tricks.sliding_window_view(twice, len(x))[1 : LATEST + 1]  # the last one without a delay
+    driven = np.lib.stride_tricks.sliding_window_view(twice, len(x))[1 : LATEST + 1]  # the last column has no delay
     power = np.einsum("ij,ij->i", driven, driven)
     product = driven @ x
     explained = np.divide(product * product, power, out=np.zeros(LATEST), where=power > 0)

@@ -1,4 +1,4 @@
-"""Estimate the response of a free device to its commands for any delay, also a negative one, by linear regression.
+"""Estimate the response of a free device to its commands by linear regression, for positive and negative delays.
 
 A mass m with damping b and spring k responds to a command u after a delay d. Integrated twice, its motion obeys
 m x + b I(x) + k I(I(x)) + c I(I(sign v)) = I(I(u(t - d))) plus a polynomial of the initial state. This equation is
@@ -29,19 +29,20 @@ FEWEST = 40
 """Smallest number of rows for a regression with six parameters and a delay."""
 
 AT_NOISE = 3.0
-"""Largest rms residual of a model that explains a log, in standard deviations of the noise."""
+"""Largest rms residual, in standard deviations of the noise, for which a model explains a log."""
 
 ARITHMETIC = 1e-9
-"""Residual relative to the motion below which a polynomial or friction explains the motion, up to rounding errors."""
+"""Residual relative to the motion below which only rounding errors remain after a fit of a polynomial and friction."""
 
 BY_COMMAND = 4.0
 """Ratio of the residuals without and with the command above which the motion is attributed to the command."""
 
 LIKELY_SHIFT = 40
-"""Largest delay, with either sign, at which signs are compared [rows]. Beyond it, a command may repeat itself."""
+"""Largest absolute delay at which the signs of the gain are compared [rows]. At longer delays, a command may repeat
+itself."""
 
 BETWEEN = 4.0
-"""Largest ratio of the residuals of both signs on the delay grid for which both signs are refined."""
+"""Largest ratio of the residuals for both signs of the gain on the delay grid. Up to it, both are refined."""
 
 _DEGREE = 2
 
@@ -53,22 +54,22 @@ class FreeResponse:
     Parameters
     ----------
     delay : float
-        Delay of the best fit [rows]; negative if the position comes first.
+        Delay of the best fit [rows]; negative if the position precedes the command.
     gain : float
         Acceleration per unit of command [position/row^2]; negative if the signs differ.
     residual : float
         Root mean square of the residual of the best fit.
     residual_causal : float
-        The same for the best non-negative delay.
+        Root mean square of the residual for the best non-negative delay.
     residual_with, residual_against : float
-        The same for the best delay of at most `LIKELY_SHIFT` rows, with either sign, if the position follows the
-        command in its direction or against it; infinite if there is none.
+        Root mean square of the residual if the gain must be positive or must be negative. The best delay of at most
+        `LIKELY_SHIFT` rows, with either sign, is used. It is infinite if no delay gives such a gain.
     residual_undriven : float
-        The same without a command, i.e. for a motion due to its initial state only.
+        Root mean square of the residual without a command, i.e. for a motion due to its initial state only.
     largest_jump : float
         Largest jump of the command, in the unit of the gain.
     motion : float
-        Root mean square of the motion without the polynomial of its initial state.
+        Root mean square of the motion after subtraction of the polynomial of its initial state.
     noise : float
         Standard deviation of a reading.
     rows : int
@@ -115,7 +116,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
     gain = float(fit.residuals(np.array([best[0]]))[1][0])
     likely = np.abs(coarse) <= LIKELY_SHIFT
     by_sign = [float(left[likely & (sign * signs > 0)].min(initial=np.inf)) for sign in (1, -1)]
-    if by_sign[1] < BETWEEN * by_sign[0]:  # either sign may be better between the delays of the grid
+    if by_sign[1] < BETWEEN * by_sign[0]:  # between the delays of the grid, either sign of the gain may be better
         for place, sign in enumerate((1, -1)):
             own = likely & (sign * signs > 0)
             by_sign[place] = _refined(fit, coarse[own], left[own], -reach, sign)[1] if own.any() else np.inf

@@ -1,4 +1,4 @@
-"""Decide whether ramps of a command between grid rows were sent as ramps, or are steps that were interpolated.
+"""Decide whether ramps of a command between grid rows were sent as ramps or result from interpolated steps.
 
 A step at time t moves a free device with the lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)),
 with z = k - t, from t on. A ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared
@@ -19,14 +19,14 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Floats, Integers
 
 KINK = 1e-3
-"""Smallest change of the slope of a command, relative to its largest change per row, that is a kink."""
+"""Smallest change of the slope of a command that counts as a kink, relative to its largest change per row."""
 
 OWN_STEPS = 1.25
-"""Ratio of the residuals of an interpolated command and of one with a zero-order hold above which steps were sent."""
+"""Ratio of the residuals for an interpolated command and for a zero-order hold above which steps were sent."""
 
 SAME_DELAY = 2.5
-"""The same ratio for a command with ramps of one grid interval. It is larger because interpolated steps on the grid
-have a common delay, like real ramps."""
+"""Threshold of the same ratio for a command with ramps of one grid interval. It is larger because interpolated steps on
+the grid have a common delay, like real ramps."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
@@ -35,21 +35,21 @@ AROUND = (10, 32)
 """Smallest and largest number of rows before and after a ramp that are used. They contain no other ramp."""
 
 LAGS = (0.0, 1.0, 2.0, 4.0, 8.0)
-"""Lags of a device that are tried [rows]."""
+"""Lags of a device in the search [rows]."""
 
 LATEST = 16
-"""Largest delay of a device that is tried [rows]."""
+"""Largest delay of a device in the search [rows]."""
 
 LIKELIER = (-15.0, 20.0)
 """Limits of the log-likelihood ratio of steps to ramps. Up to the first limit, the command is a ramp; from the second
 limit on, it consists of steps."""
 
 BETTER = 2.0
-"""Ratio of the residual sums of squares of ramps with one delay and of steps above which steps were sent."""
+"""Ratio of the residual sums of squares for ramps with one delay and for steps above which steps were sent."""
 
 OTHER_DELAYS = 8.0
-"""The same ratio above which ramps are in doubt although their shapes fit better, since their delays are those of grid
-steps."""
+"""Threshold of the same ratio if ramps have the better shapes. Above it they are in doubt, because their delays match
+steps on the grid."""
 
 ITERATIONS = 6
 """Number of alternating estimates of the step times and their common gain. Three are sufficient."""
@@ -84,7 +84,7 @@ class RampFit:
 
 
 def interpolated_command(samples: Samples) -> Finding | None:
-    """Return a finding if the command is interpolated linearly between fewer values, and steps explain the motion.
+    """Return a finding if the command is interpolated linearly between fewer values and steps explain the motion.
 
     A command that was sampled in every n-th row and interpolated linearly has kinks n rows apart. A command that is
     intended as a ramp explains the motion as logged. If noise hides the difference, the finding is a note.
@@ -130,7 +130,7 @@ def interpolated_command(samples: Samples) -> Finding | None:
 
 
 def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -> RampFit | None:
-    """Return how well steps inside ramps fit the motion compared with the ramps; None if no ramp has enough rows.
+    """Compare the fit of steps inside ramps with the fit of the ramps. Return None if no ramp has enough rows.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def compared_ramps(samples: Samples, starts: Integers, rows: int, around: int) -
     gain = min(common)[1]
     inside = min(_of_one_gain(products[group], powers[group], sizes, gain) for group in steps)
     alone = [min(_alone(products[group], powers[group], sizes) for group in kind) for kind in (ramps, steps)]
-    # rounding errors of a motion without noise
+    # a motion without noise has only rounding errors
     least = (8 * np.finfo(np.float64).eps * float(np.abs(samples.position).max())) ** 2 * len(k) * len(starts)
     freedom = len(starts) * (len(k) - _DEGREE - 1)
     score = 0.5 * freedom * float(np.log((alone[0] + least) / (alone[1] + least)))
@@ -232,7 +232,7 @@ def _alone(products: Floats, powers: Floats, sizes: Floats) -> float:
 
 
 def _was_held(samples: Samples, first: int, factor: int, better: float) -> bool:
-    """Return whether every n-th command with a zero-order hold leaves a far smaller residual than interpolation."""
+    """Return True if a zero-order hold of every n-th command leaves a far smaller residual than interpolation."""
     logged = free_response(samples)
     if logged is None or logged.is_at_noise:
         return False

@@ -12,7 +12,7 @@ MOVES = 3.0
 """Smallest position change before and after a repeated row, in sensor steps."""
 
 CLEAR = 8.0
-"""The same in standard deviations of a reading."""
+"""Smallest position change before and after a repeated row, in standard deviations of a reading."""
 
 NOISY = 3.0
 """Standard deviation of the noise, in sensor steps, above which equal consecutive readings are not attributed to
@@ -25,29 +25,31 @@ EQUAL = 0.3
 """Probability of two equal consecutive readings, divided by the ratio of sensor step to noise standard deviation."""
 
 MADE_UP = 1.3
-"""Smallest ratio of the changes after and before a repeated reading, since the change after it covers two rows."""
+"""Smallest ratio of the changes after and before a repeated reading. It exceeds 1 because the change after the
+repetition covers two rows."""
 
 JUMPS = 5.0
-"""Smallest change after frozen rows, relative to the usual change there and to the last change before."""
+"""Smallest change after frozen rows, relative to both the typical nearby change and the last change before the frozen
+rows."""
 
 FEWEST = 3
 """Smallest number of repeated rows that is not attributed to a reversal of the motion."""
 
 FROZEN = 10
-"""Smallest number of constant rows of a frozen position."""
+"""Smallest number of constant rows for which a position counts as frozen."""
 
 FEWEST_KNOTS = 4
 """Smallest number of kinks of a position or command that shows a grid of fewer readings."""
 
 NO_CHANCE = 7.0
-"""Logarithm of the number of possible arrangements of the kinks above which a grid is not attributed to chance. Only
+"""Logarithm of the number of possible arrangements of kinks. Above it, a grid is not attributed to chance, because only
 one arrangement is a grid."""
 
 STRAIGHT = 0.4
 """Share of collinear rows among the moving rows above which a position is interpolated."""
 
 MOVING = 2.0
-"""Change per row, in units of such a kink, above which the position moves."""
+"""Change per row, in units of the smallest kink, above which the position moves."""
 
 NEARLY_STRAIGHT = 0.02
 """Second difference, relative to the change, below which rows may be collinear."""
@@ -56,7 +58,7 @@ BEND = 1e-6
 """Largest second difference, relative to the largest change, for which three rows are collinear."""
 
 EXACT = 1e-9
-"""The same for rows that were interpolated and printed with all digits."""
+"""Limit of the same ratio for rows that were interpolated and printed with all digits."""
 
 
 def repeated_rows(samples: Samples) -> Finding | None:
@@ -121,7 +123,8 @@ def frozen_position(samples: Samples) -> Finding | None:
 
 
 def interpolated_position(samples: Samples) -> Finding | None:
-    """Return a finding if most positions are interpolated linearly between fewer readings, as for a lower rate.
+    """Return a finding if most positions are interpolated linearly between fewer readings, i.e. if the sensor rate is
+    lower.
 
     All kinks of the position are then on a grid of every n-th row. The probability of this by chance is n^-(kinks - 1).
     """
@@ -160,7 +163,8 @@ def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
 
 
 def _may_be_printed(samples: Samples) -> bool:
-    """Return whether as many rows are nearly collinear as for interpolated positions that were rounded when printed."""
+    """Return True if the number of nearly collinear rows is consistent with interpolated positions that were
+    rounded."""
     size = samples.size
     moves = int(np.count_nonzero(size > MOVING * BEND * samples.fastest))
     straight = int(np.count_nonzero(np.abs(samples.bend) <= NEARLY_STRAIGHT * size[1:]))

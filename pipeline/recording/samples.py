@@ -1,4 +1,4 @@
-"""Samples of one log with the trial conditions, and quantities that several checks use."""
+"""Samples of a log with the conditions of the trial, and quantities that several checks use."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to the variance of the noise, 1 + 4 + 1."""
 
 THIRD_GAIN = 20.0
-"""The same for the third difference, 1 + 9 + 9 + 1."""
+"""Variance of the third difference of white noise relative to the variance of the noise, 1 + 9 + 9 + 1."""
 
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
@@ -28,18 +28,18 @@ FINE = 1e-6
 """Smallest sensor step, relative to the range of the position. A smaller step is a printed digit."""
 
 SMALLEST_STEP = 1e-9
-"""Smallest position change, relative to the range, that is a step of the sensor. Smaller changes are rounding
+"""Smallest position change, relative to the range, that counts as a step of the sensor. Smaller changes are rounding
 errors."""
 
 LAW_RESIDUAL = 0.02
-"""Largest residual, relative to the changes of the command, of a command that obeys the stated wall law. It includes
-rounding and sensor errors."""
+"""Largest residual, relative to the changes of the command, for which a command matches the stated wall law. It
+includes rounding and sensor errors."""
 
 MOST_DECIMALS = 12
 """Largest number of decimals for which the last printed digit of a position can be detected."""
 
 ON_DIGIT = 1e-4
-"""Tolerance of a whole number of digits, in digits, for errors of a unit conversion."""
+"""Tolerance for an integer number of digits, in digits. It allows for errors of a unit conversion."""
 
 QUIET = 0.15
 """Largest command of a wall before the step, and largest deviation from the step in its first row, relative to the
@@ -186,7 +186,7 @@ class Samples:
 
     @cached_property
     def bend(self) -> Floats:
-        """Change of `change` between rows, shape (rows - 2,)."""
+        """Second difference of the position, shape (rows - 2,)."""
         return self.change[1:] - self.change[:-1]
 
     @cached_property
@@ -196,12 +196,13 @@ class Samples:
 
     @cached_property
     def third(self) -> Floats:
-        """Absolute change of `bend` between rows, shape (rows - 3,)."""
+        """Absolute third difference of the position, shape (rows - 3,)."""
         return np.abs(self.bend[1:] - self.bend[:-1])
 
     @cached_property
     def noise(self) -> float:
-        """Standard deviation of a reading, from rounding and from third differences, in which motion is negligible."""
+        """Standard deviation of a reading, estimated from rounding and from third differences, in which motion is
+        negligible."""
         of_readings = middle(self.third) / THIRD_MEDIAN if len(self.third) else 0.0
         steps = self.least_change / 12.0**0.5 if self.least_change > FINE * self.range else 0.0
         return max(of_readings, steps)
@@ -230,7 +231,8 @@ class Samples:
         return sqrt(max(float(rest @ rest) - largest * largest, 0.0) / len(rest))
 
     def wall_residuals(self, most: int) -> Floats:
-        """Return the same for a command that is 0, 1, ... or ``most`` rows late, shape (most + 1,)."""
+        """Return the residual of the stated wall for commands that are 0, 1, ... or ``most`` rows late, shape (most +
+        1,)."""
         count = len(self.jumps)
         rest = self._late_jumps(most) + self.wall_steps
         for late in range(1, most + 1):  # rows after the end of the log
@@ -255,7 +257,8 @@ class Samples:
 
     @cached_property
     def obeys_wall(self) -> bool:
-        """Whether the command matches the stated wall for the position of its row, which is then the reading used."""
+        """Whether the command matches the stated wall for the position of its row. The controller then used this
+        reading."""
         if self.is_free:
             return False
         force = self.wall_steps
@@ -279,5 +282,5 @@ class Samples:
         near = QUIET * abs(self.step)
         before, behind = np.abs(self.command[:-1]) <= near, np.abs(self.command[1:] - self.step) <= near
         found = int(np.argmax(before & behind))
-        # if the wall responds to noise by more than this, the command alone does not show the edge
+        # if the wall force due to noise exceeds this limit, the command alone does not show the edge
         return found + 1 if before[found] and behind[found] and before[:found].all() else 0

@@ -9,7 +9,7 @@ from pipeline.recording.samples import Samples, middle
 from pipeline.records.findings import Finding
 
 FEWEST_ROWS = 8
-"""Smallest number of rows for which a device model has more equations than parameters."""
+"""Smallest number of rows at which a device model has more equations than parameters."""
 
 COARSE = 0.05
 """Sensor step, relative to the range of the position, above which the sensor is coarse."""
@@ -24,7 +24,7 @@ DRIVEN = 3.0
 """Ratio of the residuals without and with a reversed command above which the motion is a response to the command."""
 
 AS_GOOD = 1.3
-"""Largest ratio of the residuals for the best likely delay with a reversed sign and for the best delay."""
+"""Largest ratio of the residuals for the best likely delay with a reversed sign and for the best of all delays."""
 
 BASELINE = 5
 """Smallest number of rows at rest before a step for an estimate of the noise."""
@@ -97,7 +97,7 @@ def wrong_sign(samples: Samples) -> Finding | None:
         response = free_response(samples)
         if response is None or response.residual_undriven <= DRIVEN * response.residual_against:
             return None
-        # a motion without noise is explained up to rounding errors of the sums
+        # for a motion without noise, only rounding errors of the sums remain
         rounding = ARITHMETIC * response.motion
         if response.residual_with <= max(OTHER_SIGN * response.residual_against, rounding):
             return None
@@ -119,14 +119,14 @@ def wrong_sign(samples: Samples) -> Finding | None:
 
 
 def _first_motion_against(samples: Samples) -> int | None:
-    """Return the row in which the position first leaves rest if it moves against the step; otherwise None."""
+    """Return the row in which the position first leaves rest if it then moves against the step, otherwise None."""
     edge, x = samples.wall_edge, samples.position
     if edge < BASELINE:
         return None
     rest, noise = middle(x[:edge]), float(x[:edge].max() - x[:edge].min())
     moved = x[edge:] - rest
     clear = np.flatnonzero(np.abs(moved) > CLEAR * max(noise, samples.least_change))[:1]
-    # with a stiff wall, only the first steps of a coarse sensor show the first motion
+    # at a stiff wall, only the first steps of a coarse sensor show the initial direction
     first = np.flatnonzero(np.abs(moved) > max(2 * noise, 0.5 * samples.least_change))[:1]
     towards = samples.jumps[edge - 1]
     if not len(clear) or moved[clear[0]] * towards > 0 or moved[first[0]] * towards > 0:

@@ -83,7 +83,7 @@ def sampling_period(samples: Samples) -> Finding | None:
 
 
 def _shows_period(samples: Samples) -> bool:
-    """Return whether the command obeys the stated wall and shows its damping, which depends on the period."""
+    """Return True if the command matches the stated wall and depends on its damping, and thus on the period."""
     damper, jumps = samples.damping / samples.period * samples.bend, samples.jumps
     is_seen = float(damper @ damper) > LAW_RESIDUAL**2 * float(jumps @ jumps)
     return is_seen and samples.obeys_wall

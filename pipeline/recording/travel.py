@@ -38,8 +38,8 @@ STEPS = 8.0
 """Smallest change of the velocity at a stop, in sensor steps per row."""
 
 STILL = (1.2, 4.0, 0.02)
-"""Distance from a stop within which the position stays there: in sensor steps, in standard deviations of the noise, and
-in rows at the speed before."""
+"""Distance from a stop within which the position counts as resting there. It is given in sensor steps, in standard
+deviations of the noise, and in rows at the speed before the stop."""
 
 
 def travel_stop(samples: Samples) -> Finding | None:
@@ -87,7 +87,7 @@ def _hardest(samples: Samples, at_extreme: Booleans) -> float:
     """Return the largest velocity change over three rows, away from the extremes."""
     change = samples.change
     over = np.abs(change[OVER:] - change[:-OVER])
-    # differences that include a row at an extreme belong to a stop or to the approach to it
+    # velocity changes that include a row at an extreme may be due to a stop
     beyond = np.concatenate([[0], np.cumsum(at_extreme)])
     last = np.minimum(np.arange(len(over)) + OVER + 2, len(at_extreme))
     return float(over[beyond[last] == beyond[: len(over)]].max(initial=0.0))
@@ -100,7 +100,7 @@ def _around(samples: Samples, row: int) -> tuple[float, float]:
 
 
 def _stays(samples: Samples, row: int) -> bool:
-    """Return whether the position stays where it was stopped."""
+    """Return True if the position stays at the place of the stop."""
     x = samples.position[row + 1 : row + 1 + STAYS]
     if len(x) < STAYS:
         return False

@@ -22,7 +22,8 @@ ALIKE = 0.05
 """Largest difference between the jumps of a log, without the motion during the jumps, relative to the modulus."""
 
 SURE = 4.0
-"""Largest difference between a standard modulus and the estimated one, in standard errors, for which they are equal."""
+"""Largest difference between a standard and the estimated modulus, in standard errors, for which they count as
+equal."""
 
 UNSEEN = 1e-4
 """Relative error of a modulus that its jumps may not reveal."""
@@ -34,11 +35,11 @@ MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
 """Moduli of common encoders [rad]: one, half and several turns, and +-12.5 rad."""
 
 SMALL_DOUBT = 3.0
-"""Largest uncertainty of a non-standard modulus, in reading errors, for which the value estimated from the jumps is
+"""Largest uncertainty of an estimated modulus that is not a standard one, in reading errors, for which it is
 accepted."""
 
 LEAST_ROWS = 3
-"""Smallest number of rows after the first jump that show that the motion continues."""
+"""Smallest number of rows after the first jump. They must show that the motion continues."""
 
 REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 
@@ -130,7 +131,8 @@ def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, 
 
 
 def wrapped_position(samples: Samples) -> Finding | None:
-    """Return a finding if the position still wraps around, since the modulus is uncertain or the motion too fast."""
+    """Return a finding if the position still wraps around because the modulus is uncertain or the motion is too
+    fast."""
     if samples.fastest <= JUMP * samples.range:
         return None
     jumps = np.flatnonzero(samples.size > JUMP * samples.range)
