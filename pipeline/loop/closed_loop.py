@@ -52,10 +52,11 @@ Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
   friction, R is 1 and only the state is stored.
 - ``grids`` (levels, R, CELLS + 1, n + 2, n + 3): state, guard and slope at the edges of cells. Each level divides one
   cell of the level above.
-- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid. - ``bounds`` (2,
-R): lower and upper bounds of the guard in each region; (2, 0) without friction. - ``force`` (n + 3,): force on the
-motor without friction. - Duration [s], and a flag. The flag is True if the motion is so slow that its end points show
-whether it may leave a region.
+- ``series`` (R, n + 1, TERMS, n + 3): power series of state and guard in a cell of the finest grid.
+- ``bounds`` (2, R): lower and upper bounds of the guard in each region; (2, 0) without friction.
+- ``force`` (n + 3,): force on the motor without friction.
+- Duration [s], and a flag. The flag is True if the motion is so slow that its end points show whether it may leave a
+  region.
 
 All are multiplied by z: state, command, additional force, and direction of friction.
 """

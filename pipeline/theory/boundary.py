@@ -415,7 +415,8 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
-    """Return the distance of alpha to the closer end of its stable interval, shape (n,); negative outside of any."""
+    """Return the distance of alpha to the closer end of its stable interval, shape (n,); negative if alpha is
+    unstable."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
     kept = np.flatnonzero(islands | (found.low <= 0))
@@ -423,7 +424,7 @@ def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool
     result = np.full(len(alpha), -np.inf)
     counts = np.bincount(index, minlength=len(levels))
     start = np.cumsum(counts) - counts
-    for number in range(int(counts.max(initial=0))):  # one round per stable interval of a line, of which there are few
+    for number in range(int(counts.max(initial=0))):  # one iteration per stable interval of a line
         has = np.flatnonzero(counts[of] > number)
         row = start[of[has]] + number
         result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
@@ -504,7 +505,7 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         new = (gamma[gaps, None] + (gamma[gaps + 1] - gamma[gaps])[:, None] * share).ravel()
         rows = np.full((len(new), len(b)), np.inf)
         nearest = gamma[np.argmin(limits, axis=0)]
-        for row, value in zip(rows, new, strict=True):  # use a spring only for beta with a worst spring nearby
+        for row, value in zip(rows, new, strict=True):  # only for beta whose worst spring is near
             near = np.flatnonzero((limits > 0).all(axis=0) & (np.abs(value - nearest) <= _reach(gamma, value)))
             if len(near):
                 row[near] = stiffness_limit(NormalisedLoop.ideal(float(value), delta, delay), b[near])
@@ -525,7 +526,7 @@ _SLIDING = 0.5
 """Largest friction, relative to the inertial force at the turning points, for which a sine approximates the motion."""
 
 _EQUIVALENTS = 12
-"""Number of equivalent dampings that are tried. Neighbouring dampings differ by at most one half."""
+"""Number of equivalent dampings for which limits are computed. Neighbouring dampings differ by at most one half."""
 
 _SEEN = 0.1
 """Smallest limit, relative to the largest one, at dampings that determine the range of equivalent dampings."""
@@ -545,10 +546,10 @@ def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
     -----
     The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency. Limits are therefore computed for
     several equivalent dampings and the corresponding friction, and interpolated linearly. The error is about 1 % of the
-    effect of friction. The limit is valid if the motion slides throughout: f_c <= m omega^2 A/2.
+    effect of friction. The limit is valid if the device never sticks, i.e. if f_c <= m omega^2 A/2.
 
     The describing function replaces the square wave of friction by its first harmonic. A wall is less stable for larger
-    oscillations. The linear limit applies to large ones.
+    oscillations. The linear limit applies to large oscillations.
 
     Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
     """

@@ -93,7 +93,8 @@ class Case:
 
 
 def case_of(device: Device, experiment: Experiment) -> Case:
-    """Return the loop of a device's experiment. If its delay jitters, the mean is used; `Case.names` has the range."""
+    """Return the loop of an experiment of a device. If the delay jitters, its mean is used. `Case.names` contains its
+    range."""
     loop, table = device.loop_for(experiment), device.loop_table(experiment)
     low, high = loop.delay_range
     names = {
@@ -417,7 +418,7 @@ class Optimum:
     stiffness, damping : float
     cost : float, optional
     reason : str, optional
-        Why there is no cost, or that the optimum is a limit that no stable point reaches.
+        Reason why there is no cost, or a note that the optimum is a limit that no stable point reaches.
     note : str, optional
         Note on walls that were not searched, a negative stiffness, or an unstable tuning.
     box : tuple of float, optional

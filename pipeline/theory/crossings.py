@@ -2,10 +2,11 @@
 
 On the circle z = exp(j theta), a wall with alpha + beta N = -1/G has real alpha and beta. These are two equations,
 whose solutions are ratios of polynomials in s = tan^2(theta/2). All changes along the crossings of a loop are positive
-roots of such polynomials: points at which beta turns or is infinite, and points at which alpha turns or passes a level.
-`positive_roots` isolates the roots by Descartes' rule of signs on halved intervals, in doubles with bounded rounding
-errors. If doubles cannot decide an interval, it is halved in exact integers. No root is missed. Between the roots,
-every branch is monotone in beta. The order of the roots determines how a branch changes the number of unstable poles.
+roots of such polynomials. At these points, beta has an extremum or is infinite, or alpha has an extremum or passes a
+level. `positive_roots` isolates the roots by Descartes' rule of signs on halved intervals, in doubles with bounded
+rounding errors. If doubles cannot decide an interval, exact integers are used for it, so that no root is missed.
+Between the roots, every branch is monotone in beta. The order of the roots determines how a branch changes the number
+of unstable poles.
 
 The place of a crossing is x = ln s, so that both ends of the circle have full precision. Values on the circle are
 computed from polynomials in w = j sqrt(s), or in 1/w for |w| > 1. They are exact before they are rounded
@@ -66,7 +67,8 @@ MAX_STEPS = 200
 """Largest number of steps to a root or a crossing. Bisection down to rounding takes 60 steps."""
 
 _EXACT_HALVINGS = 200, 60
-"""The same limits for integers. Roots that are still not separated differ by 1e-18 and count as one root."""
+"""Largest number of halvings of an interval in integers, as above. Roots that are then not separated differ by 1e-18
+and count as one root."""
 
 _MIDDLE = Decimal("0.98765432101")
 """Value that separates small from large roots. Neither this value nor its binary fractions are roots of usual
@@ -76,7 +78,8 @@ _TOGETHER = 1e-13
 """Relative distance within which roots are treated as equal."""
 
 _NOISE_DIGITS = 20
-"""Number of last digits of the coefficients, relative to the largest one, that are rounding errors."""
+"""Number of digits of the coefficients that are rounding errors. They are counted relative to the largest
+coefficient."""
 
 
 # --- roots of a polynomial -------------------------------------------------------------------------------------------
@@ -796,7 +799,7 @@ def solved(
         newton = low <= place <= high
         if not newton:
             place = 0.5 * (low + high)
-        # next to a pole of beta, the first steps are short, and each doubles the next
+        # next to a pole of beta, the first steps are short, and each step is twice as long as the previous one
         ends = newton and abs(place - before) <= CONVERGED and abs(slope - former) <= STRAIGHT * abs(slope)
         if miss == 0 or ends or high - low <= NARROW * abs(high) or number == MAX_STEPS - 1:
             step = place - before
@@ -880,7 +883,7 @@ class StableIntervals:
 
 
 _MANY = 400
-"""Number of crossings above which it is tested first whether the first branch alone encloses the stable region."""
+"""Number of crossings above which a test is made first whether the first branch alone encloses the stable region."""
 
 
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
@@ -895,7 +898,7 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
     """
     known = branches(loop)
     many = len(beta) * (len(known.cells[0]) - 1) > _MANY
-    if many and first_branch(loop) is not None:  # all walls inside it are stable, and no wall outside is
+    if many and first_branch(loop) is not None:  # the branch is the limit of the stable walls
         known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
     return _counted_intervals(loop, known, beta)
 

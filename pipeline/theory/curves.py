@@ -36,8 +36,8 @@ boundary."""
 _BOUNDARY_POINTS = 400
 
 _STEP_LOOK = 121
-"""Number of points of the first scan of the deviation, which has no jumps. Late deviations of slow responses ripple.
-With half as many points, one of 170 random lines had an error of one sample."""
+"""Number of points of the first scan of the deviation, which has no jumps. The late deviations of slow responses have
+ripples. With half as many points, one of 170 random lines had an error of one sample."""
 
 _STEP_LEVELS = 12
 """Number of levels of the search. 0.35^12 = 3e-6 of a first step suffices to decide whether a number of samples is
@@ -47,8 +47,8 @@ _LINE = 1e-9
 """Distance from alpha = -gamma, relative to the length of a line, at which the limit at -gamma is used."""
 
 _KINK_LEVELS = 30
-"""Number of levels of the search near kinks, 0.35^30 = 2e-14 of a first step. The error of the radius of a triple pole
-is the cube root of this."""
+"""Number of levels of the search near kinks. They reduce a step to 0.35^30 = 2e-14 of a first step. The error of the
+radius of a triple pole is the cube root of this number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +264,8 @@ def _impulse(lines: _Lines, criterion: str) -> Floats:
 
 
 def _steps(lines: _Lines, criterion: str) -> Floats:
-    """Return the optima of the discrete settling time. The number of samples of each line is lowered while possible.
+    """Return the optima of the discrete settling time. The number of samples of each line is decreased as long as it is
+    possible.
 
     A number of samples n is possible on a line if the largest deviation from sample n on is inside the band somewhere
     on the line. This deviation is a continuous function.

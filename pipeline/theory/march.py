@@ -128,7 +128,7 @@ def advanced(step: Floats, z: Floats, moved: Floats, first: Three, forces: Force
 
 @inlined
 def begun_again(z: Floats, moved: Floats, first: Three) -> Three:
-    """Set the own states to those of the next sample, and return the first three."""
+    """Replace the own states by the states of the next sample, and return the first three of them."""
     z[0], z[1], z[2] = first
     for i in range(3, len(z)):
         z[i] = moved[i]

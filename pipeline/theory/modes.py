@@ -40,7 +40,7 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
 
 
 def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:
-    """Return the same for no points. A march then computes modes from polynomials."""
+    """Return empty arrays in place of `by_eigenvectors`. A march then computes the modes from polynomials."""
     n = loop.states
     return np.empty((0, n), np.complex128), np.empty((0, n, n), np.complex128)
 

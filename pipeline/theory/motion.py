@@ -27,7 +27,7 @@ _GAUSS = 14
 WEIGHTS = (0, 1, 2)
 
 _NEGLIGIBLE = 1e-20
-"""Coefficients of a motion, relative to the largest, below which they are left out."""
+"""Size of a coefficient of a motion, relative to the largest one, below which it is neglected."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -337,8 +337,8 @@ def marked_point(loop: NormalisedLoop, name: str) -> OptimalPoint:
     Notes
     -----
     The Ziegler-Nichols rule is for a PI controller of the velocity. At the critical gain beta_max, the loop oscillates
-    with a period of T_u = 2 pi/theta samples. The gain is 0.45 of it, and the integral time is T_u/1.2, so that
-    alpha = 0.54 beta_max/T_u. Without physical stiffness and damping, T_u = 4, 8, 12 for d = 0, 1, 2.
+    with a period of T_u = 2 pi/theta samples. The rule gives a gain of 0.45 beta_max and an integral time of T_u/1.2,
+    so that alpha = 0.54 beta_max/T_u. Without physical stiffness and damping, T_u = 4, 8, 12 for d = 0, 1, 2.
 
     Source: Hulin 2017, secs. 3.4 and 5.3 (Fig. 5.14); Tables C.1 to C.3.
     """
@@ -447,8 +447,8 @@ class CleanRegion:
     def edge(self, beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
         """Return the largest alpha at each beta in [floor, top] (floor if none), with 24 sections in each pass.
 
-        With increasing alpha, the region is left only once, since its lower part is free of overshoot throughout (a
-        test checks this).
+        With increasing alpha, a wall leaves the region only once, because no softer wall has overshoot. A test checks
+        this.
         """
         lower, upper = floor.copy(), top.copy()
         share, row = np.linspace(0, 1, 25), np.arange(len(beta))
@@ -519,9 +519,9 @@ def never_overshoots(loop: NormalisedLoop, alpha: object, beta: object, *, conti
 
     Notes
     -----
-    Finally, the slowest mode dominates. If its pole is not real and positive, the response crosses its final position
-    again and again, with decreasing amplitude. Therefore, the largest pole must be real and positive, and the response
-    must stay below its final position until its deviation is 1e-60. This is computed without loss of relative
+    After a long time, the slowest mode dominates. If its pole is not real and positive, the response repeatedly crosses
+    its final position, with decreasing amplitude. Therefore, the largest pole must be real and positive, and the
+    response must stay below its final position until its deviation is 1e-60. This is computed without loss of relative
     precision.
 
     The thesis allows 1e-12 (footnote 4 of 5.2.2). Its region extends 3 to 4 % further.

@@ -1,7 +1,7 @@
 """Compute the passivity of a wall with lag, fractional delay and velocity filter.
 
-Since the wall is sampled, a motion of frequency omega causes forces at all aliases omega + 2 pi n/T. The damping that
-absorbs the energy which these forces can generate together is (with T = 1, u = 1/z, z = exp(j omega))
+Since the wall is sampled, a motion of frequency omega causes forces at all aliases omega + 2 pi n/T. These forces can
+generate energy. With T = 1, u = 1/z and z = exp(j omega), the damping that absorbs this energy is
 
     [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)).
 
@@ -63,7 +63,7 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
         lambda line, angle, _: -_needed(loop, alpha[line], beta[line], np.clip(angle, lowest, np.pi)),
         *(np.full(len(alpha), lowest), np.full(len(alpha), np.pi)),
         coarse=int(_ANGLES * (loop.oldest_force + 2)) + 1,
-        starts=loop.oldest_force + 2,  # one per turn, since their peaks may be nearly equal
+        starts=loop.oldest_force + 2,  # refine one maximum for each turn, because their peaks may be nearly equal
     )
     most = np.maximum(-found.cost, 0.0)
     slowest = _slowest(loop)
@@ -87,9 +87,9 @@ def _slowest(loop: NormalisedLoop) -> float:
 
 
 def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats, lowest: float) -> Floats:
-    """Return the required damping at angles that may be below the lowest one.
+    """Return the required damping at angles, which may be below the angle ``lowest``.
 
-    There, the share of aliases grows with 1/angle^2.
+    Below this angle, the share of aliases grows with 1/angle^2.
     """
     exact = _needed(loop, alpha, beta, np.maximum(angle, lowest))
     s0, s1, s2 = _alias_sums(loop, np.array([lowest]))

@@ -1,6 +1,6 @@
 """Compute the poles of a wall, quantities derived from them, and the stability margins of the wall.
 
-Source: Hulin 2017, secs. 3.4, 3.5 and 5.1. The margins are an addition.
+Source: Hulin 2017, secs. 3.4, 3.5 and 5.1. The margins are not part of the thesis.
 """
 
 from __future__ import annotations
@@ -111,7 +111,8 @@ REAL = 1e-7
 ratios do not depend on it."""
 
 _STEPS = 80
-"""Largest number of Newton steps. At a double pole, each step only halves the distance, to 1e-20 at the end."""
+"""Largest number of Newton steps. At a double pole, each step only halves the distance, which is 1e-20 after all
+steps."""
 
 _FINE = Decimal("1e-20")
 
@@ -275,8 +276,8 @@ def margins(loop: NormalisedLoop, alpha: float, beta: float) -> Margins:
     Notes
     -----
     The loop response is L = (alpha + beta N) G on the unit circle, with the sampled device G including its delay, and
-    the velocity filter N. The delay margin is that of the loop, whose input switches within a sampling interval. It is
-    not the phase margin divided by the frequency.
+    the velocity filter N. The delay margin takes into account that the input of the loop switches within a sampling
+    interval. It is not the phase margin divided by the frequency.
     """
     if not is_stable(loop, alpha, beta)[0]:
         raise ParameterError("this wall is unstable and has no margins.")

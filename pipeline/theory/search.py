@@ -28,7 +28,8 @@ class OptimalPoint:
     box: tuple[float, float, float, float] | None = None
     """alpha_low, alpha_high, beta_low, beta_high if the optimum is a region."""
     attained: bool = True
-    """False if the optimum is a limit on the edge of the stable region that no stable point reaches."""
+    """Whether a stable point has the optimal cost. Otherwise, the optimum is a limit on the edge of the stable
+    region."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ SMOOTH = Grids(coarse=25, looks=0, closer=0, fine=9, starts=2)
 """Grids for smooth costs with few minima. A mode may cause a second minimum."""
 
 JUMPING = Grids(coarse=61, looks=8, closer=6, fine=11, starts=2)
-"""Grids for costs with jumps. A corner must contain grid points at every scale, and a better valley must not be missed.
+"""Grids for costs with jumps. Grids of every scale need points in a corner, and must not miss a deeper valley.
 A valley ends in a cliff along a curve with many corners. Only the minima of lines across the cliff show the lowest
 one."""
 
@@ -76,7 +77,8 @@ creeps."""
 
 
 _SOFTEST = 0.0005
-"""The same distance for costs with jumps. The limit of a mode may be a hundred times the stiffness of the optimum."""
+"""The same distance for costs with jumps. The limit of a loop with a mode may be a hundred times as stiff as the
+optimum."""
 
 
 _LINES = 11
@@ -319,7 +321,8 @@ def refine(
 
 
 def _lean(values: Floats, first: Floats, second: Floats, row: int, known: float) -> float:
-    """Return the shear of the best points in rows near the given one; ``known`` if fewer than two rows have one."""
+    """Return the shear of the best points in rows near the given row, or ``known`` if fewer than two rows have a best
+    point."""
     some = np.arange(max(row - 2, 0), min(row + 3, len(second)))
     some = some[np.isfinite(values[some]).any(axis=1)]
     if len(some) < 2:
@@ -376,7 +379,8 @@ _STARTS = 3
 """Number of local minima that are refined."""
 
 _FINE = 9
-"""Number of points of each refinement. The first one covers four cells of the scan with two points per cell."""
+"""Number of points of each refinement. The first refinement covers four cells of the scan with two points in each
+cell."""
 
 _SHRINK = 0.35
 """Length of a refinement relative to the previous one, i.e. 1.4 cells on either side of the best point."""

@@ -37,7 +37,7 @@ _SETTLED = 0.1
 """Share of the band (or of the overshoot) below which all motion must stay for the memory of the loop."""
 
 _FADED = 0.25
-"""The same share for the largest deviation from a sample on."""
+"""Share of the largest deviation from a sample on below which all motion must stay for the memory of the loop."""
 
 _ENTRIES = 1 << 22
 """Number of eigenvector entries that are computed together."""
@@ -75,8 +75,8 @@ def transient_costs(
         Deviation below which a response without overshoot so far is no longer simulated. A map for a figure needs less
         accuracy than the default.
     cutoff : float
-        Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far. A response
-        that is outside all bands at this time is not simulated further.
+        Settling time [samples] above which a point is irrelevant, e.g. the best value of a search so far. The
+        simulation of a response ends at this time if it is outside all bands.
     unfinished_overshoot : bool
         Whether points that still move after ``longest`` samples have the overshoot up to this time instead of none.
 
