@@ -104,7 +104,7 @@ def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theor
     values = truth.values if truth is not None else {}
     unsure = loop.loop is not None and not loop.loop.adequate
     if unsure and (device := stages.once(identified_loop)) is not None:
-        unsure = not device.tells
+        unsure = not device.is_reliable
     estimates = {
         name: _completed(each, values.get(name), doubted=unsure and name in _OF_A_LOOP)
         for name, each in measured.estimates.items()

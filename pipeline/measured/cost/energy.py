@@ -444,7 +444,7 @@ def _sensor_variance(
     # errors enter their own slopes: the mean of 4 (x + e)^2 s^2 is 4 x^2 s^2 + 4 s^4, and the variance of (x + e)^2 is
     # 4 x^2 s^2 + 2 s^4; the responses of the wall to errors that are not persistent depend on each other
     spectrum = (answer.real**2 + answer.imag**2) * (terms.spring + inertia * _difference_gain(len(answer)))
-    # sum of the squared covariances relative to those of each sample alone, by Parseval's theorem
+    # sum of the squared covariances relative to the sum for single samples, by Parseval's theorem
     depends = len(answer) * (spectrum @ spectrum) / spectrum.sum() ** 2
     twice = noise_squares * (1 + (1 - error.lasting) * (depends - 1))
     result: Floats = np.maximum(variance - 2 * twice, 0.5 * variance)

@@ -29,8 +29,8 @@ READING = NOISES**2 + 1 / 12
 """Variance of the error of a rounded reading [squared quanta], for `NOISES`."""
 
 LASTING = np.sum(np.exp(-((2 * np.pi * HARMONICS * NOISES) ** 2)) / HARMONICS**2, axis=0) / (2 * np.pi**2)
-"""Persistent part of this variance while a device rests, averaged over all positions relative to the grid. It is not
-visible at rest."""
+"""Persistent part of the variance `READING` while a device rests, averaged over all positions relative to the grid. It
+is not visible at rest."""
 
 LASTING_PART = LASTING / READING
 """Persistent part relative to the variance of the error."""

@@ -186,7 +186,8 @@ def boundary_band(
 
 
 def _middle(c: _Columns, low: Floats, high: Floats) -> Floats:
-    """Return the middle of the bracket of all verdicts; that of the allowed range if verdicts contradict each other."""
+    """Return the middle of the bracket of all verdicts, or the middle of the allowed range if verdicts contradict each
+    other."""
     stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)
     softest = np.where(c.unstable, c.stiffness, np.inf).min(axis=1)
     agree = (stiffest > 0) & (stiffest < softest) & np.isfinite(softest)
@@ -460,9 +461,9 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     Notes
     -----
     Trapezoids are used between the tested dampings, from the first to the last. An interval of width w is treated as a
-    uniform distribution with the standard error w/sqrt(12), which is larger than that of a normal one. Errors at
-    different dampings are assumed to be independent. The error does not include the shape of the boundary between the
-    dampings.
+    uniform distribution with the standard error w/sqrt(12), which is larger than the standard error of a normal
+    distribution. Errors at different dampings are assumed to be independent. The error does not include the shape of
+    the boundary between the dampings.
     """
     method = "trapezoids between the limits at the tested dampings"
     used = [p for p in points if p.low is not None]

@@ -139,7 +139,8 @@ def delay_estimate(of: Experiment) -> Estimate:
 
 
 def mass_estimate(of: Experiment) -> Estimate:
-    """Return the mass of an experiment. ``by_method`` contains that of the thesis's momentum balance (6.4)."""
+    """Return the mass of an experiment. ``by_method`` contains the mass from the momentum balance of the thesis
+    (6.4)."""
     model, unit = by_model(of, "mass"), PARAMETERS["mass"].unit(of.motion)
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
     methods = {"model": model}

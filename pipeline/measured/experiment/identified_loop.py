@@ -201,7 +201,7 @@ class IdentifiedLoop:
         return self.at(dict(zip(self.values, moved.tolist(), strict=True)))
 
     @property
-    def tells(self) -> bool:
+    def is_reliable(self) -> bool:
         """Whether the loop explains enough trials for its parts to be real."""
         return self.explained >= MOST * len(self.trials)
 

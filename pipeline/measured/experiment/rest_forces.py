@@ -46,8 +46,8 @@ class RestForces:
     spring: float = 0.0
 
     @property
-    def tells(self) -> bool:
-        """Whether enough logs rest elsewhere to show that the loop has another force, a spring or friction."""
+    def is_reliable(self) -> bool:
+        """Whether so many logs rest elsewhere that the loop must have another force, a spring or friction."""
         return _are_many(self.off, self.of)
 
 

@@ -84,7 +84,7 @@ def free_runs(
     shape = PlantShape.of(numbers)
     mechanics, pieces = Mechanics.of(shape), Pieces.of(segments, [shape.delay])
     spans, kind = np.unique(np.round(pieces.begin - pieces.end, 12), return_inverse=True)
-    # intervals with fewer pieces than others are padded by pieces of duration zero
+    # intervals with fewer pieces than others are padded with pieces of duration zero
     rubs = any(each[1][1:].any() for each in forces)
     steps = SUB_STEPS if rubs else 1
     F, G = mechanics.transitions(np.append(spans, 0.0) / steps)

@@ -32,7 +32,7 @@ ORDER = 4
 """Number of coefficients of the noise of free runs, which includes force drift and the filter of a sensor."""
 
 NOISE_ROUNDS = 2
-"""Number of estimates of this noise. A search follows each of them."""
+"""Number of estimates of the noise of free runs. A search follows each estimate."""
 
 STEPS, LAST_STEPS = 20, 6
 """Largest number of steps of a search from a starting value, and of a search after an estimate of the noise."""
@@ -158,7 +158,7 @@ def _starts(segments: Segments, fit: Fit, without: Fit) -> Iterator[Device]:
 
 
 def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
-    """Return a device of which the load has the given shares of damping and friction."""
+    """Return a device whose load has the given shares of damping and friction."""
     damping, friction = shares
     load = {}
     if "coulomb" in numbers:

@@ -38,7 +38,7 @@ from pipeline.base.compiled import compiled, inlined
 from pipeline.records.trials import Floats, Integers
 
 ALWAYS = -1_000_000_000
-"""Marker for a device in motion, on which forces act in all rows."""
+"""Marker for a device in motion. Forces act on such a device in all rows."""
 
 TERMS = 14
 """Number of terms in the series of a matrix exponential of norm 1/2. The neglected remainder is about 0.5^15/15!."""

@@ -191,7 +191,7 @@ class Columns:
         Derivatives of the predictions along p numbers, and the errors. The rows of each segment are followed by q rows
         for the prior of its initial state.
     first, behind : int64, shape (S,)
-        Rows of each segment in ``values``, without those of the initial states.
+        Rows of each segment in ``values``, without the rows of the initial states.
     starts : int
         Number q of unknowns in an initial state.
     known : float64, shape (S,)
@@ -365,7 +365,7 @@ def portions_of(segments: Segments) -> int:
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 
-@np.errstate(all="ignore")  # numbers far from the solution may overflow; a search then rejects them
+@np.errstate(all="ignore")  # numbers far from the solution may cause overflow; a search then rejects them
 def moments_of(segments: Segments, device: Device) -> Moments:
     """Return the moments of all units (trials or portions) at a device, without information after an overflow."""
     p, portions = len(device.names), portions_of(segments)

@@ -46,7 +46,7 @@ LEAST_LOG, MOST_LOG = -9.0, 25.0
 unit."""
 
 SCORING = 30
-"""Largest number of steps of the search for these variances."""
+"""Largest number of steps of the search for the variances of the numbers."""
 
 FARTHEST = 3.0
 """Largest change of the logarithm of a variance in one step."""

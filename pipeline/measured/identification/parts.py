@@ -352,7 +352,7 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
     def likelihood(lag: float) -> float:
         late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
         device = replace(alone, numbers=numbers | late)
-        # start at the optimum of the other numbers for this lag: a prediction from far away is too optimistic
+        # start at the optimum of the other numbers for this lag, because predictions from far away are too optimistic
         step = np.zeros(len(device.names))
         step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
         return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood

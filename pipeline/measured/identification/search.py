@@ -33,7 +33,7 @@ LAST_STEPS = 3
 """Number of steps on all logs from the result of a subset. The last step is below rounding."""
 
 CUTS = (1.0, 0.3, 0.1)
-"""Fractions of a step that are tried, in this order."""
+"""Fractions of a step that are evaluated in this order."""
 
 STEP_SHARE = 0.03
 """Share of the remaining search that each step reports as progress. About thirty steps are usual."""

@@ -17,7 +17,7 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial, Trials
 
 LONGEST_DELAY = 12
-"""Largest delay that is tried [samples]. It is the largest one for which the window of `modes` is long enough."""
+"""Largest delay in the search [samples]. For larger delays, the window of `modes` would be too short."""
 
 FITTED_TRIALS = 64
 """Largest number of trials to which the device is fitted. More trials do not improve its three parameters. The trials

@@ -89,7 +89,7 @@ def first_stop(trial: Trial, response: Response, outside: Disturbance, device: P
         # a device that rests at its extreme before the motion has not reached a stop
         there[: int(there.argmin()) if not there.all() else None] = False
         rows = edge + np.flatnonzero(there)
-        # with an inward force at the extreme, use the first row in which the device was there
+        # if the force at the extreme points inwards, use the first row at the extreme
         about = (np.abs(rows - outside.largest_row) <= device.span).any()
         hits = rows[:1] if blown and np.sign(outside.force) == side and about else rows[:0]
         # allow for rounding of a position to the next quantum

@@ -40,8 +40,8 @@ FEWEST_ON_GRID = 12
 continuous signal lie on it is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
-"""Two numbers of printed digits. Changes below the first one are due to printing. The second one is the error of the
-difference of two changes, which contains four readings with errors of up to half a digit."""
+"""Two numbers of printed digits. Changes below the first number are due to printing. The second number is the error of
+the difference of two changes, which contains four readings with errors of up to half a digit."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
 """Negative logarithm of the probability that changes lie on a grid by chance, as for `FEWEST_ON_GRID`, and smallest

@@ -66,9 +66,9 @@ class MeasuredTrial:
     def trial(self) -> Trial:
         """Trial with even time stamps, and with forces relative to the operating point if there is no wall.
 
-        Without a wall, the force at the level before the step is balanced by gravity or by friction at its limit, so
-        only the change causes motion. With a wall, the rest position contains the operating point. Scattering time
-        stamps are replaced by those of the samples that they count.
+        Without a wall, gravity or friction at its limit balances the force before the step. Only the change of the
+        force therefore causes motion. With a wall, the rest position contains the operating point. Scattering time
+        stamps are replaced by the times of the samples that they count.
         """
         trial = even(self.logged)
         level = self.response.level if trial.stiffness == 0 else 0.0

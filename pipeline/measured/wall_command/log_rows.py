@@ -206,7 +206,7 @@ class LogRows:
         K, B, T = trial.stiffness, trial.damping, trial.sampling_period_s
         forces = response.sensor_quantum * np.array([K, B / T])
         step = converted(trial.command, float(command.half.max()), forces)
-        # if positions have fewer digits than the file format allows, the digits are those of the sensor
+        # if positions have fewer digits than the file format allows, the digits show the resolution of the sensor
         finer = position.digits < command.digits and position.decimal > command.decimal
         read = command.in_full or position.in_full or (finer and not position.single)
         return cls(
@@ -312,7 +312,8 @@ STILL_FLOORS = 3.0
 """Smallest change of position on both sides of a row, in sensor floors, for which the device moves in this row."""
 
 STILL_DIGITS = 60.0
-"""Smallest change of position in half units of the last digit for the same. A smaller quantum is not detected."""
+"""Smallest change of position, in half units of the last digit, for which the device moves in this row. A smaller
+quantum is not detected."""
 
 GRID = 0.05
 """Largest deviation of a reading from its grid, in quanta."""

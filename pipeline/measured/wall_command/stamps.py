@@ -23,7 +23,7 @@ UNEVEN = 0.1
 """Smallest deviation of a stamp distance from whole periods, in periods, for which the stamps scatter."""
 
 WINDOW = 7
-"""Number of rows of which half may have a wrong stamp. The usual distance of fewer rows is unknown."""
+"""Number of rows in a window. Up to half of them may have a wrong stamp. Fewer rows do not show the usual distance."""
 
 CATCH_UP = 40
 """Number of rows after which late stamps are on time again."""
@@ -98,7 +98,7 @@ def _scatter(values: Floats) -> float:
 
 
 def even(trial: Trial) -> Trial:
-    """Return a trial with evenly spaced stamps if those of the log scatter; missing rows remain missing."""
+    """Return a trial with evenly spaced stamps if the stamps of the log scatter. Missing rows remain missing."""
     period = trial.sampling_period_s
     if not (np.abs(np.diff(trial.time) / period - 1) > EVEN).any():
         return trial

@@ -173,7 +173,7 @@ def account(log: LogRows) -> Account:
 
 
 def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
-    """Yield the departures from the law: those of the stamps, then those of the rows and of the law."""
+    """Yield the departures from the law: departures of the stamps first, then departures of the rows and of the law."""
     if rows.departures and rows.departures[0].code == "decimated_rows":
         yield from rows.departures  # both time stamps and header may be correct
         return

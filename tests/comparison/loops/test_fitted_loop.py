@@ -88,7 +88,7 @@ def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experim
     device = identified_loop(stages)
     at = f"mode at the {device.mode_sensor}" if device.mode_sensor == "load" else "mode"
     assert {at if part == "mode" else part for part in device.parts} == expected
-    assert device.tells
+    assert device.is_reliable
     velocity = Butterworth(**FILTER) if "velocity" in parts else None
     damping = course.trials.damping[: len(limit)]
     found, reach = limits_of(replace(device, velocity=velocity), damping)

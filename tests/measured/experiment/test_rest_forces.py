@@ -122,7 +122,7 @@ operator = { mass = 0.1, damping = 1.0, stiffness = 50.0 }
 
 def test_friction_is_no_spring(tmp_path):
     rest = rest_forces(stages(tmp_path, 6, loop=LoopTable.model_validate({"friction": {"coulomb": 0.3}})))
-    assert rest.tells
+    assert rest.is_reliable
     assert rest.spring == 0.0
 
 
@@ -163,12 +163,12 @@ class Settled:
 )
 def test_a_spring_alone_is_told_from_a_constant_force(stiffness, options, spring):
     rest = rest_forces(Settled(np.array(stiffness), **options))
-    assert rest.tells
+    assert rest.is_reliable
     assert rest.spring == pytest.approx(spring, rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("forces", "quantum", "off", "tells", "constant"),
+    ("forces", "quantum", "off", "reliable", "constant"),
     [
         ([0.28] * 5, 1e-4, 0, False, False),  # three quanta are 0.3 mm
         ([0.35] * 5, 1e-4, 5, True, True),
@@ -180,9 +180,9 @@ def test_a_spring_alone_is_told_from_a_constant_force(stiffness, options, spring
     ],
 )
 def test_a_force_is_told_beyond_the_sensor_in_many_logs_and_one_where_they_are_alike(
-    forces, quantum, off, tells, constant
+    forces, quantum, off, reliable, constant
 ):
     logs = Settled(np.full(len(forces), 1000.0), force=np.array(forces))
     logs.columns["sensor_quantum"] = np.full(len(forces), quantum)
     rest = rest_forces(logs)
-    assert (rest.off, rest.tells, rest.constant) == (off, tells, constant)
+    assert (rest.off, rest.is_reliable, rest.constant) == (off, reliable, constant)
