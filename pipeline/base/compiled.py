@@ -25,7 +25,7 @@ R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
 
 WAIT_S = 60.0
-"""Longest wait for another process that compiles [s]. After it, the function is compiled in memory."""
+"""Longest wait for another process that compiles [s]. After this time, the function is compiled in memory."""
 
 NOTICED_S = 1.0
 """Time after which the user is informed about a compilation [s]."""

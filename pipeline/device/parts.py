@@ -87,7 +87,7 @@ class Kalman(Part):
         """Return the coefficients of the equivalent filter of (x_k - x_{k-1})/T."""
         index = self.acceleration * sampling_period_s**2 / self.noise
         root = sqrt(index * (index + 8))
-        # 1 - r and r = (4 + index - root)/4, both without cancellation of nearly equal numbers
+        # 1 - r and r = (4 + index - root)/4, in forms that avoid the cancellation of nearly equal numbers
         rest = 2 * index / (index + root)
         ratio = 4 / (4 + index + root)
         alpha, beta = rest * (1 + ratio), 2 * rest * rest

@@ -58,7 +58,7 @@ Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
 - Duration [s], and a flag. The flag is True if the motion is so slow that its end points show whether it may leave a
   region.
 
-All are multiplied by z: state, command, additional force, and direction of friction.
+The arrays are multiplied by z, which consists of state, command, additional force and direction of friction.
 """
 
 _INTERVAL = "Tuple((f8[:,:,::1],f8[:,:,:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[::1],f8,b1))"

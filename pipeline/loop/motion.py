@@ -32,7 +32,8 @@ LEFT_OUT = 1e-17
 """Largest truncation error of the power series, relative to the motion."""
 
 QUARTER = pi / 4
-"""Largest phase [rad] of the fastest oscillation over an interval. Up to it, the ends show whether a region is left."""
+"""Largest phase [rad] of the fastest oscillation over an interval for which the end points show whether a region is
+left."""
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,14 @@ SURE = {False: 10.0, True: 18.0}
 It is high because noise that was filtered in one direction is correlated."""
 
 OF_THE_ANSWER = {False: 0.15, True: 0.015}
-"""Threshold of the same acceleration, relative to the acceleration of the response to the edge. A zero-phase filter
-causes a ratio of up to 0.5, or less if a vibration mode responds later. Noise is not part of the response and causes
-almost none."""
+"""Threshold of the acceleration of a growth at an edge, relative to the acceleration of the response to the edge. A
+zero-phase filter causes a ratio of up to 0.5, or less if a vibration mode responds later. Noise is not part of the
+response and causes almost none."""
 
 CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
 """Thresholds for few rows. The first threshold is the displacement at the edge, relative to the largest displacement in
 the first half of the rows before the edge. (A drift has a ratio of 2.) Above it, a growth need not be more likely than
-a decay. The others replace the two thresholds above in this case."""
+a decay. The other two thresholds then replace `SURE` and `OF_THE_ANSWER`."""
 
 SURELY = 30.0
 """Threshold of the log-likelihood ratio of growth to decay before edges during a motion."""

@@ -42,7 +42,7 @@ LIKELY_SHIFT = 40
 itself."""
 
 BETWEEN = 4.0
-"""Largest ratio of the residuals for both signs of the gain on the delay grid. Up to it, both are refined."""
+"""Largest ratio of the residuals for both signs of the gain on the delay grid for which both are refined."""
 
 _DEGREE = 2
 

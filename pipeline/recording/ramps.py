@@ -25,8 +25,8 @@ OWN_STEPS = 1.25
 """Ratio of the residuals for an interpolated command and for a zero-order hold above which steps were sent."""
 
 SAME_DELAY = 2.5
-"""Threshold of the same ratio for a command with ramps of one grid interval. It is larger because interpolated steps on
-the grid have a common delay, like real ramps."""
+"""Ratio of these residuals above which steps were sent if the ramps span one grid interval. It is larger because
+interpolated steps on the grid have a common delay, like real ramps."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
@@ -48,8 +48,8 @@ BETTER = 2.0
 """Ratio of the residual sums of squares for ramps with one delay and for steps above which steps were sent."""
 
 OTHER_DELAYS = 8.0
-"""Threshold of the same ratio if ramps have the better shapes. Above it they are in doubt, because their delays match
-steps on the grid."""
+"""Ratio of the residual sums of squares for ramps with one delay and for steps. Above it, ramps are in doubt even if
+their shapes fit better, because their delays match steps on the grid."""
 
 ITERATIONS = 6
 """Number of alternating estimates of the step times and their common gain. Three are sufficient."""

@@ -49,7 +49,8 @@ def other_period(time: Floats, period: float) -> float | None:
 def sampling_period(samples: Samples) -> Finding | None:
     """Return a finding if the time stamps contradict the stated sampling period.
 
-    With a wall, the command shows which period the controller used. If it is the stated one, the time stamps are wrong.
+    With a wall, the command shows which period the controller used. If the controller used the stated period, the time
+    stamps are wrong.
     """
     period = samples.period
     usual = other_period(samples.time, period)

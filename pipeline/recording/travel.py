@@ -25,8 +25,8 @@ STAYS = 12
 """Smallest number of rows for which a position stays at an extreme."""
 
 HARDER = 1.4
-"""Smallest velocity change at a stop, relative to the largest one over as many rows away from the extremes. Commands
-and friction may also stop a device, as abruptly as they move it elsewhere."""
+"""Smallest velocity change at a stop, relative to the largest velocity change over the same number of rows away from
+the extremes. Commands and friction may also stop a device, as abruptly as they move it elsewhere."""
 
 SLOWER = 1.5
 """Smallest ratio of the speeds before and after a stop. A free motion reverses with equal speeds."""

@@ -39,7 +39,7 @@ SMALL_DOUBT = 3.0
 accepted."""
 
 LEAST_ROWS = 3
-"""Smallest number of rows after the first jump. They must show that the motion continues."""
+"""Smallest number of rows after the first jump that are needed to show that the motion continues."""
 
 REMEDY = "Set unwrap = true in [columns.position] of the profile to confirm it."
 

@@ -15,7 +15,7 @@ from pipeline.rig.quantities import QUANTITIES, Quantity
 from pipeline.surface.physical_loop import Loop
 
 _PLACES, _REACH = 15, np.log(4.0)
-"""Number of points along each axis, and extent of the axis to either side in ln: a factor of four."""
+"""Number of points along each axis, and ln of the factor by which the axis extends to either side."""
 
 
 def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None:

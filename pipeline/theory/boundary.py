@@ -29,8 +29,8 @@ from pipeline.theory.crossings import (
 )
 
 _NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
-"""Relative positions between two dampings at which intervals change. Next to both dampings, limits still have 11
-digits. Positions in between show corners."""
+"""Relative positions between two dampings at which intervals change. Limits next to both dampings still have 11 digits.
+The other positions show whether the limit has a corner."""
 
 _MIDDLE = len(_NODES) // 2
 

@@ -85,11 +85,11 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     Returns
     -------
     OptimalPoint
-        The cost is as printed in the tables: pole modulus, damping ratio (largest, instead of its negative of 5.3),
-        settling time [samples], overshoot, or energy. If several points are optimal, the discrete settling time uses
-        the centre of their bounding box; overshoot, and a damping ratio of 1, use the stiffest point. ``attained`` is
-        False if the optimum is a limit. This may be the edge of the stable region, or, for E_0 of an impulse, alpha ->
-        -gamma. With a delay and gamma = 0, the damping ratio tends to 1 for alpha, beta -> 0, since the additional
+        The cost is as printed in the tables: pole modulus, damping ratio (the largest ratio, not its negative as in
+        5.3), settling time [samples], overshoot, or energy. If several points are optimal, the discrete settling time
+        uses the centre of their bounding box; overshoot, and a damping ratio of 1, use the stiffest point. ``attained``
+        is False if the optimum is a limit. This may be the edge of the stable region, or, for E_0 of an impulse, alpha
+        -> -gamma. With a delay and gamma = 0, the damping ratio tends to 1 for alpha, beta -> 0, since the additional
         poles tend to 0 and the poles of the plant are real.
 
     Raises

@@ -75,7 +75,8 @@ WEIGHED = 0.1
 """Share of the fitted random force that is assumed in the search for a starting value of a part."""
 
 LOOKED_AT = 9000
-"""Number of rows used in the first search for parts, in segments spread over all. More rows change no decision."""
+"""Number of rows used in the first search for parts, in segments spread over all rows. More rows would
+not change any decision."""
 
 FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
