@@ -83,7 +83,7 @@ def test_the_tutorial_goes_from_logs_to_a_figure(
     named = [Path(name) for name in re.findall(r"\{(paper/[^}]+)\}", text)]
     assert len(named) == 2
     assert all(path.is_file() for path in named)
-    assert "Does theory predict it? With friction, yes." in printed["compare"]
+    assert "Does theory predict it? Boundary: with friction, yes." in printed["compare"]
     assert "Coulomb friction" in printed["compare"]
     truth = json.loads(Path("box/falcon-real/1/truth.json").read_text(encoding="utf-8"))
     assert "0.9" in json.dumps(truth)
