@@ -1,1 +1,1 @@
-"""The explorer: the theory of a loop as one page with sliders, computed by the page itself."""
+"""The explorer: a page with sliders for the theory of a loop. The page itself computes the theory."""

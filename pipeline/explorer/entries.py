@@ -1,4 +1,4 @@
-"""Initial content of the explorer: loops as device-file entries, and the measurements made on them."""
+"""Initial content of the explorer: loops as entries of device files, and the measurements on them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEFT_OUT = ("sensor", "constant_force", "force_limit")
 
 
 def loop_entries(loop: Loop) -> dict[str, Any]:
-    """Return a loop as the entries of a device file, in SI; parts that it lacks are left out.
+    """Return a loop as the entries of a device file, in SI. Missing parts have no entry.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
 
 
 def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of each device; its label ends with the source of the loop (``by``)."""
+    """Return an entry for each experiment of each device. Its label ends with the source of the loop (``by``)."""
     return [
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
@@ -46,9 +46,9 @@ def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
 
 
 def measured_entries(result: ComparisonResult) -> list[Entry]:
-    """Return an entry for each experiment of a comparison that has a loop: identified, or of the device file.
+    """Return an entry for each experiment of a comparison that has a loop, from its logs or from the device file.
 
-    A drive with commands in volts or counts has no entry: the page's numbers are in N or Nm.
+    A drive whose commands are in volts or counts has no entry, because the page uses N or Nm.
     """
     if drive_of(result.motion):
         return []
@@ -68,7 +68,7 @@ def measured_entries(result: ComparisonResult) -> list[Entry]:
 
 
 def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
-    """Return an entry with its trials: stiffness, damping, and whether each was stable."""
+    """Return an entry with its trials: stiffness, damping, and whether the trial was stable."""
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 
@@ -94,7 +94,7 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
     if not values["mass"] or values["delay_samples"] is None or experiment.sampling_period_s is None:
         return None if experiment.theory is None else loop_entries(experiment.theory.loop)
     loop: dict[str, Any] = {"motion": motion, "sampling_period_s": experiment.sampling_period_s}
-    # an estimate may be negative, a device file's number may not
+    # An estimate may be negative. A number in a device file must not be negative.
     loop |= {name: value if name == "mass" else max(value or 0.0, 0.0) for name, value in values.items()}
     if found.actuator_lag_s is not None and found.actuator_lag_s.value:
         loop["actuator_lag_s"] = found.actuator_lag_s.value
@@ -102,7 +102,7 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
 
 
 def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
-    """Return filter and mode of an identified loop; their kinds are those of the loop used for theory."""
+    """Return filter and mode of an identified loop. Their kinds are those of the loop used for theory."""
     parts: dict[str, Any] = {}
     known = experiment.theory.loop if experiment.theory is not None else None
     velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}

@@ -1,4 +1,4 @@
-"""The explorer as one HTML file that works offline, as part of another page, and as a computation module alone."""
+"""The explorer as an HTML file that works offline, as a panel in another page, and as a module of computations."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _LEAD = (
 
 
 def module() -> str:
-    """Return the JavaScript module (with ``export``) that does the computation; it does not access the page."""
+    """Return the JavaScript module (with ``export``) of the computation. It does not access the page."""
     return (FOLDER / "loop.mjs").read_text(encoding="utf-8")
 
 
 @cache
 def script() -> str:
-    """Return computation and panel as one script; it shows a panel in each element with ``data-explorer``.
+    """Return computation and panel as one script, which shows a panel in each element with ``data-explorer``.
 
-    The attribute names the element with the entries as JSON (`entries`).
+    The attribute is the id of the element with the entries as JSON (`entries`).
     """
     panel = re.sub(r"^import .*?;\n", "", (FOLDER / "page.mjs").read_text(encoding="utf-8"), flags=re.MULTILINE)
     body = re.sub(r"^export ", "", f"{module()}\n{panel}", flags=re.MULTILINE)
@@ -40,7 +40,7 @@ def script() -> str:
 
 
 def style() -> str:
-    """Return the style sheet of a panel; colours are those of the page around it."""
+    """Return the style sheet of a panel. Its colours are those of the surrounding page."""
     return (FOLDER / "explorer.css").read_text(encoding="utf-8")
 
 
@@ -51,15 +51,15 @@ def panel(entries: Sequence[Entry], name: str = "explorer-entries") -> str:
 
 
 def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before: str = "") -> str:
-    """Return one self-contained HTML file.
+    """Return a self-contained HTML file.
 
     Parameters
     ----------
     entries : sequence of dict
-        Loops to which the page can be reset; it starts with the first.
+        Loops to which the page can be reset. It starts with the first.
     title : str
     before : str
-        HTML in front of the title, such as the navigation of a service.
+        HTML before the title, such as the navigation of a service.
     """
     inline = script()
     sheet = (FOLDER / "standalone.css").read_text(encoding="utf-8") + style()
@@ -76,7 +76,7 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
 
 
 def _without_comments(text: str) -> str:
-    """Return a script without lines that are comments, and without indentation: a third of its bytes."""
+    """Return a script without comment lines and indentation, which saves a third of its bytes."""
     plain = re.sub(r"^\s*/\*\*(?:(?!\*/).)*\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL)
     lines = (line.strip() for line in plain.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//"))

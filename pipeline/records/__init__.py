@@ -1,1 +1,1 @@
-"""Data that is passed on and stored: frozen records, arrays of trials, the dictionary of stored columns."""
+"""Frozen records, arrays of trials, and the dictionary of stored columns, which functions exchange or store."""

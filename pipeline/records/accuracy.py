@@ -1,4 +1,4 @@
-"""Error versus run time of every method: the records, and the file of a finished measurement."""
+"""Error and run time of every numerical method: the records, and the file of a finished measurement."""
 
 from __future__ import annotations
 
@@ -12,21 +12,20 @@ from pipeline.base.provenance import PACKAGE_FOLDER, __version__, digest, digest
 from pipeline.records.findings import Record
 
 OURS = "this package"
-"""Name of this package's method among the others."""
+"""Name of this package's method among the methods."""
 
 WRONG = 1e-6
-"""Smallest relative error of a result that counts as wrong: more than any plot, table or controller would need."""
+"""Smallest relative error of a result that counts as wrong. No plot, table or controller needs more accuracy."""
 
 STORED = "accuracy"
-"""Prefix of the name of the file below `processed/` that contains the last measurement."""
+"""Prefix of the name of the file below `processed/` with the last measurement."""
 
 
 class Rung(Record):
-    """One method at one setting: its largest error, and the shortest time [s] of repeated runs.
+    """A method at a setting: its largest error, and the shortest time [s] of repeated runs.
 
-    ``error`` is None if the method gave no number at all (division by zero, no convergence). Rungs of the measured
-    branch also have ``missing``, the share of trials without a value, and those of an experiment the number of its
-    ``trials``.
+    ``error`` is None if the method gave no number (division by zero, no convergence). Rungs of methods for logs also
+    have ``missing``, the share of trials without a value. Rungs of an experiment have the number of its ``trials``.
     """
 
     quantity: str
@@ -39,7 +38,7 @@ class Rung(Record):
 
 
 class LeftOut(Record):
-    """Method that was not measured, and the reason."""
+    """A method that was not measured, and the reason."""
 
     method: str
     quantities: str
@@ -47,9 +46,9 @@ class LeftOut(Record):
 
 
 class Sweep(Record):
-    """Error of one method along a path towards the limits of double precision.
+    """Error of a method along a path towards the limits of double precision.
 
-    ``starts`` is the first x at which the error exceeds `WRONG`, or a verdict is wrong; None if there is none.
+    ``starts`` is the first x at which the error exceeds `WRONG` or a verdict is wrong. It is None if there is none.
     """
 
     sweep: str
@@ -62,17 +61,17 @@ class Sweep(Record):
 
 
 class MeasuredAccuracy(Record):
-    """Accuracy of the measured branch: errors of estimators and costs on simulated truth."""
+    """Accuracy of estimators and costs from logs: errors relative to a simulated truth."""
 
     rungs: tuple[Rung, ...]
     seconds: float
 
 
 class AccuracyReport(Record):
-    """Results of `pipeline accuracy`; ``key`` identifies the code and the machine for which they are valid.
+    """Results of `pipeline accuracy`. ``key`` identifies the code and the machine for which they are valid.
 
-    ``rungs``, ``sweeps`` and their evaluation belong to the theory, and are empty if it was left out;
-    ``measured_branch`` is None if that was left out.
+    ``rungs``, ``sweeps`` and their evaluation belong to theory, and are empty if theory was not measured.
+    ``measured_branch`` is None if methods for logs were not measured.
     """
 
     key: str
@@ -87,7 +86,7 @@ class AccuracyReport(Record):
 
 
 def machine() -> dict[str, str]:
-    """Return processor, operating system and versions, on which run times depend."""
+    """Return processor, operating system and versions, which affect run times."""
     found = {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -106,7 +105,7 @@ def machine() -> dict[str, str]:
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:  # not Linux
+    except OSError:  # the system is not Linux
         lines = []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
@@ -130,17 +129,17 @@ def store(report: AccuracyReport, processed: Path) -> None:
 
 
 def stored(processed: Path) -> AccuracyReport | None:
-    """Return the stored measurement if it was made by this code on this machine, else None."""
+    """Return the stored measurement if it was made by this code on this machine, otherwise None."""
     data = read_result(processed, STORED, ".json")
     if data is None:
         return None
     try:
         report = AccuracyReport.model_validate_json(data)
-    except ValueError:  # damaged, or of another version: measure again
+    except ValueError:  # the file is damaged or of another version, so measure again
         return None
     return report if report.key == key() else None
 
 
 def own_rungs(report: AccuracyReport) -> tuple[Rung, ...]:
-    """Return the results of this package, one per quantity."""
+    """Return the results of this package, one for each quantity."""
     return tuple(r for r in report.rungs if r.method == OURS)

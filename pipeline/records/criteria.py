@@ -1,8 +1,8 @@
-"""Criteria by which a wall is judged: one record per criterion, the only source of its properties.
+"""Criteria by which walls are judged. A record for each criterion defines all of its properties.
 
-A new criterion is a record here, with a new family if its costs are computed in a new way; that family then has a
-function in `pipeline.measured.cost.costs` and one in `pipeline.theory.costs`. This module is light to import: no
-command waits for it.
+A new criterion is a record here. If its costs are computed in a new way, it has a new family, with a function in
+`pipeline.measured.cost.costs` and another in `pipeline.theory.costs`. Importing this module is fast, because every
+command imports it.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from dataclasses import dataclass
 from functools import cache
 
 DISCRETE = "_discrete"
-"""Suffix of the name of a criterion whose cost is that of the sampled response."""
+"""Suffix of the name of a criterion whose cost refers to the sampled response."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """Criteria whose costs are computed together, in the stage of the same name.
+    """Criteria whose costs are computed together, in the stage with the same name.
 
     Parameters
     ----------
     name, title : str
-        Name of the stage, and name of its costs in print.
+        Name of the stage, and printed name of its costs.
     unit : str
         Unit of a cost: ``samples``, or 1 for a dimensionless number.
     scale : float
-        Factor from a cost to the printed number; 100 for a share that is printed in percent.
+        Factor from a cost to the printed number, for example 100 for a share that is printed in percent.
     levels : tuple of float
-        Costs at which contours are drawn; if empty, contours lie at doublings of the smallest cost. Costs with levels
-        may be zero: they are compared by their difference, others by their ratio.
+        Costs at which contours are drawn. If it is empty, contours are drawn at doublings of the smallest cost. Costs
+        with levels may be zero. They are compared by their difference, other costs by their ratio.
     none : float
         Largest cost that counts as zero.
     floor : str
-        Stored column with the apparent cost due to sensor and chatter alone, if any.
+        Stored column of the apparent cost due to sensor and chatter alone, if there is one.
     whole : bool
-        Whether measured costs are whole numbers.
+        Whether measured costs are integers.
     smooth : bool
         Whether costs are a smooth function of stiffness and damping.
     needs : tuple of str
-        Stages whose results its stage uses.
+        Stages whose results the stage uses.
     figure : str
-        Figure of the thesis on which maps of its costs are modelled.
+        Figure of the thesis that is the model for maps of the costs.
     term, definition : str
         Definition in a report, as HTML.
     """
@@ -63,34 +63,34 @@ class Family:
 
     @property
     def printed_unit(self) -> str:
-        """Unit of the printed number; empty for a dimensionless number."""
+        """Unit of the printed number. It is empty for a dimensionless number."""
         return "%" if self.scale != 1 else self.unit.removeprefix("1")
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """One criterion.
+    """A criterion.
 
     Parameters
     ----------
     name, label : str
-        Name in commands, files and tables, and in print.
+        Name in commands, files and tables, and printed name.
     family : Family
     column, meaning : str
-        Stored column of the measured cost, and its meaning; empty if no log can be judged by it.
+        Stored column of the measured cost, and its meaning. They are empty if the criterion does not apply to logs.
     band : float, optional
-        Half-width of the settling band relative to the final displacement.
+        Half-width of the settling band, relative to the final displacement.
     weight : float
         Exponent w of the time weighting.
     signal : str
-        Response to which it applies: ``step``, ``impulse``; empty for a criterion of the poles, which have no sampled
-        response.
+        Response to which the criterion applies: ``step`` or ``impulse``. It is empty for criteria of the poles, which
+        have no sampled response.
     reported : bool
-        Whether it is part of a report by default.
+        Whether a report includes it by default.
     tabled : bool
         Whether tables include it for an experiment without published values.
     optimum_only : bool
-        Whether theory provides its optimum, but no costs.
+        Whether theory provides only its optimum, without costs.
     """
 
     name: str
@@ -120,8 +120,9 @@ OVERSHOOT = Family(
     "overshoot",
     "overshoot",
     scale=100.0,
-    # the edge of the region without: less is invisible, and interpolation from exact zeros at a lower level follows the
-    # grid cells; beyond the last one, contours merge with the stability boundary
+    # The first level is the edge of the region without overshoot. Smaller overshoot is invisible, and interpolation
+    # from exact zeros at a lower level follows the grid cells. Beyond the last level, contours merge with the stability
+    # boundary.
     levels=(1e-3, *(0.1 * n for n in range(1, 11))),
     none=1e-12,
     floor="overshoot_floor",
@@ -153,7 +154,7 @@ RISE = Family(
 POLES = Family("poles", "poles")
 
 RISE_LEVELS = (0.1, 0.9)
-"""Fractions of the final displacement between which a response rises."""
+"""Fractions of the final displacement between which the rise time is measured."""
 
 
 _ALL = (
@@ -168,7 +169,7 @@ _ALL = (
     ),
     Criterion(
         *("overshoot", "overshoot", OVERSHOOT, "overshoot"),
-        "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below",
+        "(max x - x_inf)/(x_inf - x_0), 0 if the position stays below",
         reported=True,
         tabled=True,
     ),
@@ -184,9 +185,9 @@ _ALL = (
     ),
     Criterion(
         *("rise_time", "rise time, 10 % to 90 %", RISE, "rise_time"),
-        "time from 10 % to 90 % of x_inf - x_0, both reached first; straight lines between samples",
+        "time from first reaching 10 % to first reaching 90 % of x_inf - x_0, linear between samples",
     ),
-    # 5.2.2: none whatever its size
+    # 5.2.2: the optimum has no overshoot, whatever its size.
     Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
     *(
         Criterion(f"energy_impulse_w{w}", f"energy cost of the impulse, w = {w}", ENERGY, weight=w, signal="impulse")
@@ -200,30 +201,32 @@ CRITERIA = {criterion.name: criterion for criterion in _ALL}
 """All criteria by name, in the order in which they are listed."""
 
 MEASURED = tuple(c.name for c in _ALL if c.column)
-"""Criteria by which the log of a step response can be judged."""
+"""Criteria that apply to the log of a step response."""
 
 REPORTED = tuple(c.name for c in _ALL if c.reported)
 """Criteria of a report by default."""
 
 FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
-"""Families of `MEASURED` by name, equal to that of their stage, in the order of computation."""
+"""Families of `MEASURED` by the names of their stages, in the order of computation."""
 
 _ANY = re.compile(r"settle_(?P<percent>\d+(?:\.\d+)?)pct|energy_(?P<signal>step|impulse)_w(?P<w>\d+(?:\.\d+)?)")
-"""Names of criteria with a user-defined number: a settling band, or an exponent w, which is real in (5.13)."""
+"""Patterns of criteria with a user-defined number: a settling band, or a real exponent w (5.13)."""
 
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
-"""Half-width of the settling band relative to the final displacement, by criterion."""
+"""Half-width of the settling band, relative to the final displacement, by criterion."""
 
 
 WIDEST = 50.0
-"""Half-width of the widest settling band [%]: with a wider one, the response would begin inside."""
+"""Half-width of the widest settling band [%]. With a wider band, the response would begin inside."""
 
 STEEPEST = 8.0
-"""Largest exponent w; with a larger one, only the last samples above the noise would count."""
+"""Largest exponent w. With a larger exponent, only the last samples above the noise would count."""
 
 
 def criterion_of(name: str) -> Criterion:
-    """Return the criterion with a given name, possibly with `DISCRETE` appended, or of any settling band or exponent w.
+    """Return the criterion with the given name.
+
+    `DISCRETE` may be appended, and any settling band or exponent is allowed.
 
     Raises
     ------
@@ -253,7 +256,7 @@ def _of_any(name: str) -> Criterion:
 
 
 def is_criterion(name: str, names: Iterable[str]) -> bool:
-    """Return whether a name is one of the given criteria, possibly with `DISCRETE`, or another band or exponent.
+    """Return whether a name is one of the given criteria, possibly with `DISCRETE`, or with another band or exponent.
 
     >>> is_criterion("settle_0.5pct_discrete", MEASURED), is_criterion("settle_60pct", MEASURED)
     (True, False)
@@ -272,7 +275,7 @@ def is_criterion(name: str, names: Iterable[str]) -> bool:
 
 
 def is_measured(name: str) -> bool:
-    """Return whether logs can be judged by a criterion: one of `MEASURED`, or with another band or exponent.
+    """Return whether a criterion applies to logs: one of `MEASURED`, or the same with another band or exponent.
 
     >>> is_measured("energy_step_w0.5"), is_measured("settle_2pct_discrete"), is_measured("pole_radius")
     (True, False, False)
@@ -286,6 +289,7 @@ def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:
 
 
 def with_discrete(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of criteria, followed by those of a response with `DISCRETE` appended."""
+    """Return the names of criteria, followed by the names of those that apply to a response, with `DISCRETE`
+    appended."""
     names = tuple(names)
     return (*names, *(f"{name}{DISCRETE}" for name in names if CRITERIA[name].signal))

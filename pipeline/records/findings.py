@@ -1,7 +1,7 @@
-"""Records of findings in logs, with the criteria by which logs are judged: frozen, validated, SI.
+"""Records of findings in logs, of limits and of estimates. They are frozen and validated, in SI.
 
-They are all records that the measured stages need, so that a change of any other record makes no result stale. Units
-follow the motion of the device as in `models`.
+These are all records that the stages for logs need. Therefore, a change of any other record does not make results
+outdated. Units follow the motion of the device, as in `models`.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Record(BaseModel):
-    """Base of all records: immutable, no unknown fields, no NaN or infinity."""
+    """Base of all records. It is immutable, and allows neither unknown fields nor NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 ROUNDING = 1e-9
-"""Relative error attributed to rounding: intervals of logs without noise are as narrow."""
+"""Relative error attributed to rounding. Intervals of logs without noise are as narrow as this."""
 
 
 def holds(low: float, value: float, high: float) -> bool:
@@ -36,17 +36,20 @@ def holds(low: float, value: float, high: float) -> bool:
 
 
 MATTERS = 0.02
-"""Smallest relative change of a result that is worth reporting: campaigns bracket limits no closer than this, and
-headers with rounded K and B stay below. Also the share of logs above which a finding is not due to single trials."""
+"""Smallest relative change of a result that is reported.
+
+Campaigns bracket limits no closer than this, and headers with rounded K and B deviate less. It is also the share of
+logs above which a finding is not due to single trials.
+"""
 
 DRIFTS = "drifts by"
-"""Beginning of a warning about a `Trend`, which identifies such warnings."""
+"""Beginning of a warning about a `Trend`, by which such warnings are identified."""
 
 
 class Trend(Record):
-    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval.
+    """Slope of an estimate over stiffness or damping of the trials, with its 95 % interval.
 
-    ``span`` is the range of stiffness [N/m, Nm/rad] or damping [Ns/m, Nms/rad] over which it was found.
+    ``span`` is the range of stiffness [N/m, Nm/rad] or damping [Ns/m, Nms/rad] of these trials.
     """
 
     over: Literal["stiffness", "damping"]
@@ -59,10 +62,10 @@ class Trend(Record):
 
 
 class Quantity(Record):
-    """Number with its 95 % interval, unit and method, or no value and the reason.
+    """Number with its 95 % interval, unit and method. Without a value, it has the reason.
 
-    An end is None if it is unbounded. ``unit`` is empty for a dimensionless number, ``method`` if it is that of the
-    enclosing record.
+    An end is None if it is unbounded. ``unit`` is empty for a dimensionless number. ``method`` is empty if it is that
+    of the enclosing record.
     """
 
     value: float | None
@@ -76,10 +79,10 @@ class Quantity(Record):
 class Estimate(Quantity):
     """Quantity estimated from the trials of an experiment.
 
-    ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
-    one trial. ``trials`` were used; ``outliers`` are the ids of trials excluded as outliers, ``refused`` is the number
-    of trials without a confidence interval. ``warning`` describes what is wrong with the value. ``truth`` is the true
-    value of a simulation and is not set by estimators.
+    ``spread`` is the standard deviation between trials in addition to their own errors, ``within`` the median standard
+    error of a trial. ``trials`` is the number of used trials. ``outliers`` are the ids of trials excluded as outliers.
+    ``refused`` is the number of trials without a confidence interval. ``warning`` describes doubts about the value.
+    ``truth`` is the true value in a simulation, which estimators do not set.
     """
 
     unit: str
@@ -102,7 +105,7 @@ class Estimate(Quantity):
 
 
 class ModelCheck(Record):
-    """Fit of the maximum-likelihood device to the logs of an experiment: ``explained`` of ``trials``.
+    """Fit of the maximum-likelihood device to the logs of an experiment. It explains ``explained`` of ``trials``.
 
     ``fit_percent`` is the median fit of its free runs to logs that were not used for the fit.
     """
@@ -113,11 +116,11 @@ class ModelCheck(Record):
 
 
 class Limit(Record):
-    """Largest stiffness [N/m, Nm/rad] for which a loop is stable at one damping, with its 95 % interval.
+    """Largest stiffness [N/m, Nm/rad] at which a loop is stable for a damping, with its 95 % interval.
 
-    If the tested range ended before it is reached, it is ``censored``: all three are a lower bound. With friction it is
-    valid for the step that was used; ``stiffness_large_motion`` is the linear limit, above which a harder push is
-    unstable.
+    If the tested range ended below the limit, the limit is ``censored``, and all three values are a lower bound. With
+    friction, the limit is valid for the step that was used. ``stiffness_large_motion`` is the linear limit, above which
+    a larger step is unstable.
     """
 
     damping: float
@@ -129,16 +132,16 @@ class Limit(Record):
 
 
 class BoundaryPoint(Record):
-    """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
+    """Stability limit at a damping: largest stable stiffness below the smallest unstable stiffness.
 
-    ``trials`` is the number of trials with K > 0 at that damping, ``undecided`` that of the undecided ones among them
-    below the largest stable stiffness: they are worth a look, but are not evidence against it. Other undecided ones,
-    and all if ``stable`` is null, are not counted. If friction was found, all of it is valid for the step that was
-    used; ``stiffness_large_motion`` is the linear limit of the identified device, above which a harder push is
-    unstable.
+    ``trials`` is the number of trials with K > 0 at this damping. ``undecided`` is the number of undecided trials among
+    them below the largest stable stiffness, which should be inspected but are not evidence against this stiffness.
+    Other undecided trials are not counted, and none are counted if ``stable`` is null. If friction was found, all
+    values are valid for the step that was used. ``stiffness_large_motion`` is the linear limit of the identified
+    device, above which a larger step is unstable.
 
-    ``estimate`` is the limit from the growth rates with its 95 % interval; a censored point has only ``low``, one
-    without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a
+    ``estimate`` is the limit from the growth rates with its 95 % interval. A censored point has only ``low``. A point
+    without a stable trial has an upper end ``high``, a ``low`` of 0, and no estimate. ``truth`` is the limit of a
     simulated loop.
     """
 
@@ -156,7 +159,7 @@ class BoundaryPoint(Record):
 
     @property
     def limit(self) -> Limit | None:
-        """Limit from the growth rates, else midway between stable and unstable trials; None if there is neither."""
+        """Limit from the growth rates, else the middle between stable and unstable trials. None if there is neither."""
         stable, unstable, ends = self.stable, self.unstable, (self.estimate, self.low, self.high)
         if self.censored:
             ends = (stable, stable, stable)
@@ -179,12 +182,12 @@ class NearOptimum(Record):
 
 
 class Optimum(Record):
-    """Trial (or theoretical point) with the smallest cost; censored if it lies at the edge of the tested range.
+    """Trial (or theoretical point) with the smallest cost. It is censored if it lies at the edge of the tested range.
 
-    ``trials`` is the number of trials with this cost; ``passive`` states whether the wall is passive for the whole
-    range of an adequate loop, None if that is unknown. ``near`` lists the walls that are nearly as good: few if the
-    optimum is sharp. ``margin`` is the lower end of the measured limit at that damping divided by the stiffness, None
-    without a limit. ``scatter_percent`` is the scatter of single trials in the map of this cost.
+    ``trials`` is the number of trials with this cost. ``passive`` states whether the wall is passive over the whole
+    range of an adequate loop, and is None if that is unknown. ``near`` is the box of walls that are nearly as good; it
+    has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping divided by
+    the stiffness, or None without a limit. ``scatter_percent`` is the scatter of single trials in the map of this cost.
     """
 
     stiffness: float
@@ -221,16 +224,19 @@ FindingCode = Literal[
 ]
 
 Severity = Literal["note", "repaired", "cut", "unsafe", "unusable"]
-"""Effect of a finding on the numbers. ``note``: they are valid, their intervals may be wider; ``repaired``: they are
-those of the repaired log; ``cut``: rows from the first one on are left out; ``unsafe``: the log gives neither a delay
-nor the limit of a wall; ``unusable``: it gives nothing."""
+"""Effect of a finding on the results.
+
+``note``: results are valid, but intervals may be wider. ``repaired``: results are those of the repaired log. ``cut``:
+rows from the first affected row on are not used. ``unsafe``: the log gives neither a delay nor the limit of a wall.
+``unusable``: the log gives no result.
+"""
 
 
 MOST_UNSAFE = 0.2
-"""Largest share of logs with an unsafe finding for which the other logs, from the same rig, are trusted."""
+"""Largest share of logs with an unsafe finding at which other logs from the same rig are trusted."""
 
 OF_ONE_LOG = frozenset({"frozen_position", "wrapped_angle"})
-"""Unsafe findings that have no implications for other logs."""
+"""Unsafe findings that do not affect other logs."""
 
 FINDINGS = "findings"
 """Key of the findings of a trial in its stored `time_quality`."""
@@ -239,21 +245,21 @@ NO_FINDINGS = f'"{FINDINGS}": []'
 """Entry in the time quality of a trial without recording faults."""
 
 BY_READING = frozenset({"same_samples"})
-"""Findings that are visible only when a log is read, like all repairs: the stored samples do not show them."""
+"""Findings that are only visible when a log is read, like all repairs. The stored samples do not show them."""
 
 
 class Finding(Record):
-    """Fault of a recording: kind, place, evidence and remedy.
+    """Fault of a recording: kind, location, evidence and remedy.
 
     Parameters
     ----------
     code : str
     first_row : int or None
-        First affected row, counted from 0; None if all rows are affected.
+        First affected row, counted from 0, or None if all rows are affected.
     rows : int
         Number of affected rows.
     evidence, remedy : str
-        Sentences with a full stop; the first one with numbers in SI.
+        Sentences with a full stop. The evidence contains numbers in SI.
     severity : str
     """
 
@@ -276,7 +282,7 @@ class Finding(Record):
 
     @property
     def is_unsafe(self) -> bool:
-        """Whether the log gives neither a delay nor a limit, although it seems to."""
+        """Whether the log gives neither a delay nor a limit, although it seems to be usable."""
         return self.severity == "unsafe"
 
     @property
@@ -291,20 +297,20 @@ class Finding(Record):
 
 
 def stored_findings(time_quality: str) -> list[Finding]:
-    """Return the findings of a recording as stored with its trial.
+    """Return the findings of a recording that are stored with its trial.
 
     Parameters
     ----------
     time_quality : str
-        The stored column of the trial, JSON.
+        Stored column of the trial, as JSON.
     """
-    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # applies to nearly all trials
+    if NO_FINDINGS in time_quality or FINDINGS not in time_quality:  # true for nearly all trials
         return []
     return [Finding.model_validate(each) for each in json.loads(time_quality).get(FINDINGS, ())]
 
 
 def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
-    """Return whether the findings of each log imply that the logs together give neither a delay nor a limit.
+    """Return whether logs together give neither a delay nor a limit, given the findings of each log.
 
     This is the case if all logs are unsafe, or if more than `MOST_UNSAFE` of them have a fault of their rig.
     """
@@ -314,7 +320,8 @@ def are_unsafe(findings: Sequence[Sequence[Finding]]) -> bool:
 
 
 def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
-    """Return why logs together give neither a delay nor a limit, as the first finding; empty if they may."""
+    """Return why logs together give neither a delay nor a limit, from the first finding, or "" if they may give
+    them."""
     if not are_unsafe(findings):
         return ""
     unsafe = [each for found in findings if (each := next((one for one in found if one.is_unsafe), None))]
@@ -322,7 +329,7 @@ def unsafe_reason(findings: Sequence[Sequence[Finding]]) -> str:
 
 
 class Note(Record):
-    """Comment of users on an experiment, or on one of its trials: a text, and tags."""
+    """Comment of users on an experiment or a trial: a text and tags."""
 
     experiment: str
     trial_id: str | None = None
@@ -331,7 +338,7 @@ class Note(Record):
 
 
 class ExcludedTrial(Record):
-    """Trial that was excluded by hand and does not affect any result: its id, log, reason and date (UTC)."""
+    """Manually excluded trial, which does not affect any result: id, log, reason and date (UTC)."""
 
     experiment: str
     trial_id: str

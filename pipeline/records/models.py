@@ -1,8 +1,8 @@
-"""Records that stages pass to each other and that users read: frozen, validated, SI.
+"""Records of devices, experiments, tables and scenes. They are frozen and validated, in SI.
 
-Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad,
-kg m^2 and rad for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/``
-are generated from these classes.
+Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad, kg m^2 and rad
+for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/`` are generated from these
+classes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pipeline.records.findings import Motion as Motion
 from pipeline.records.findings import Name as Name
 
 STATED = "stated"
-"""Validation context of files written by users, in which a stated delay must not contradict the stated jitter."""
+"""Validation context of files written by users. In these, a stated delay must not contradict the stated jitter."""
 
 
 class Limits(Record):
@@ -32,11 +32,11 @@ class Limits(Record):
 
 
 class Experiment(Record):
-    """One experiment: configuration, plant as published, and the grid of (K, B) that is tested.
+    """An experiment: configuration, plant as published, and the grid of tested (K, B).
 
-    If the grid is omitted, it covers the walls that are stable in theory (`simulation.tested_grid`). If each command
-    draws its delay from ``jitter_samples``, ``delay_samples`` is their mean; a file may state any delay between the
-    smallest and the largest.
+    If the grid is omitted, it covers the walls that are stable in theory (`simulation.tested_grid`). If the delay of
+    each command is drawn from ``jitter_samples``, ``delay_samples`` is their mean. A file may state any delay between
+    the smallest and the largest.
     """
 
     name: Name
@@ -68,9 +68,9 @@ class Experiment(Record):
             if info.context == STATED and not low <= self.delay_samples <= high:
                 raise ValueError(
                     f"delay_samples ({self.delay_samples:g}) lies outside of jitter_samples, {low:g} to {high:g}: "
-                    "state their mean, or leave out the jitter"
+                    "state their mean, or omit the jitter"
                 )
-            # the frozen record is still under construction
+            # The frozen record is still under construction.
             object.__setattr__(self, "delay_samples", sum(self.jitter_samples) / len(self.jitter_samples))
         return self
 
@@ -100,15 +100,15 @@ class TableLayout(Record):
     def _criteria_are_known(self) -> Self:
         unknown = [c for c in self.criteria if not is_measured(c)]
         if unknown:
-            raise ValueError(f"unknown criteria {unknown}; known are {list(MEASURED)}")
+            raise ValueError(f"unknown criteria {unknown}; expected some of {list(MEASURED)}")
         return self
 
 
 class Device(Record):
-    """Haptic device as data: everything that simulation, theory and reports need.
+    """Haptic device as data: all information that simulation, theory and reports need.
 
     A device file may omit further fields (`device_data.devices.read_device`). ``published_as`` is the device whose
-    printed values appear next to this one's in tables; by default the device itself.
+    printed values appear next to the values of this device in tables. By default, it is the device itself.
     """
 
     name: Name
@@ -131,7 +131,7 @@ class Device(Record):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
 
     def loop_table(self, experiment: Experiment) -> LoopTable:
-        """Return the ``[loop]`` table of an experiment: its own entries, and the device's for the others."""
+        """Return the ``[loop]`` table of an experiment. The device provides entries that the experiment lacks."""
         return experiment.loop.over(self.loop)
 
     def loop_for(self, experiment: Experiment) -> Loop:
@@ -140,7 +140,7 @@ class Device(Record):
         Raises
         ------
         ParameterError
-            If its parameters contradict each other.
+            If the parameters contradict each other.
         """
         return Loop(
             mass=experiment.mass,
@@ -156,7 +156,7 @@ class Device(Record):
         )
 
     def simulation_of(self, experiment: Experiment) -> SimulationParts:
-        """Return the simulation settings of an experiment: its own, and the device's for the others."""
+        """Return the simulation settings of an experiment. The device provides settings that the experiment lacks."""
         return experiment.simulation.over(self.simulation)
 
     @model_validator(mode="after")
@@ -189,12 +189,12 @@ class Device(Record):
 
 
 class Deviation(Record):
-    """Factors of the deviation of a measured optimal cost, minus 1 in percent; their product is the whole deviation.
+    """Factors of the deviation of a measured optimal cost, minus 1, in percent. Their product is the total deviation.
 
-    ``range`` and ``grid`` are the effects of the tested range and grid on theory; ``model`` is the deviation of the
-    smoothed measured cost, without the noise of single trials, from theory, with its 95 % interval; ``selection`` is
-    the deviation of the best single trial from the smoothed cost. The model's part is ``steady`` if it does not depend
-    on any single trial.
+    ``range`` and ``grid`` are the effects of the tested range and grid on theory. ``model`` is the deviation of the
+    smoothed measured cost, without the noise of single trials, from theory, with its 95 % interval. ``selection`` is
+    the deviation of the best single trial from the smoothed cost. The model component is ``steady`` if it does not
+    depend on any single trial.
     """
 
     range: float
@@ -207,11 +207,11 @@ class Deviation(Record):
 
 
 class ComparisonRow(Record):
-    """One row of Tables D.1 to D.6: a computed or measured value with the published one.
+    """A row of Tables D.1 to D.6: a computed or measured value with the published value.
 
-    ``experiment`` and ``trial_id`` name the trial of a measured row; both are null on theory rows, and so are the
-    deviations of cost, stiffness and damping from the discrete theory. ``published_deviation_percent`` is that of a
-    printed measurement from the printed theory.
+    ``experiment`` and ``trial_id`` name the trial of a measured row. In rows of theory they are null, and so are the
+    deviations of cost, stiffness and damping from discrete theory. ``published_deviation_percent`` is the deviation of
+    a printed measurement from the printed theory.
     """
 
     table: str
@@ -236,31 +236,37 @@ class ComparisonRow(Record):
 
 
 FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trend", "trials"]
-"""Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
-maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
+"""Figures of a report.
+
+They are the first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost maps (6.5
+to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), trends, and the trials to inspect.
+"""
 
 Overlay = Literal["theory", "estimates", "band", "linear", "passive", "friction", "robust"]
-"""Curves drawn over measured boundaries: theory, the limit of the identified loop and its 95 % interval, the linear
-condition (3.25), the passive region (4.12), with friction the limit for a harder push; the walls that are stable with
-every spring (4.3.3), drawn only on request."""
+"""Curves drawn over measured boundaries.
+
+They are theory, the limit of the identified loop and its 95 % interval, the linear condition (3.25), the passive region
+(4.12), with friction the limit for a larger step, and the walls that are stable with any spring (4.3.3), which are
+drawn only on request.
+"""
 
 
 MOMENTUM_WINDOW_S = 0.015
-"""Length of the window of the momentum balance, from the command edge (6.1.2); later, the velocity saturates real
+"""Length of the window of the momentum balance, from the command edge on (6.1.2). Later, the velocity saturates real
 drives."""
 
 
 class Measuring(Record):
-    """Measuring conventions that follow the thesis.
+    """Conventions of measurements, which follow the thesis.
 
     Parameters
     ----------
     final : {"expected", "measured"}
         Final position to which costs refer: x_0 + F_0/K (6.1), or the mean of the last tenth of the log.
     momentum_delay : int, optional
-        Delay [samples] of the momentum balance (6.1.2: 5), instead of that from the first change.
+        Delay [samples] for the momentum balance (6.1.2: 5). By default, it is that of the first change.
     momentum_window_s : float
-        Length of its window, from the command edge [s].
+        Length of the window of the momentum balance, from the command edge on [s].
     """
 
     final: Literal["expected", "measured"] = "expected"
@@ -269,10 +275,11 @@ class Measuring(Record):
 
 
 class Shown(Record):
-    """Content of a report, and how it is measured; None means everything for which there is data.
+    """Content of a report, and conventions of its measurements. None includes everything with available data.
 
-    ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are the delays
-    [samples] of the theoretical curves drawn with boundaries without operator, instead of those of the device file.
+    ``tables`` are names of published tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are
+    the delays [samples] of the theoretical curves that are drawn with boundaries without operator. By default, they are
+    those of the device file.
     """
 
     figures: tuple[FigureKind, ...] | None = None
@@ -290,12 +297,12 @@ class Shown(Record):
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:
-        """Return whether an overlay is requested; by default all are, except the robust region."""
+        """Return whether an overlay is requested. By default, all are requested except the robust region."""
         return kind != "robust" if self.overlays is None else kind in self.overlays
 
 
 class Scene(Record):
-    """Inputs of one comparison, from which the plan of stages is made backwards."""
+    """Inputs of a comparison, from which the required stages follow."""
 
     device: Name
     experiments: tuple[Name, ...]
@@ -312,14 +319,14 @@ if TYPE_CHECKING:
     CriterionWord = str
 else:
     Band = Literal[tuple(_BANDS)]
-    """Settling band [%] that a cost exists for."""
+    """Settling band [%] for which a cost exists."""
 
     CriterionWord = Literal[("settle", *MEASURED)]
-    """A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
+    """A criterion in a scene file. ``settle`` means the settling times for its ``bands``."""
 
 
 class SceneFile(Shown):
-    """Scene as a file (TOML): the content of one report. A missing key means everything for which there is data.
+    """Scene as a TOML file: the content of a report. A missing key includes everything with available data.
 
     Parameters
     ----------

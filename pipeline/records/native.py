@@ -1,4 +1,4 @@
-"""Header of a native log: conditions of one step response as `# key: value` lines above the columns.
+"""Header of a native log: conditions of a step response as `# key: value` lines above the columns.
 
     # device: lwr
     # experiment: delay-2
@@ -6,8 +6,8 @@
     ...
     time_s,command,position
 
-All values are SI. A note in square brackets after a value is allowed; a note that begins with a unit other than SI
-(`[N/mm]`) is refused, because the value would be wrong by that factor.
+All values are in SI. A remark in square brackets may follow a value. A remark that begins with a unit other than SI
+(`[N/mm]`) is refused, because the value would be wrong by this factor.
 """
 
 from __future__ import annotations
@@ -33,18 +33,20 @@ _REQUIRED = {
     "experiment": "the name of the experiment, such as delay-2",
     "stiffness": "the virtual stiffness K in N/m (Nm/rad for a rotational device)",
     "damping": "the virtual damping B in Ns/m (Nms/rad for a rotational device)",
-    "step": "the size of the external force step in N (Nm for a rotational device), 0 where none was commanded",
+    "step": "the size of the external force step in N (Nm for a rotational device), 0 if none was commanded",
     "sampling_period_s": "the sampling period T in s",
 }
 FREE = ("stiffness", "damping", "step")
-"""Conditions that a log of motion without wall and step omits, all three: they are then 0, and such a trial has no
-response to judge; the command shows what moved the device."""
+"""Conditions that a log of motion without wall and step omits together.
+
+They are then 0, and such a trial has no response to judge. The command shows the cause of the motion.
+"""
 
 NOT_STATED = "not stated"
 """Value of ``wall`` in the extra keys of a header that omits all of `FREE`."""
 
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
-# each pattern matches a run of blanks in one way only: others take minutes for a line of 10^4 blanks
+# Each pattern matches a run of blanks in only one way. Other patterns take minutes for a line of 10^4 blanks.
 _KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
 _NOTE_BEHIND_TEXT = re.compile(r"(?:^|\s)\[.*$")
 _OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
@@ -52,7 +54,7 @@ _OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
 
 @dataclass(frozen=True)
 class NativeHeader:
-    """Conditions of one step response as stated in a native log.
+    """Conditions of a step response, as stated in a native log.
 
     Parameters
     ----------
@@ -62,18 +64,18 @@ class NativeHeader:
     damping : float
         Virtual damping B [Ns/m, Nms/rad].
     step : float
-        External force step F_0 [N, Nm]; 0 if no step was commanded: such a trial has no response to judge.
+        External force step F_0 [N, Nm]. If it is 0, no step was commanded, and the trial has no response to judge.
     sampling_period_s : float
         Sampling period T [s].
     added_delay_samples : int
-        Delay added on purpose [samples].
+        Delay that was added on purpose [samples].
     grip : {"none", "comfortable", "firm"}
     motion : Motion or None
-        None if the log does not state it: a known device has its own.
+        Type of motion. It is None if the log does not state it; a known device states its motion.
     simulated : bool
         Whether the log contains ``# origin: simulated``.
     extra : dict of str to str
-        Further keys of the header, as written; ``step_row`` declares the row of the step, counted from 0.
+        Other keys of the header, as written. ``step_row`` declares the row of the step, counted from 0.
     """
 
     device: str
@@ -90,20 +92,20 @@ class NativeHeader:
 
 
 def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
-    """Write a header as text, ending with the line of column names and a line feed.
+    """Return a header as text, which ends with the line of column names and a line feed.
 
     Parameters
     ----------
     header : NativeHeader
     motion : Motion, optional
-        Motion of the device; it determines the unit notes and is written. If it is None, the header's motion is used,
-        or translation if that is also None.
+        Motion of the device, which determines the units in remarks and is written. If it is None, the header's motion
+        is used, or translation if that is also None.
 
     Raises
     ------
     ParameterError
-        If `parse_header` would not return the same header (a name with a line feed, a number that is NaN, a
-        contradiction between both motions, ...).
+        If `parse_header` would not return the same header, for example because a name contains a line feed, a number is
+        NaN, or the two motions contradict each other.
     """
     chosen: Motion = motion or header.motion or "translation"
     lines = [
@@ -131,7 +133,7 @@ def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
 
 
 def parse_header(lines: Iterable[str]) -> NativeHeader:
-    """Read the header lines of a native log; reading stops at the first other line that is not blank.
+    """Read the header lines of a native log, up to the first line that is neither a header line nor blank.
 
     Parameters
     ----------
@@ -141,7 +143,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     Raises
     ------
     LogError
-        If a required key is missing or given twice, or a value is invalid; with the line number.
+        If a required key is missing or given twice, or a value is invalid. The error has the line number.
     """
     values, extra = _statements(lines)
     missing = [key for key in _REQUIRED if key not in values]
@@ -172,7 +174,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
 
 
 def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
-    """Return the values of known keys with their line, and the values of all other keys."""
+    """Return the values of known keys with their line numbers, and the values of all other keys."""
     values: dict[str, tuple[str, int]] = {}
     extra: dict[str, str] = {}
     for row, line in enumerate(lines, start=1):
@@ -190,7 +192,7 @@ def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[
             values[key] = (value, row)
         else:
             value = _NOTE_BEHIND_TEXT.sub("", value).strip()
-            # the same remark on several lines is common in logs; all of them are kept
+            # Repeated remarks are common in logs. All of them are kept.
             extra[key] = f"{extra[key]}; {value}" if key in extra else value
     return values, extra
 
@@ -210,7 +212,7 @@ def _wrong(reason: str, row: int) -> LogError:
     return LogError(reason, row, code="condition-wrong")
 
 
-@lru_cache(1024)  # logs of an experiment share most of these lines
+@lru_cache(1024)  # logs of an experiment have most of these lines in common
 def _name(key: str, value: str, row: int) -> str:
     name = _NOTE_BEHIND_TEXT.sub("", value).strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable():
@@ -229,12 +231,12 @@ def _number(key: str, value: str, row: int) -> float:
         remedy = f"Multiply the value by {known.factor:.9g} and correct the note, or describe the file by a profile."
         raise _wrong(f"{key} is given in {unit}; native logs are SI (N, m, rad, s). {remedy}", row)
     try:
-        # float() would accept 1_000 and digits of every script, unlike other readers
+        # float() would accept 1_000 and digits of every script, unlike other readers.
         number = float(text.replace("_", "?")) if text.isascii() else math.nan
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        remedy = f"Write `# {key}: <number>`; a remark belongs into square brackets behind it."
+        remedy = f"Write `# {key}: <number>`; write a remark in square brackets after the number."
         raise _wrong(f"{key} must be a finite number with a decimal point, found {text!r}. {remedy}", row)
     return number
 
@@ -250,7 +252,7 @@ def _period(value: str, row: int) -> float:
 def _count(key: str, value: str, row: int) -> int:
     number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
     if number < 0 or number != int(number):
-        raise _wrong(f"{key} must be a whole number of samples >= 0, found {number:g}.", row)
+        raise _wrong(f"{key} must be an integer number of samples >= 0, found {number:g}.", row)
     return int(number)
 
 

@@ -1,6 +1,6 @@
-"""Results of a comparison: the document that `compare --json` prints, and the input of a report.
+"""Results of a comparison: the document that `compare --json` prints, which is also the input of a report.
 
-The last records are differences of two experiments, devices or code versions: second minus first.
+The last records are differences between two experiments, devices or code versions, as second minus first.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pipeline.records.models import ComparisonRow, Measuring, Motion
 
 
 class SourcedLoop(Record):
-    """Loop and the source of its parameters.
+    """A loop with the source of its parameters.
 
-    The JSON is flat: ``mass``, ``damping`` and all other parameters of the device alone, ``source``, and in ``loop``
-    its parts, with the keys of a device file.
+    The JSON is flat: ``mass``, ``damping`` and all other parameters of the device, ``source``, and its parts in
+    ``loop`` with the keys of a device file.
     """
 
     loop: Loop
@@ -58,11 +58,11 @@ class SourcedLoop(Record):
 
 
 class RegionScore(Record):
-    """Measured and theoretical stable regions inside the tested window (areas in stiffness times damping).
+    """Measured and theoretical stable regions inside the tested window. Areas are in stiffness times damping.
 
-    ``overlap`` is intersection over union, ``covered`` the part of the theoretical region that is measured as stable,
-    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` are their bounds from the intervals of the
-    measured limits. At ``censored`` of ``dampings`` the window ends at the stiffest stable trial.
+    ``overlap`` is intersection over union, ``covered`` the share of the theoretical region that is measured as stable,
+    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` are bounds that follow from the intervals of the
+    measured limits. At ``censored`` of the ``dampings``, the window ends at the stiffest stable trial.
     """
 
     overlap: float
@@ -85,14 +85,14 @@ class RegionScore(Record):
 class DistanceScore(Record):
     """Signed distance of the measured boundary from theory at the tested dampings.
 
-    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] also
-    includes the ``near_zero`` ones, at which the theoretical limit is too small as a denominator. ``lower_bounds`` is
-    the number of censored dampings with theory below the end of the tested range: the distance is at least that large.
-    ``open`` is the number of censored ones with theory above it: they are left out, because the distance is unknown.
-    ``bounded`` dampings have a limit with bounds on both sides (or a lower bound above theory): at ``agreeing`` of
-    these theory lies in the interval of the limit, or within 2 % of it; at ``above`` the limit lies above theory.
-    ``largest`` is among the bounded ones, if there are any. The median is ``steady`` if it does not depend on any
-    single limit.
+    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``. ``rms`` [N/m, Nm/rad] also
+    includes the ``near_zero`` dampings, at which the theoretical limit is too small as a denominator. ``lower_bounds``
+    is the number of censored dampings at which theory lies below the end of the tested range. The distance is at least
+    that large there. ``open`` is the number of censored dampings at which theory lies above this end. They are left
+    out, because the distance is unknown. ``bounded`` is the number of dampings whose limit has bounds on both sides, or
+    a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit or within 2 % of it.
+    At ``above`` of these, the limit lies above theory. ``largest`` is taken over the bounded dampings if there are any.
+    The median is ``steady`` if it does not depend on any single limit.
     """
 
     median: float
@@ -110,9 +110,9 @@ class DistanceScore(Record):
 
 
 class VerdictScore(Record):
-    """Verdicts of the trials compared with those of theory at the same (K, B), as numbers of trials.
+    """Numbers of trials by their verdict and theory's verdict at the same (K, B).
 
-    ``agreement`` is the share of the two diagonal entries. Not included are ``undecided`` trials and those
+    ``agreement`` is the share of trials with equal verdicts. It does not include ``undecided`` trials and trials
     ``without_wall`` (K <= 0), for which stable has another meaning.
     """
 
@@ -126,9 +126,10 @@ class VerdictScore(Record):
 
 
 class StiffnessScore(Record):
-    """Largest stable stiffness [N/m, Nm/rad] measured and by theory, both over the tested dampings.
+    """Largest stable stiffness [N/m, Nm/rad], measured and theoretical, both over the tested dampings.
 
-    ``anywhere`` is that of theory over all dampings. ``lower_bound`` is true if the tested stiffnesses ended there.
+    ``anywhere`` is the theoretical value over all dampings. ``lower_bound`` is true if it is the largest tested
+    stiffness.
     """
 
     measured: float
@@ -142,9 +143,9 @@ class StiffnessScore(Record):
 
 
 class DampingScore(Record):
-    """Largest damping [Ns/m, Nms/rad] with a stable trial, and that of theory with any stiffness (6.2.3).
+    """Largest damping [Ns/m, Nms/rad] with a stable trial, and theory's largest damping with any stiffness (6.2.3).
 
-    ``lower_bound`` is true if the tested dampings ended there.
+    ``lower_bound`` is true if it is the largest tested damping.
     """
 
     measured: float
@@ -154,7 +155,7 @@ class DampingScore(Record):
 
 
 class Scores(Record):
-    """Scores of one experiment compared with one theory; a missing score is None, with its reason in ``missing``."""
+    """Scores of theory for an experiment. A missing score is None, and ``missing`` has the reason."""
 
     parameters: SourcedLoop
     basis: Literal["device file", "estimates"]
@@ -199,10 +200,10 @@ CauseCode = Literal[
 
 
 LIMITS_WITHIN = 5.0
-"""Largest error of predicted limits [%] of an adequate loop: campaigns bracket limits to within 4 %."""
+"""Largest error of predicted limits [%] of an adequate loop. Campaigns bracket limits to within 4 %."""
 
 VERDICTS_RIGHT = 0.95
-"""Smallest share of the verdicts that a device must predict."""
+"""Smallest share of the verdicts that an adequate device must predict."""
 
 
 NOT_ADEQUATE = "its loop is not adequate"
@@ -210,11 +211,11 @@ NOT_ADEQUATE = "its loop is not adequate"
 
 
 class LoopResult(Record):
-    """Loop used by theory and by all conclusions about an experiment, and whether it is adequate for that.
+    """Loop used by theory and by all conclusions about an experiment, and whether it is adequate.
 
-    ``mass``, ``damping``, ``stiffness`` and ``mode`` are the effective values at the wall, operator included, per unit
-    of command; ``delay_samples`` is not rounded. ``velocity``, ``mode``, ``operator`` are parameters by name.
-    ``explained`` is the share of the logs explained by the fitted model; None without a fit.
+    ``mass``, ``damping``, ``stiffness`` and ``mode`` are the effective values at the wall, including the operator, per
+    unit of command. ``delay_samples`` is not rounded. ``velocity``, ``mode`` and ``operator`` contain parameters by
+    name. ``explained`` is the share of the logs that the fitted model explains, or None without a fit.
     """
 
     source: Literal["device file", "estimated"]
@@ -233,9 +234,9 @@ class LoopResult(Record):
 
 
 class ReplayResiduals(Record):
-    """Residuals of a replay at the stable walls, each shape (n,): K [N/m, Nm/rad], B [Ns/m, Nms/rad] and residual [%].
+    """Residuals of a replay at the stable walls, each shape (n,): K [N/m, Nm/rad], B [Ns/m, Nms/rad], residual [%].
 
-    The residual is the norm of the difference between logged and predicted position, relative to that of the logged
+    The residual is the norm of the difference between logged and predicted position, relative to the norm of the logged
     position about its mean.
     """
 
@@ -247,12 +248,12 @@ class ReplayResiduals(Record):
 class WallReplay(Record):
     """Prediction of tested walls that were not used for the fit, by the identified device with friction and scatter.
 
-    ``fit_percent`` is the median fit of the position at stable walls; ``verdicts_same`` the share of equal decided
-    verdicts; ``limits_off_percent`` and ``costs_off_percent`` the median errors of limits and settling times. A
-    measured limit lies in its interval, with a median half-width of ``limits_known_percent``; 95 % of the predicted
-    ones are at most ``limits_error_percent`` outside of these. A value is None if there is nothing to compare.
-    ``trials`` is the number of compared verdicts; for a device with jitter, only those on which several runs agree.
-    ``residuals`` are those of the individual walls.
+    ``fit_percent`` is the median fit of the position at stable walls. ``verdicts_same`` is the share of equal decided
+    verdicts. ``limits_off_percent`` and ``costs_off_percent`` are the median errors of limits and settling times. The
+    median half-width of the intervals of measured limits is ``limits_known_percent``. 95 % of the predicted limits are
+    at most ``limits_error_percent`` outside of these intervals. A value is None if there is nothing to compare.
+    ``trials`` is the number of compared verdicts. For a device with jitter, only verdicts on which several runs agree
+    are compared. ``residuals`` are those of the individual walls.
     """
 
     fit_percent: float | None
@@ -266,16 +267,16 @@ class WallReplay(Record):
 
     @property
     def limits_open(self) -> bool:
-        """Whether the tested walls bracket the limits too widely to judge the predicted ones."""
+        """Whether the tested walls bracket the limits too widely to judge the predicted limits."""
         return (self.limits_known_percent or 0.0) > max(self.limits_off_percent or 0.0, LIMITS_WITHIN)
 
     @property
     def is_right(self) -> bool:
-        """Whether limits are within 5 % of the measured intervals, and 95 % of the verdicts are right."""
+        """Whether limits are within 5 % of the measured intervals, and 95 % of the verdicts are correct."""
         limits = (self.limits_off_percent or 0.0) <= LIMITS_WITHIN + (self.limits_known_percent or 0.0)
         if self.verdicts_same is None:
             return False
-        # with few trials, one may be chance
+        # With few trials, a single error may be due to chance.
         return limits and round((1 - self.verdicts_same) * self.trials) <= max((1 - VERDICTS_RIGHT) * self.trials, 1)
 
 
@@ -287,11 +288,11 @@ class PassiveWall(Record):
 
 
 class ImpliedDelay(Record):
-    """Pure delay [samples] implied by a measured boundary: from its slope near the origin (3.25), and as a whole.
+    """Pure delay [samples] implied by a measured boundary: from its slope near the origin (3.25), and from all limits.
 
-    It is that of an ideal loop with the mass and damping of the logs. If it is longer than the delay of the logs, a lag
-    or a velocity filter has the effect of the difference; if it is shorter near the origin than as a whole, the delay
-    jitters, or friction keeps soft walls stable.
+    It is the delay of an ideal loop with the mass and damping of the logs. If it exceeds the delay of the logs, a lag
+    or a velocity filter causes the difference. If the delay near the origin is less than that from all limits, the
+    delay jitters, or friction keeps soft walls stable.
     """
 
     origin: Quantity
@@ -301,8 +302,8 @@ class ImpliedDelay(Record):
 class StraightBound(Record):
     """Line K <= stiffness + slope B through the measured limits, starting at the stiffest wall (6.5), in SI.
 
-    ``limits`` is their number, between two dampings. A parabola through them has a ``curvature``, that of theory's
-    limits is ``curvature_theory``.
+    ``limits`` is the number of limits, from ``damping_first`` to ``damping_last``. A parabola through them has the
+    ``curvature``. The curvature of theory's limits is ``curvature_theory``.
     """
 
     stiffness: float
@@ -319,7 +320,7 @@ class StraightBound(Record):
 
     @property
     def excludes_theory(self) -> bool | None:
-        """Whether the curvature of theory lies outside the interval of the measured one; None if it is unknown."""
+        """Whether theory's curvature lies outside the interval of the measured curvature. None if it is unknown."""
         ends = self.curvature_low, self.curvature_high
         if self.curvature_theory is None or ends[0] is None or ends[1] is None:
             return None
@@ -335,9 +336,9 @@ class Cause(Record):
 
 
 class RecordingFault(Record):
-    """Fault of the recordings of an experiment: number of trials, evidence of the first one, and remedy.
+    """Fault of the recordings of an experiment: number of trials, evidence of the first trial, and remedy.
 
-    ``logs`` contains the names of the first ones.
+    ``logs`` contains the names of the first logs with the fault.
     """
 
     code: FindingCode
@@ -355,9 +356,9 @@ class RecordingFault(Record):
 
 
 class LoopFindings(Record):
-    """Loop, limits, passive wall and causes of one experiment; a missing result is None, with a reason.
+    """Loop, limits, passive wall and causes of an experiment. A missing result is None, with a reason.
 
-    ``loop`` is None if nothing requested needs a device. ``optimum`` states for each optimum whether it is passive.
+    ``loop`` is None if no requested result needs a device. ``optimum`` states for each optimum whether it is passive.
     """
 
     loop: LoopResult | None = None
@@ -374,7 +375,7 @@ class LoopFindings(Record):
 class Truth(Record):
     """Ground truth of a simulated experiment: its loop, jitter [samples] and constant force [N, Nm].
 
-    The delay of ``loop`` is the mean delay of the applied command, ``jitter_samples`` its standard deviation.
+    The delay of ``loop`` is the mean delay of the applied command, and ``jitter_samples`` its standard deviation.
     ``limit_reason`` states why the limits of the loop are unknown.
     """
 
@@ -387,7 +388,7 @@ class Truth(Record):
     def values(self) -> dict[str, float | None]:
         """True values by the names of estimates, as effective values at the wall, per unit of command.
 
-        With an actuator lag there is no true delay: logs show only the sum of both.
+        With an actuator lag there is no true delay, because logs show only the sum of both.
         """
         device = self.loop.loop.apparent()
         return {
@@ -402,7 +403,7 @@ class Truth(Record):
 
 
 class TruthHeld(Record):
-    """Number of 95 % intervals with a known truth (simulations), and how many of them contain it."""
+    """Number of 95 % intervals with a known truth (in simulations), and number of those that contain it."""
 
     estimates: int
     estimates_held: int
@@ -411,7 +412,7 @@ class TruthHeld(Record):
 
 
 class CostRange(Record):
-    """Costs of those ``trials`` that have one: median, smallest and largest value."""
+    """Costs of those ``trials`` that have one: median, smallest and largest cost."""
 
     median: float
     low: float
@@ -420,14 +421,14 @@ class CostRange(Record):
 
 
 STIFFEST = "stiffness"
-"""Selection of walls if no cost is available: the stiffest ones that are far from the limit."""
+"""Selection of walls if no cost is available: the stiffest walls that are far from the limit."""
 
 
 class UsePoint(Record):
-    """Recommended tested wall of a region, with the costs of its trial and the margin of the limit over its stiffness.
+    """Recommended tested wall of a region, with the costs of its trial and the ratio of the limit to its stiffness.
 
-    ``margin_large_motion`` is that for large motions, if friction was found. ``better`` names the trial of the least
-    cost, and why it was not chosen; empty if this one has the least cost.
+    ``margin_large_motion`` is this ratio for large motions, if friction was found. ``better`` names the trial of the
+    least cost, and why it was not chosen. It is empty if this trial has the least cost.
     """
 
     stiffness: float
@@ -442,10 +443,11 @@ class UsePoint(Record):
 class UseRegion(Record):
     """Recommended walls: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] with only stable trials.
 
-    ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
-    probability of (n - 1)/(n + 1) for the n trials with that cost. ``margin`` is the lower end of the measured limit
-    divided by the largest stiffness of the region, minimised over its dampings; it is a lower bound if ``bound``.
-    ``criterion`` is the criterion of the choice, `STIFFEST` if no cost is available. ``point`` is the recommended wall.
+    ``costs`` are the costs of its ``trials``, by criterion. The cost of a further trial there lies between ``low`` and
+    ``high`` with probability (n - 1)/(n + 1), for n trials with this cost. ``margin`` is the lower end of the measured
+    limit divided by the largest stiffness of the region, minimised over its dampings. It is a lower bound if ``bound``
+    is true. ``criterion`` is the criterion of the choice, or `STIFFEST` if no cost is available. ``point`` is the
+    recommended wall.
     """
 
     criterion: str
@@ -461,14 +463,15 @@ class UseRegion(Record):
 
 
 class AnswerEstimate(Quantity):
-    """Quantity of the first screen with its 95 % interval; an end is null if it is unbounded.
+    """Quantity of the first screen with its 95 % interval. An end is null if it is unbounded.
 
-    The value is null for friction that was not found: ``high`` is the largest value compatible with the logs. If this
-    is unknown as well, ``reason`` states why, and what to record. ``large_motion`` is the linear limit of a device with
-    friction, above which a harder push is unstable. For the replay, the value is the share of correct verdicts at walls
-    that were not used for the fit, and ``limits_off_percent`` the median error of its limits; if measured limits are
-    less accurate, ``limits_known_percent`` is their uncertainty to either side. ``damping`` is that of the largest
-    limit, ``at_last_damping`` is true if it is the largest tested one: there may be a larger limit beyond.
+    The value is null for friction that was not found. Then ``high`` is the largest value compatible with the logs; if
+    it is also unknown, ``reason`` states why and what to record. ``large_motion`` is the linear limit of a device with
+    friction, above which a larger step is unstable. For the replay, the value is the share of correct verdicts at walls
+    that were not used for the fit, and ``limits_off_percent`` is the median error of its limits. If measured limits are
+    less accurate, ``limits_known_percent`` is the half-width of their intervals. ``damping`` is the damping of the
+    largest limit. ``at_last_damping`` is true if it is the largest tested damping, so that a larger limit may exist
+    beyond it.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -480,11 +483,11 @@ class AnswerEstimate(Quantity):
 
 
 class ReachableCost(Record):
-    """Best settling time (2 %) that the delay alone allows, and the best one of the tested walls [samples].
+    """Best settling time (2 %) that the delay allows, and the best settling time of the tested walls [samples].
 
-    ``delay_samples`` is the whole delay from command to force, an actuator's lag included. ``per_sample`` is the gain
-    from one sample less of it; ``within`` is the largest error of the rule relative to the optimum of a device without
-    damping, which only lowers it. ``reached`` is null if no tested wall has a settling time.
+    ``delay_samples`` is the total delay from command to force, including an actuator's lag. ``per_sample`` is the gain
+    from one sample less of delay. ``within`` is the largest relative error of the rule for a device without damping;
+    damping only lowers the settling time. ``reached`` is null if no tested wall has a settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
     """
@@ -497,17 +500,18 @@ class ReachableCost(Record):
 
 
 class Prediction(Record):
-    """Agreement of theory with the device: distance of the measured limits from it, and of the costs on tested walls.
+    """Agreement of theory with the device: distance of the measured limits, and of the costs at tested walls.
 
-    ``percent`` is the median distance of ``limits`` limits, null if it is not a headline (`scores.agreement`). Limits
-    near K = 0 are left out, so that these are fewer than the ``dampings`` with trials. ``percent_with_friction`` is the
-    distance from the device with its friction, null if limits lie on both sides of it. Of ``bounded`` limits with an
-    interval, ``above`` and ``below`` deviate from theory by more than that. ``safe`` is true if all walls that are
-    stable in theory are stable. ``reason`` states why the agreement is unknown, if ``code`` is "unknown".
+    ``percent`` is the median distance over ``limits`` limits. It is null if it depends on single limits
+    (`scores.agreement`). Limits near K = 0 are left out, so that there are fewer limits than ``dampings`` with trials.
+    ``percent_with_friction`` is the distance from the device with its friction, null if limits lie on both sides of it.
+    Of ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than this interval.
+    ``safe`` is true if all walls that are stable in theory are stable. ``reason`` states why the agreement is unknown,
+    if ``code`` is "unknown".
 
-    ``boundary`` and ``optimal_costs`` are judged separately (6.3): the boundary is predicted if at most one limit in
-    twenty lies outside, and partly if the regions overlap well nevertheless; costs if their median deviation is at most
-    10 %, and partly up to 30 %.
+    ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
+    twenty lies outside, and partly predicted if the regions nevertheless overlap well. Costs are predicted if their
+    median deviation is at most 10 %, and partly predicted up to 30 %.
     """
 
     code: Literal["yes", "with_friction", "no", "unknown"]
@@ -528,7 +532,7 @@ class Prediction(Record):
 
 
 class NextWall(Record):
-    """Next wall requested by the planner, the reason, and the command that continues the plan."""
+    """Next wall that the planner recommends, the reason, and the command that continues the plan."""
 
     stiffness: float
     damping: float
@@ -537,7 +541,7 @@ class NextWall(Record):
 
 
 class TestedWall(Record):
-    """Tested wall, and decay rate of the motion at it."""
+    """Tested wall, and decay rate of its motion."""
 
     stiffness: float
     damping: float
@@ -545,12 +549,13 @@ class TestedWall(Record):
 
 
 class Answer(Record):
-    """First screen: recommended wall, its certainty, whether theory predicts it, the reason if not, and the next step.
+    """First screen: recommended wall, its certainty, whether theory predicts it, reasons for deviations, and the next
+    step.
 
-    ``experiment`` is the one described. If no wall is recommended, ``safest`` is the stable tested one whose motion
-    decays fastest. ``spacing_percent`` is the spacing of the tested walls if theory's optimum lies between them. If
-    ``next`` is null without ``next_reason``, verdicts bracket the limits at ``limits_told`` of the ``limits_wanted``
-    dampings, and cannot at the others.
+    ``experiment`` is the experiment described. If no wall is recommended, ``safest`` is the stable tested wall whose
+    motion decays fastest. ``spacing_percent`` is the spacing of the tested walls if theory's optimum lies between them.
+    If ``next`` is null without ``next_reason``, verdicts bracket the limits at ``limits_told`` of the ``limits_wanted``
+    dampings, and cannot bracket the others.
     """
 
     experiment: str
@@ -570,10 +575,10 @@ class Answer(Record):
 
 
 class HeaderLine(Record):
-    """Header line known only to the lab, such as firmware or grease: number of trials, and values.
+    """Header line that the pipeline does not use, such as firmware or grease: number of trials, and values.
 
-    ``values`` contains at most a few of them with their numbers of trials, most frequent first; ``different`` counts
-    all.
+    ``values`` contains the most frequent values with their numbers of trials. ``different`` is the number of all
+    values.
     """
 
     key: str
@@ -583,9 +588,9 @@ class HeaderLine(Record):
 
 
 class MeasuredExperiment(Record):
-    """Results of one experiment by its logs alone: verdicts, estimates, boundary, optima and faults of the recordings.
+    """Results of an experiment from its logs: verdicts, estimates, boundary, optima and faults of the recordings.
 
-    ``sampling_period_s`` is null if the trials have several.
+    ``sampling_period_s`` is null if the trials have different periods.
     """
 
     experiment: str
@@ -606,15 +611,16 @@ class MeasuredExperiment(Record):
 
     @property
     def stiffest(self) -> BoundaryPoint | None:
-        """Limit with the largest stable stiffness, None if no trial is stable."""
+        """Limit with the largest stable stiffness, or None if no trial is stable."""
         known = [point for point in self.boundary if point.stable is not None]
         return max(known, key=lambda point: (point.stable, point.damping), default=None)
 
 
 class ExperimentNumbers(MeasuredExperiment, LoopFindings):
-    """All results for one experiment, except the first screen.
+    """All results for an experiment, except the first screen.
 
-    ``use_reason`` states why no wall is recommended, or by what the wall was chosen if not by costs of its region.
+    ``use_reason`` states why no wall is recommended, or how the wall was chosen if the costs of its region did not
+    select it.
     """
 
     theory: SourcedLoop | None = None
@@ -626,7 +632,8 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
 
     @property
     def delay(self) -> Estimate:
-        """Delay from the logs: as fitted unless the walls contradict the loop, else the integer factor (6.3)."""
+        """Delay from the logs: the fitted delay unless walls contradict the loop, otherwise the integer factor
+        (6.3)."""
         factor = self.estimates["delay_samples"]
         fitted = factor.by_method.get("model")
         if fitted is None or fitted.value is None or self.loop is None:
@@ -637,7 +644,7 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
 
 
 class ExperimentResult(ExperimentNumbers):
-    """All results for one experiment."""
+    """All results for an experiment."""
 
     answer: Answer | None = None
 
@@ -645,8 +652,8 @@ class ExperimentResult(ExperimentNumbers):
 class LogList(Record):
     """Logs of an experiment.
 
-    ``files`` is the SHA-256 of each by its path below ``folder``, ``sha256`` that of all of them together (sorted, one
-    a line), ``samples`` a hash of their stored samples.
+    ``files`` has the SHA-256 of each log by its path below ``folder``. ``sha256`` is the hash of all these hashes
+    (sorted, one per line). ``samples`` is a hash of their stored samples.
     """
 
     experiment: str
@@ -692,7 +699,7 @@ Plane = Literal["physical", "normalised"]
 
 
 class Side(Record):
-    """One of the two sides: device, experiment, version and hash of its code, excluded trials, notes."""
+    """One of two sides of a comparison: device, experiment, version and hash of its code, excluded trials, notes."""
 
     device: str
     experiment: str
@@ -711,8 +718,8 @@ class Side(Record):
 class ValueDifference(Record):
     """Quantity with its 95 % intervals on both sides.
 
-    ``difference`` is second minus first with its interval. ``significant`` is true if that interval excludes zero; None
-    with a ``reason`` if it is unknown.
+    ``difference`` is second minus first, with its interval. ``significant`` is true if this interval excludes zero. It
+    is None, with a ``reason``, if it is unknown.
     """
 
     part: Literal["estimates", "optima", "scores"]
@@ -728,7 +735,7 @@ class ValueDifference(Record):
 
 
 class LimitDifference(Record):
-    """Stability limit at one damping: stiffness of both sides, in the plane of the comparison."""
+    """Stability limit at a damping: stiffness of both sides, in the plane of the comparison."""
 
     damping: float
     first: float
@@ -738,10 +745,10 @@ class LimitDifference(Record):
 
 
 class BoundaryDifference(Record):
-    """Boundaries over the dampings common to both; ``interpolated`` if the second was tested at others.
+    """Boundaries over the dampings that both have. ``interpolated``: the second experiment has other dampings.
 
-    ``median_percent`` and ``largest_percent`` are (second - first)/first. ``significant`` of the ``judged`` dampings,
-    those with intervals on both sides, differ.
+    ``median_percent`` and ``largest_percent`` are (second - first)/first. ``judged`` is the number of dampings with
+    intervals on both sides. The limits differ significantly at ``significant`` of them.
     """
 
     median_percent: float
@@ -754,9 +761,9 @@ class BoundaryDifference(Record):
 
 
 class CostDifference(Record):
-    """Costs of the trials at the same (K, B): median of second over first, with its 95 % interval, and how many points.
+    """Costs of the trials at the same (K, B): median of second over first with its 95 % interval, and number of points.
 
-    For the overshoot, which may be zero, ``median`` is the difference instead of the ratio (``kind``).
+    For the overshoot, which may be zero, ``median`` is the difference instead of the ratio (see ``kind``).
     """
 
     criterion: str
@@ -785,18 +792,18 @@ class PairDifference(Record):
 
     @property
     def labels(self) -> tuple[str, str]:
-        """Names of both sides, even if they are one experiment before and now."""
+        """Names of both sides. They differ even if both sides are the same experiment, before and now."""
         a, b = self.first.label, self.second.label
         return (a, b) if a != b else (f"{a} before", f"{a} now")
 
     @property
     def simulated(self) -> bool:
-        """Whether the logs of a side are simulated."""
+        """Whether the logs of either side are simulated."""
         return self.first.simulated or self.second.simulated
 
 
 class AgainstResult(Record):
-    """Document that `pipeline compare --against ... --json` prints: one entry per pair of experiments."""
+    """Document that `pipeline compare --against ... --json` prints, with an entry for each pair of experiments."""
 
     title: str
     pairs: tuple[PairDifference, ...]

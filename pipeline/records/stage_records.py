@@ -1,4 +1,4 @@
-"""Stored rows of the stages of the measured branch: the fields of a record are the columns of its table, in order.
+"""Stored rows of the stages for logs. The fields of a record are the columns of its table, in order.
 
 Units and meanings of the columns are in `tables.COLUMNS`. A missing value is NaN, a negative row number or an empty
 text, and is stored as null.
@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 OF_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
-"""Columns that identify a row in all stages with one row per trial."""
+"""Columns that identify a row in all stages with one row for each trial."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ResponseRow:
 
 @dataclass(frozen=True)
 class WallLawRow:
-    """Comparison of the command of a trial with the wall law, and the wall that it obeys if it is another."""
+    """Comparison of the command of a trial with the wall law, and the wall that it follows if it is another wall."""
 
     law_residual: float
     law_rounding: float
@@ -53,12 +53,12 @@ class OutcomeRow:
     outcome : str
         One of `outcome.OUTCOMES`.
     evidence : str
-        One sentence with its numbers in SI units.
+        A sentence with numbers in SI units.
     outcome_row : int
-        First row of the evidence: in the band for good, first clipped, first at the stop or outside the travel, first
-        disturbed; -1 if there is none.
+        First row of the evidence: the first row in the band (good), the first clipped row, the first row at the stop or
+        outside the travel, or the first disturbed row. -1 if there is none.
     band : float
-        Half-width of the band about the final position [m, rad]; NaN if K <= 0.
+        Half-width of the band about the final position [m, rad], or NaN if K <= 0.
     amplitude_end : float
         Half the range of the last fifth of the response [m, rad].
     """
@@ -72,7 +72,10 @@ class OutcomeRow:
 
 @dataclass(frozen=True)
 class PartsRow:
-    """Parts of the device from some trials, and starting point of its fit to all; only ``reason`` if there is none."""
+    """Parts of the device from some trials, and starting point of its fit to all trials.
+
+    Without parts, only ``reason``.
+    """
 
     start_names: Sequence[str] | None = None
     start_values: Sequence[float] | None = None
@@ -95,7 +98,7 @@ class PartsRow:
 
 @dataclass(frozen=True)
 class DeviceRow:
-    """Device identified from all trials of an experiment; all fields except ``reason`` are None if there is none."""
+    """Device identified from all trials of an experiment. Without a device, all fields except ``reason`` are None."""
 
     parameter_names: Sequence[str] | None = None
     parameter_values: Sequence[float] | None = None
@@ -128,7 +131,10 @@ class DeviceRow:
 
 @dataclass(frozen=True)
 class ModelRow:
-    """Mass, damping and delay from a single trial; None, with a reason, if it does not identify them."""
+    """Mass, damping and delay from a single trial.
+
+    They are None, with a reason, if the trial does not identify them.
+    """
 
     trial_id: str
     samples_sha256: str
@@ -153,7 +159,7 @@ class DelayRow:
 
 @dataclass(frozen=True)
 class MassRow:
-    """Mass of a trial from the momentum balance: over its window, twice that window, and the second half of it."""
+    """Mass of a trial from the momentum balance over its window, over twice this window, and over its second half."""
 
     mass_momentum: float
     mass_momentum_longer: float
@@ -163,7 +169,7 @@ class MassRow:
 
 @dataclass(frozen=True)
 class OvershootRow:
-    """Overshoot of a trial with its interval, and the apparent overshoot due to its sensor alone."""
+    """Overshoot of a trial with its interval, and the apparent overshoot due to the sensor alone."""
 
     overshoot: float
     overshoot_low: float
@@ -223,7 +229,7 @@ class EnergyRow:
 
 @dataclass(frozen=True)
 class OtherCostRow:
-    """Cost of a trial with its interval, by a criterion that no column stores."""
+    """Cost of a trial with its interval, for a criterion without stored column."""
 
     cost: float
     cost_low: float
@@ -252,7 +258,7 @@ ROWS: Mapping[str, type[TrialRow | ExperimentRow]] = {
 """Record of each stage except the boundary, whose rows are those of `BoundaryPoint`."""
 
 BOUNDARY = ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials", "undecided")
-"""Columns of the measured boundary; the other fields of a point are known only in a comparison."""
+"""Columns of the measured boundary. Other fields of a point are known only in a comparison."""
 
 
 def columns_of(stage: str) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""Trials of an experiment: conditions of each trial, and the rows of all trials in flat arrays.
+"""Trials of an experiment: conditions of each trial, and the rows of all trials in flat arrays without padding.
 
-There is no padding. A trial is a view of its rows; a measurement is a function of one trial.
+A trial is a view of its rows, and a measurement is a function of one trial.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
 
 NO_STEP_ROW = -1
-"""Stored row of the command edge of a trial that does not declare one."""
+"""Stored row of the command edge of a trial that does not declare it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One step response.
+    """A step response.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ class Trial:
     time, command, position : float64, shape (rows,)
         Time stamps [s], total commanded force before any delay [N, Nm], measured position [m, rad].
     force, velocity : float64, shape (rows,), optional
-        Measured force [N, Nm] and velocity as logged [m/s, rad/s]. Nothing is computed from a logged velocity, because
-        its filters and lags are unknown.
+        Measured force [N, Nm] and logged velocity [m/s, rad/s]. Nothing is computed from a logged velocity, because its
+        filters and lags are unknown.
     step_row : int, optional
-        Declared row of the command edge; None if it is detected from the log.
+        Declared row of the command edge. If it is None, the edge is detected in the log.
     integrated : bool
-        Whether positions are integrals of a sensor's velocity, so that their grid is not that of a sensor.
+        Whether positions are integrals of a sensor's velocity, so that they do not lie on the grid of a sensor.
 
     Examples
     --------
@@ -75,19 +75,19 @@ class Trial:
 
     @property
     def displacement(self) -> Floats:
-        """Position relative to the first one, the rest position of the wall, shape (rows,) [m, rad]."""
+        """Position relative to the first position, which is the rest position of the wall, shape (rows,) [m, rad]."""
         return self.position - self.position[:1]
 
     @property
     def samples(self) -> dict[str, Floats]:
-        """Arrays of the trial by name; measured force and velocity only if available."""
+        """Arrays of the trial by name. Measured force and velocity are included if available."""
         named = {"time": self.time, "command": self.command, "position": self.position}
         optional = {"force": self.force, "velocity": self.velocity}
         return named | {name: values for name, values in optional.items() if values is not None}
 
     @cached_property
     def digest(self) -> str:
-        """Hash of name, conditions and samples: equal for equal values, however they are stored."""
+        """Hash of name, conditions and samples. It depends only on the values, not on how they are stored."""
         conditions = [self.stiffness, self.damping, self.step, self.sampling_period_s]
         declared = NO_STEP_ROW if self.step_row is None else self.step_row
         result = sha256(self.trial_id.encode())
@@ -102,7 +102,7 @@ class Trial:
         return result.hexdigest()[:16]
 
     def window(self, first: int, rows: int) -> Trial:
-        """Return ``rows`` rows, starting at ``first``; a declared step row is counted from there."""
+        """Return a trial with ``rows`` rows from ``first`` on. A declared step row is counted from ``first``."""
         inside = slice(first, first + rows)
         step_row = None if self.step_row is None else self.step_row - first
         samples: dict[str, Any] = {name: values[inside] for name, values in self.samples.items()}
@@ -124,14 +124,14 @@ class Trials:
     stiffness, damping, step, sampling_period_s : float64, shape (n,)
         As in `Trial`.
     offsets : int64, shape (n + 1,)
-        Rows of trial i are ``offsets[i]`` to ``offsets[i + 1]`` of the flat arrays.
+        The rows of trial i are ``offsets[i]`` to ``offsets[i + 1]`` of the flat arrays.
     time, command, position : float64, shape (rows of all trials,)
     force, velocity : float64, shape (rows of all trials,), optional
-        NaN in the rows of trials without it; None if no trial has it.
+        NaN in the rows of trials that lack it, or None if no trial has it.
     step_row : int64, shape (n,), optional
-        -1 for trials that do not declare one; None if no trial does.
+        Declared row of each trial, -1 if it is not declared, or None if no trial declares it.
     integrated : bool, shape (n,), optional
-        None if no trial has integrated positions.
+        Whether positions are integrals, or None if this applies to no trial.
 
     Examples
     --------
@@ -162,7 +162,7 @@ class Trials:
         return (self[place] for place in range(len(self)))
 
     def __getitem__(self, place: int) -> Trial:
-        """Return a trial, whose arrays are views."""
+        """Return a trial. Its arrays are views."""
         inside = slice(int(self.offsets[place]), int(self.offsets[place + 1]))
         declared = NO_STEP_ROW if self.step_row is None else int(self.step_row[place])
         return Trial(
@@ -196,12 +196,12 @@ class Trials:
         return digest_all(self.digests)
 
     def select(self, places: Sequence[int] | Integers | Booleans) -> Trials:
-        """Return the trials at given places, in that order, or those for which a mask is true."""
+        """Return the trials at the given places, in this order, or the trials for which a mask is true."""
         return Trials.of([self[place] for place in np.arange(len(self))[np.asarray(places)].tolist()])
 
     @classmethod
     def of(cls, trials: Iterable[Trial]) -> Trials:
-        """Return trials with their rows joined."""
+        """Return trials with their rows concatenated."""
         listed = list(trials)
         declared = np.array([NO_STEP_ROW if each.step_row is None else each.step_row for each in listed], np.int64)
         integrated = np.array([each.integrated for each in listed], np.bool_)
@@ -223,7 +223,7 @@ class Trials:
 
 
 def _present(values: Floats) -> Floats | None:
-    """Return optional samples of a trial; None if it has none."""
+    """Return optional samples of a trial, or None if it has none."""
     return None if np.isnan(values).all() else values
 
 
@@ -232,7 +232,7 @@ def _joined(parts: Sequence[Floats]) -> Floats:
 
 
 def _joined_where_present(parts: Sequence[Floats | None], trials: Sequence[Trial]) -> Floats | None:
-    """Return optional samples of all trials, NaN for those without; None if no trial has any."""
+    """Return optional samples of all trials, with NaN for trials without them, or None if no trial has them."""
     if all(values is None for values in parts):
         return None
     return _joined(

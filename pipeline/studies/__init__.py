@@ -1,1 +1,1 @@
-"""Studies of the package itself: recomputed tables of the thesis, and error against run time."""
+"""Studies of the package: recomputed tables of the thesis, and error against run time of its methods."""

@@ -1,6 +1,6 @@
 """Tables D.1 to D.6: recomputed rows of theory, and deviations of the printed measurements from theory.
 
-No logs are needed. Marks are those of `pipeline.studies.thesis_tables`.
+No logs are needed. The marks are those of `pipeline.studies.thesis_tables`.
 
 Source: Hulin 2017, appendix D.
 """
@@ -28,7 +28,7 @@ from pipeline.theory.optimum import optimal_point
 from pipeline.theory.search import OptimalPoint
 
 DECIMALS = {"stiffness": 0, "damping": 2, "cost": 2}
-"""Number of printed decimals of Tables D.1 to D.5; that of Table D.6 depends on its costs."""
+"""Number of printed decimals in Tables D.1 to D.5. In Table D.6 it depends on the costs."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class PrintedOptimum:
     table, device, criterion, condition : str
         As in `pipeline.device_data.published.PublishedRow`.
     delay : float
-        Total delay in samples.
+        Total delay [samples].
     entries : tuple of Entry
-        For theory, each printed number with the computed one; empty for a measurement.
+        For theory, each printed number with the computed number. Empty for a measurement.
     printed : dict
         All printed numbers of the row: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost (overshoot in %).
     deviation_percent : float or None
-        For a measurement, deviation of its printed cost from the printed one of the discrete theory; None if that is 0.
+        For a measurement, the deviation of its printed cost from that of discrete theory. None if theory's cost is 0.
     """
 
     table: str
@@ -60,12 +60,12 @@ class PrintedOptimum:
 
 
 def printed_optima(table: str) -> tuple[int, Iterator[PrintedOptimum]]:
-    """Return the number of rows of a table, and an iterator over its rows as they are finished.
+    """Return the number of rows of a table, and an iterator over the rows, which are computed one by one.
 
     Raises
     ------
     ParameterError
-        For a table outside `MEASURED_TABLES`.
+        If the table is not in `MEASURED_TABLES`.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def _recomputed(row: PublishedRow) -> PrintedOptimum:
 
 
 def _published_loop(row: PublishedRow) -> Loop:
-    """Return the loop for the theory of a table; for Table D.6, the loop of each delay."""
+    """Return the loop for the theory of a table. Table D.6 has a loop for each delay."""
     device = load_device(row.device)
     layout = next(table for table in device.tables if table.name == row.table)
     for experiment in device.experiments:

@@ -1,9 +1,9 @@
 """Recomputed Tables B.1 to B.4, C.1 to C.3 and 5.1, next to the printed numbers.
 
-Every printed number gets one mark. ``equal``: the computed number rounds to it. ``within``: it differs within one of
-three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be reproduced, for a reason
-stored with the printed number. ``unexplained``: none of these. Nothing is tuned to the print: computed numbers depend
-only on the parameters of the loop and the criterion.
+Every printed number has one mark. ``equal``: the computed number rounds to it. ``within``: it differs within one of
+three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be reproduced, and the reason is
+stored with the printed number. ``unexplained``: none of these applies. Computed numbers depend only on the parameters
+of the loop and the criterion; nothing is tuned to the printed numbers.
 
 Source: Hulin 2017, Table 5.1, appendices B and C.
 """
@@ -30,40 +30,40 @@ Mark = Literal["equal", "within", "erratum", "unexplained"]
 MARKS: tuple[Mark, ...] = ("equal", "within", "erratum", "unexplained")
 
 ROUNDING = "rounding"
-"""Within one unit of the last printed digit: half of it is rounding, the other half the error of the printed result."""
+"""Within one unit of the last printed digit. Half of it is rounding, the other half the error of the printed result."""
 
 FLAT = "flat optimum"
-"""Among the points that round to the printed one, one has the optimal cost to the printed digits of the cost."""
+"""One of the points that round to the printed point has the optimal cost, to the printed digits of the cost."""
 
 LIMIT = "limit"
 """The optimum is a limit on alpha = -gamma, and the printed cost is that of a point whose alpha rounds to -gamma."""
 
 _SLACK = 1e-6
-"""Tolerance, as a fraction of a unit, for differences of half a unit: rounding of the decimal fraction may make them
-larger."""
+"""Tolerance, as a fraction of a unit, for differences of half a unit. Rounding of the decimal fraction may increase
+them."""
 
 _BOX = 11
-"""Number of points along each axis of the box of points that round to the printed one."""
+"""Number of points along each axis of the box of points that round to the printed point."""
 
 _LONGEST = 120
-"""Largest number of samples of a response; poles and energies, the criteria evaluated here, do not need more."""
+"""Largest number of samples of a response. The criteria evaluated here, poles and energies, do not need more."""
 
 _NEAR = 5e-5
 """Largest alpha + gamma that rounds to 0 in the four printed digits of alpha in Tables C."""
 
 
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
-"""Sign after a computed number."""
+"""Sign after a computed number, by mark."""
 
 LEGEND = "~ within one unit of the last printed digit, or as stated below; ! erratum; ? unexplained"
 
 _MORE = 2
-"""Number of digits of a computed number beyond the printed ones: enough to show how it rounds."""
+"""Number of digits of a computed number in addition to the printed digits, which shows how it rounds."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A printed number with the computed one.
+    """A printed number with the computed number.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class TheoryRow:
     table, criterion : str
     delay, gamma, delta : float
     attained : bool
-        False where the optimum is a limit that no stable point reaches.
+        False if the optimum is a limit that no stable point reaches.
     entries : tuple of Entry
         All printed numbers of the row.
     """
@@ -115,7 +115,7 @@ def recompute(point: PublishedPoint) -> TheoryRow:
     Raises
     ------
     ParameterError
-        For an unknown criterion.
+        If the criterion is unknown.
     """
     loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     attained = True
@@ -155,7 +155,7 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
 
 
 def mark_of(computed: float, printed: PrintedNumber) -> tuple[Mark, str | None]:
-    """Return the mark of a computed number by its distance from the printed one, and the tolerance that it needs.
+    """Return the mark of a computed number from its distance to the printed number, and the tolerance that it needs.
 
     >>> mark_of(13.844, PrintedNumber("13.84")), mark_of(13.848, PrintedNumber("13.84"))
     (('equal', None), ('within', 'rounding'))
@@ -167,8 +167,10 @@ def mark_of(computed: float, printed: PrintedNumber) -> tuple[Mark, str | None]:
 
 
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
-    """Return the finding among the points that round to the printed one, if one of them has the optimal cost to the
-    printed digits."""
+    """Return a finding if a point that rounds to the printed point has the optimal cost to the printed digits.
+
+    Otherwise, return None.
+    """
     loop, printed = NormalisedLoop.ideal(point.gamma, point.delta, point.delay), point.printed()
     continuous = point.criterion == "pole_radius" or criterion_of(point.criterion).family is ENERGY
     if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
@@ -182,13 +184,13 @@ def _flatness(point: PublishedPoint, optimal: float) -> str | None:
     least = float(cost(np.repeat(alpha, _BOX), np.tile(beta, _BOX), np.inf).min())
     if abs(least - optimal) > 0.5 * printed["cost"].unit:
         return None
-    return f"the cost of a point that rounds to the printed one is {least:.7g}, that of the optimum {optimal:.7g}"
+    return f"the cost of a point that rounds to the printed point is {least:.7g}, the optimal cost is {optimal:.7g}"
 
 
 def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, float], factor: float) -> str | None:
-    """Return the cost next to the line alpha = -gamma, in words, if the printed one lies between it and the limit.
+    """Return a text with the cost next to the line alpha = -gamma, if the printed cost lies between it and the limit.
 
-    ``factor`` converts costs to the printed number: 1 for a cost.
+    ``factor`` converts costs to the printed number. It is 1 for a cost.
     """
     loop = NormalisedLoop.ideal(point.gamma, point.delta, point.delay)
     if not point.criterion.startswith("energy_impulse_w0"):
@@ -208,11 +210,11 @@ def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[s
     Raises
     ------
     ParameterError
-        For an unknown table.
+        If a table is unknown.
 
     Notes
     -----
-    About 30 s on one core for C.1 to C.3, 4 s for 5.1, and half a second for each of B.1 to B.4.
+    The computation takes about 30 s on one core for C.1 to C.3, 4 s for 5.1, and half a second for each of B.1 to B.4.
     """
     points = published_points(tables)
     for name in tables:
@@ -252,7 +254,7 @@ def _cells(row: TheoryRow, names: Sequence[str]) -> dict[str, Any]:
 
 def _computed(entry: Entry) -> str:
     digits = PrintedNumber(entry.printed).digits + _MORE
-    # adding 0.0 turns a -0.0 by rounding into 0.0
+    # Adding 0.0 turns a -0.0 due to rounding into 0.0.
     return f"{round(entry.computed, digits) + 0.0:.{digits}f}{SIGNS[entry.mark]}"
 
 
@@ -269,7 +271,7 @@ def _counts(rows: Sequence[TheoryRow]) -> str:
 
 
 def summary_line(rows: Sequence[TheoryRow]) -> str:
-    """Return a summary: how many of the printed numbers have each mark."""
+    """Return a summary with the number of printed numbers for each mark."""
     return f"{sum(len(row.entries) for row in rows)} printed numbers: {_counts(rows)}. ({LEGEND}.)"
 
 
@@ -279,7 +281,7 @@ def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
         "marks": list(MARKS),
         "tolerances": {
             ROUNDING: "within one unit of the last printed digit",
-            FLAT: "a point that rounds to the printed one has the optimal cost to its printed digits",
+            FLAT: "a point that rounds to the printed point has the optimal cost to the printed digits",
             LIMIT: "the printed cost is that of a point whose alpha rounds to the limit alpha = -gamma",
         },
         "count": dict(count_marks(rows)),

@@ -88,7 +88,7 @@ def test_costs_need_their_corrections(measured: MeasuredAccuracy) -> None:
     # noise weighted by k^2 swamps the sum over a whole log; with 60 um even that without weight
     whole, complete = (errors(measured, "energy, w = 2", method) for method in ("sum over the whole log", COMPLETE))
     assert complete["400 rows"] < 0.02 < whole["400 rows"]
-    quanta = errors(measured, "energy, w = 0, over the sensor's quantum", "sum over the whole log")
+    quanta = errors(measured, "energy, w = 0, over sensor resolution", "sum over the whole log")
     assert quanta["6e-05 m"] > 10 * quanta["2e-06 m"]
 
 

@@ -131,7 +131,7 @@ def test_a_limit_may_have_been_printed_from_a_point_beside_it() -> None:
 
 @pytest.mark.slow
 class TestErrata:
-    """What the file says about each erratum is so, by a second method where there is one."""
+    """What the file states about each erratum is so, by a second method where there is one."""
 
     @pytest.mark.parametrize(
         "point",

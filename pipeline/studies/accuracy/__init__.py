@@ -1,1 +1,1 @@
-"""Error against run time of every numerical method: of theory, and of the measured branch on simulated data."""
+"""Error against run time of every numerical method, for theory and for measurements of simulated data."""

@@ -17,13 +17,13 @@ from pipeline.theory.boundary import is_inside
 from pipeline.theory.poles import is_stable
 
 QUICK_DELAY = 64
-"""Largest delay of a quick run: the largest ones take longest."""
+"""Largest delay of a quick run. The largest delays take longest."""
 
 MARGINS = range(1, 15)
 """Relative distances 10^-k from the boundary."""
 
 Row = dict[str, Any]
-"""A point of a path: its abscissa x, the loop and wall there, and the exact values."""
+"""A point of a path: its abscissa x, its loop and wall, and the exact values."""
 
 Errors = Sequence[float | None]
 
@@ -31,7 +31,7 @@ _T = TypeVar("_T")
 
 
 def sweeps(quick: bool) -> Iterator[Sweep]:
-    """Yield all paths, each with all methods; a quick run stops at a delay of `QUICK_DELAY`."""
+    """Yield all paths with all methods. A quick run stops at a delay of `QUICK_DELAY`."""
     paths: dict[str, list[Row]] = reference()["sweeps"]
     longest = QUICK_DELAY if quick else LARGEST_DELAY
     paths = {name: [row for row in rows if row.get("delay", 0) <= longest] for name, rows in paths.items()}
@@ -52,7 +52,7 @@ def sweeps(quick: bool) -> Iterator[Sweep]:
 
 
 def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | None = None) -> float | None:
-    """Return the first x along the path at which a result is wrong."""
+    """Return the first x along the path at which a result is wrong, or None."""
     for i, (place, error) in enumerate(zip(x, errors, strict=True)):
         if error is None or error > WRONG or (wrong is not None and wrong[i]):
             return place
@@ -60,13 +60,13 @@ def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | Non
 
 
 def worst(errors: Errors) -> float | None:
-    """Return the largest error; None if a result is missing."""
+    """Return the largest error, or None if a result is missing."""
     known = [e for e in errors if e is not None]
     return max(known) if known and len(known) == len(errors) else None
 
 
 def _attempt(function: Callable[..., _T], *arguments: Any) -> _T | None:
-    """Return the result of a method; None if it fails."""
+    """Return the result of a method, or None if it fails."""
     try:
         with np.errstate(all="ignore"):
             return function(*arguments)
@@ -93,7 +93,7 @@ def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Row) ->
 
 
 def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Row]) -> Sweep:
-    """Return errors of the spectral radius, and wrong verdicts; this package does not judge by the radius."""
+    """Return errors of the spectral radius, and wrong verdicts. This package does not judge stability by the radius."""
     walls = [(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in path]
     found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
     stable = [radius is not None and radius < 1 for radius in found]
@@ -106,14 +106,14 @@ def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence
 
 
 def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float | None]:
-    """Return the relative error of each weight at one point; None for a weight without a number."""
+    """Return the relative error of each weight at a point, or None for a weight without a number."""
     found = np.asarray(of(case, np.array([row["alpha"]]), np.array([row["beta"]])))[:, 0]
     exact = [row[f"energy_step_w{w}"] for w in range(3)]
     return [abs(f - e) / e if np.isfinite(f) else None for f, e in zip(found.tolist(), exact, strict=True)]
 
 
 def _margins() -> Iterator[Sweep]:
-    """Yield shares of wrong verdicts at points a little inside and outside the boundary."""
+    """Yield shares of wrong verdicts at points slightly inside and outside the boundary."""
     case, loop = case_of(reference()["loop"]), normalised_loop(reference()["loop"])
     alpha, beta = (np.array(reference()["boundary"][name]) for name in ("alpha", "beta"))
     path = [{"x": 10.0**-k} for k in MARGINS]

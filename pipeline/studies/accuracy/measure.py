@@ -1,6 +1,6 @@
 """Tables of methods, and the measurement of a row: its error relative to the truth, and its run time.
 
-A table lists quantities with known exact values; a row is a method with its settings. Only `Table.rungs` runs and times
+A table has quantities with known exact values. A row is a method with its settings. Only `Table.rungs` runs and times
 methods.
 """
 
@@ -21,26 +21,26 @@ from pipeline.records.accuracy import Rung
 from pipeline.records.trials import Floats
 
 FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
-"""Exceptions of a method that cannot compute a number; any other exception is a defect."""
+"""Exceptions of a method that cannot compute a number. Any other exception is a defect."""
 
 _SHORT = 2e-3
-"""Run time [s] below which a single run is too short for the clock; it is then repeated inside the timed loop."""
+"""Run time [s] below which a single run is too short for the clock. Then the timed loop repeats it."""
 
 _T = TypeVar("_T")
 Values = dict[str, Floats]
 """Values or errors by quantity, shape (n,) each."""
 
 Summary = Callable[[Floats], tuple[float | None, float | None]]
-"""Summary of the errors, and the share of missing values if available."""
+"""Summary of the errors, and the share of missing values if it is available."""
 
 
 def largest(error: Floats) -> tuple[float | None, None]:
-    """Return the largest absolute error; a missing number counts as 1."""
+    """Return the largest absolute error. A missing number counts as 1."""
     return float(np.where(np.isfinite(error), np.abs(error), 1.0).max()), None
 
 
 def median(error: Floats) -> tuple[float | None, float]:
-    """Return the median of absolute errors (None without any), and the share of trials without a value (NaN)."""
+    """Return the median of absolute errors (None if there are none), and the share of trials without a value (NaN)."""
     known = np.abs(error[np.isfinite(error)])
     return (float(np.median(known)) if len(known) else None), 1 - len(known) / max(len(error), 1)
 
@@ -48,7 +48,7 @@ def median(error: Floats) -> tuple[float | None, float]:
 def mean(error: Floats) -> tuple[float | None, float]:
     """Return the mean of absolute errors and the share of missing values, in the form of `median`.
 
-    For integers, whose median error is 0 as soon as more than half of them are exact.
+    It is used for integers, whose median error is 0 if more than half of them are exact.
     """
     known = np.abs(error[np.isfinite(error)])
     return (float(known.mean()) if len(known) else None), 1 - len(known) / max(len(error), 1)
@@ -56,24 +56,24 @@ def mean(error: Floats) -> tuple[float | None, float]:
 
 @dataclass(frozen=True)
 class Row:
-    """A method: its name, its run, and its settings.
+    """A method with its name, its function, and its settings.
 
     Parameters
     ----------
     name : str
     run : callable
-        Returns values by quantity at a setting; without argument if there is only one setting.
+        Function that returns values by quantity for a setting. It has no argument if there is only one setting.
     words : str
-        Setting in words, with a placeholder for its value.
+        Text for a setting, with a placeholder for its value.
     settings : sequence
     quick : int or None
-        Number of settings in a quick run; None for all.
+        Number of settings in a quick run, or None for all.
     given : callable, optional
-        Makes the argument of ``run`` from a setting, before the timing starts.
+        Function that makes the argument of ``run`` from a setting, before the timing starts.
     of : tuple of str
-        Quantities of the table that the method computes; all if empty.
+        Quantities of the table that the method computes. If it is empty, the method computes all.
     needs : str
-        Optional library; without it the row is left out.
+        Optional library. If it is not installed, the row is left out.
     """
 
     name: str
@@ -86,7 +86,10 @@ class Row:
     needs: str = ""
 
     def runs(self, quick: bool) -> Iterator[tuple[str, Callable[[], Values]]]:
-        """Yield each setting in words with the call that runs it; empty if the library is not installed."""
+        """Yield the text of each setting and the call that runs it.
+
+        Nothing is yielded if the library is not installed.
+        """
         if self.needs and find_spec(self.needs) is None:
             return
         if not self.settings:
@@ -97,18 +100,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Quantities with their truth, and the methods compared with it.
+    """Quantities with their truth, and the methods that are compared with it.
 
     Parameters
     ----------
     exact : mapping of str to float64, shape (n,)
     rows : sequence of Row
     summary : callable
-        Of the errors.
+        Function that summarises the errors.
     scale : mapping of str to float64
-        Reference of relative errors, if other than the truth.
+        Reference of relative errors, if it differs from the truth.
     trials : int
-        Number of trials per run; the time of a rung is per trial.
+        Number of trials in a run. The time of a rung is divided by it.
     """
 
     exact: Mapping[str, Floats]
@@ -118,7 +121,7 @@ class Table:
     trials: int = 1
 
     def rungs(self, quick: bool, budget: float) -> Iterator[Rung]:
-        """Yield error and time of each row, setting and quantity; each run is repeated for ``budget`` seconds."""
+        """Yield error and time of each row, setting and quantity. Each run is repeated for ``budget`` seconds."""
         for row in self.rows:
             for setting, run in row.runs(quick):
                 begin, errors = time.perf_counter(), {}
@@ -149,9 +152,9 @@ def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[st
 
 
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
-    """Return the result of a call and the shortest time [s] of repeated calls, after an untimed first one.
+    """Return the result of a call, and the shortest time [s] of repeated calls after a first call without timing.
 
-    No repetition starts after ``budget`` seconds; a longer call is timed by its first run.
+    No repetition starts after ``budget`` seconds. A longer call is timed by its first run.
     """
     begin = time.perf_counter()
     result = run()

@@ -1,8 +1,8 @@
-"""Estimates and costs from logs: each method as a row of a table, compared with the simulated truth.
+"""Estimates and costs from logs. Each method is a row of a table and is compared with the simulated truth.
 
 The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors are medians over
-trials for estimates and means for costs. They are relative to the true value, except those of delays, in samples, and
-those of overshoot, as a fraction of the final displacement.
+trials for estimates, and means for costs. They are relative to the true value. Exceptions are errors of delays, in
+samples, and errors of overshoot, as a fraction of the final displacement.
 """
 
 from __future__ import annotations
@@ -36,26 +36,28 @@ from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.poles import spectral_radius
 
 DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)
-"""Delay [samples], and delays of the trials whose delay is estimated: the delay of a real controller is not an
-integer."""
+"""Delay [samples], and delays of the trials whose delay is estimated.
+
+The delay of a real controller is not an integer.
+"""
 
 USUAL_ROWS, ROWS = 400, (60, 100, 200, 400, 1000)
-"""Number of rows of a Falcon log, and of the compared logs; 20 of these rows are the baseline."""
+"""Number of rows of a Falcon log, and of the compared logs. The baseline has 20 of these rows."""
 
 WINDOWS_MS = (5, 10, 15, 30, 80)
-"""Windows of the momentum balance [ms]: a delay of 4 samples fills one of 5 ms."""
+"""Windows of the momentum balance [ms]. A delay of 4 samples fills a window of 5 ms."""
 
 QUANTA = (2e-6, 10e-6, 60e-6)
-"""Sensor resolution [m]: the shipped Falcon has 2 um, encoders of haptic devices 10 to 60 um."""
+"""Sensor resolutions [m]. The shipped Falcon has 2 um, encoders of haptic devices have 10 to 60 um."""
 
 SENSOR = Sensor(quantum=2e-6, noise=0.5e-6)
-"""Sensor of the shipped Falcon [m]; with other resolutions the noise is a quarter of the resolution, too."""
+"""Sensor of the shipped Falcon [m]. With other resolutions, the noise is also a quarter of the resolution."""
 
 SLOWEST, SLOWEST_COST = 0.999, 0.985
-"""Largest spectral radius of a trial, and of a trial with costs: 0.3 % of the motion remains at its end."""
+"""Largest spectral radius of a trial, and of a trial with costs. 0.3 % of the motion remains at its end."""
 
 LONGEST = 20000
-"""Number of samples within which the exact responses settle: a radius of `SLOWEST_COST` needs 1,000."""
+"""Number of samples within which the exact responses settle. A radius of `SLOWEST_COST` needs 1,000."""
 
 DELAY_OF, MASS, DAMPING = (f"{name} of a trial" for name in ("delay", "mass", "damping"))
 
@@ -65,12 +67,12 @@ MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
     "largest reading",
     "bias off, tail added",
 )
-"""Methods that comparisons prefer; they are highlighted in the figure."""
+"""Methods that comparisons prefer. The figure highlights them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """Simulated trials with the input of all estimators; ``delay`` (n,) is the true delay [samples]."""
+    """Simulated trials with the input of all estimators. ``delay`` (n,) is the true delay [samples]."""
 
     trials: Trials
     delay: Floats
@@ -89,7 +91,7 @@ class Logs:
 
     @property
     def samples(self) -> int:
-        """Integer delay factor."""
+        """The delay, rounded to an integer [samples]."""
         return round(float(self.delay[0]))
 
     @property
@@ -108,7 +110,7 @@ def truth(delay_samples: float = DELAY) -> tuple[Setup, LoopUnits, NormalisedLoo
 def drawn(
     count: int, seed: int, rows: int, sensor: Sensor = SENSOR, *, d: float = DELAY, slow: float = SLOWEST
 ) -> Logs:
-    """Return simulated trials with a delay d at random stable pairs below a spectral radius."""
+    """Return simulated trials with delay d at random stable pairs whose spectral radius is below ``slow``."""
     setup, units, loop = truth(d)
     random, last = np.random.default_rng(seed), boundary(loop).beta_max
     beta = random.uniform(0.03 * last, last, 8 * count)
@@ -128,7 +130,7 @@ def true_costs(logs: Logs) -> Values:
 
 
 def measured_tables(quick: bool = False) -> Iterator[Table]:
-    """Yield the tables of delay, of mass and damping, and of costs; a quick run has fewer trials and settings."""
+    """Yield the tables of delay, of mass and damping, and of costs. A quick run has fewer trials and settings."""
     count, lengths = (60, ROWS[1:4]) if quick else (300, ROWS)
     for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", Sensor(quantum=QUANTA[-1], noise=1e-6))):
         delays = DELAYS[::4] if quick else DELAYS
@@ -142,7 +144,7 @@ def measured_tables(quick: bool = False) -> Iterator[Table]:
     def with_quantum(quantum: float) -> Logs:
         return drawn(count, 51, USUAL_ROWS, Sensor(quantum=quantum, noise=quantum / 4), slow=SLOWEST_COST)
 
-    yield _costs(", over the sensor's quantum", logs, "{:.0e} m", QUANTA, with_quantum)
+    yield _costs(", over sensor resolution", logs, "{:.0e} m", QUANTA, with_quantum)
 
 
 def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
@@ -164,7 +166,7 @@ def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
 
 
 def by_model(of: Logs) -> Values:
-    """Return mass, damping and delay of each trial by maximum likelihood over all trials of equal delay."""
+    """Return mass, damping and delay of each trial, by maximum likelihood over all trials with equal delay."""
     values = np.full((len(of.delay), 2 * len(OWN)), np.nan)
     for delay in np.unique(of.delay):
         some = np.flatnonzero(of.delay == delay)
@@ -206,7 +208,7 @@ def _costs(
     settings: tuple[Any, ...],
     given: Callable[[Any], Logs],
 ) -> Table:
-    """Return the table of all costs over settings; ``given`` makes their trials, mass and delay are known."""
+    """Return the table of all costs over settings. ``given`` makes their trials. Mass and delay are known."""
     energies, weight, shared = tuple(COSTS)[2:], truth()[0].loop.mass, cache(given)
 
     def settling(of: Logs) -> list[Floats]:
@@ -246,7 +248,7 @@ def _costs(
 
 
 def reading_errors(of: Logs) -> list[ReadingError]:
-    """Return the reading error of each trial, with the sensor and usual gain of all trials."""
+    """Return the reading error of each trial, from the sensor and the usual gain of all trials."""
     names = ("sensor_noise", "sensor_quantum", "edge_row")
     sensor = sensor_error(*(np.array([getattr(response, name) for response in of.responses]) for name in names))
     logs = [(trial, response, of.samples) for trial, response, _ in of.measured]
@@ -255,9 +257,10 @@ def reading_errors(of: Logs) -> list[ReadingError]:
 
 
 def whole_sum(of: Logs, weight: float) -> list[Floats]:
-    """Return the discrete energy costs summed to the end of the log, as in a simple script, by weight.
+    """Return the discrete energy costs summed to the end of the log, by weight, as in a simple script.
 
-    sum of k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], k from the command edge plus the delay.
+    The sum is k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], with k from the command edge plus the
+    delay.
     """
     sums = []
     for trial, response, _ in of.measured:

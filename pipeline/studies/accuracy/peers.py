@@ -1,7 +1,7 @@
 """Common methods for limits, responses, costs and optima, with which `pipeline accuracy` compares this package.
 
-They are written as a careful user of numpy, scipy or python-control would write them, vectorised where possible, and
-share no code with the exact methods of the theory branch. Loops have an integer delay.
+They are written as a careful user of numpy, scipy or python-control would write them, and vectorised if possible. They
+share no code with the exact methods of theory. Loops have an integer delay.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from scipy.signal import cont2discrete, dlsim
 from pipeline.records.trials import Floats
 
 _NODES = 24
-"""Number of Gauss points per sample for the energy; exact to rounding for the plants of the ladder."""
+"""Number of Gauss points in a sample for the energy. It is exact up to rounding for the plants of the ladder."""
 
 _GRID = 11
-"""Number of grid points per axis and round of an iterative gridding; the next round spans two cells around the best."""
+"""Number of grid points per axis and round of an iterated gridding. The next round covers two cells around the best."""
 
 BAND = 0.02
 """Settling band of the ladder and of the reference values."""
@@ -75,9 +75,9 @@ def numerator(plant: Floats) -> tuple[float, float]:
 
 
 def printed_numerator(gamma: float, delta: float) -> tuple[float, float]:
-    """Return the same from the printed formula of the source.
+    """Return n1 and n0 from the printed formula of the source, which divides by gamma and c_1.
 
-    Source: Hulin 2017, eqs. 3.7 and 3.8. Divides by gamma and c_1.
+    Source: Hulin 2017, eqs. 3.7 and 3.8.
     """
     c1 = cmath.sqrt(delta * delta - 4 * gamma)
     c2, c3 = cmath.exp(-(delta + c1) / 2), cmath.exp(-(delta - c1) / 2)
@@ -89,7 +89,7 @@ def printed_numerator(gamma: float, delta: float) -> tuple[float, float]:
 
 
 def radius_by_roots(case: Case, alpha: Floats, beta: Floats) -> Floats:
-    """Return the largest root modulus of each characteristic polynomial, by one call of `np.roots` each.
+    """Return the largest root modulus of each characteristic polynomial, from one call of `np.roots` for each.
 
     Source: Hulin 2017, eq. 3.11.
     """
@@ -109,7 +109,7 @@ def held(delay: int) -> tuple[int, int]:
 
 
 def step_state(delay: int) -> Floats:
-    """Return the state at the step, shape (delay + 3,): all positions at distance one from the final one, at rest."""
+    """Return the state at the step, shape (delay + 3,). All positions are one unit below the final one, at rest."""
     start = np.full(delay + 3, -1.0)
     start[1] = 0.0
     return start
@@ -144,7 +144,7 @@ def radius_by_squaring(matrix: Floats, squarings: int) -> Floats:
 
 
 def _systems(case: Case, alpha: Floats, beta: Floats) -> Iterator[tuple[Any, ...]]:
-    """Yield state spaces (A, B, C, D, T) of the loop without input; the output is the position."""
+    """Yield state spaces (A, B, C, D, T) of the loop without input. The output is the position."""
     size = case.delay + 3
     for matrix in matrices(case, alpha, beta):
         yield matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0
@@ -166,7 +166,7 @@ def response_by_dlsim(case: Case, alpha: Floats, beta: Floats, samples: int) -> 
 def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return deviation, velocity and input at the start of each sample of a step, shape (samples, 3, n).
 
-    Deviations are from the final position, relative to the final displacement.
+    Deviations are measured from the final position, relative to the final displacement.
     """
     plant, states = plant_by_expm(case.gamma, case.delta), np.empty((samples, 3, len(alpha)))
     x, v = np.full(len(alpha), -1.0), np.zeros(len(alpha))
@@ -187,7 +187,7 @@ def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> t
 
 
 def settling_of(position: Floats, fine: int, band: float = BAND) -> Floats:
-    """Return the last entry into the band, linearly interpolated; NaN without one."""
+    """Return the time of the last entry into the band, interpolated linearly, or NaN if there is none."""
     outside = np.abs(position) > band
     last = len(position) - 1 - np.argmax(outside[::-1], axis=0)
     column = np.arange(position.shape[1])
@@ -211,8 +211,10 @@ def energy_of(position: Floats, velocity: Floats, case: Case, alpha: Floats, fin
 
 @cache
 def _forms(case: Case) -> list[tuple[Floats, Floats]]:
-    """Return the integrals of tau^w p p' over a sample, for position and velocity, by Gauss quadrature, for each
-    weight."""
+    """Return the integrals of tau^w p p' over a sample for each weight, for position and velocity.
+
+    They are computed by Gauss quadrature.
+    """
     nodes, weights = leggauss(_NODES)
     time = 0.5 * (nodes + 1)
     rows = np.array([expm(generator(case.gamma, case.delta) * t)[:2] for t in time])
@@ -234,7 +236,7 @@ def truncated_energy(case: Case, alpha: Floats, beta: Floats, samples: int) -> F
 
 
 def lyapunov_energy(case: Case, alpha: Floats, beta: Floats) -> Floats:
-    """Return the energy costs of a step from discrete Lyapunov equations (scipy), one per point, shape (3, n)."""
+    """Return the energy costs of a step from discrete Lyapunov equations (scipy), one for each point, shape (3, n)."""
     start, parts = step_state(case.delay), _forms(case)
     rows, (now, before) = np.zeros((3, len(start))), held(case.delay)
     rows[0, 0] = rows[1, 1] = 1.0
@@ -252,8 +254,7 @@ def lyapunov_energy(case: Case, alpha: Floats, beta: Floats) -> Floats:
 
 
 def sampled_costs(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
-    """Return settling time, overshoot and the three energies from the samples of a step of fixed length, shape (5,
-    n)."""
+    """Return settling time, overshoot and the three energies from samples of a step of fixed length, shape (5, n)."""
     x = response(case, alpha, beta, samples)[:, 0]
     k, energy = (
         np.arange(samples, dtype=np.float64),
@@ -265,7 +266,7 @@ def sampled_costs(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floa
 
 
 def bisect_limit(radius: Points, beta: Floats, high: float, tolerance: float) -> Floats:
-    """Return the largest stable alpha below ``high`` for each beta by a scan and bisection, batched."""
+    """Return the largest stable alpha below ``high`` for each beta, by a batched scan and bisection."""
     scan = np.linspace(0, high, _GRID)
     alpha, many = (g.ravel() for g in np.meshgrid(scan[1:-1], beta))
     stable = (radius(alpha, many) < 1).reshape(len(beta), -1)
@@ -279,9 +280,9 @@ def bisect_limit(radius: Points, beta: Floats, high: float, tolerance: float) ->
 
 
 def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Floats:
-    """Return the largest stable alpha for each beta as in the source: by poles on increasingly fine grids.
+    """Return the largest stable alpha for each beta by the method of the source, with poles on increasingly fine grids.
 
-    Source: Hulin 2017, sec. 3.4: poles of the transfer function (3.9) at each grid point.
+    Source: Hulin 2017, sec. 3.4, with poles of the transfer function (3.9) at each grid point.
     """
     result = np.empty(len(beta))
     for i, value in enumerate(beta):
@@ -297,7 +298,7 @@ def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Float
 
 
 def grid_optimum(cost: Points, high: tuple[float, float], tolerance: float) -> tuple[float, float]:
-    """Return the best point of increasingly fine grids, each two cells to either side of the best one so far.
+    """Return the best point of increasingly fine grids, each two cells to either side of the best point so far.
 
     Source: Hulin 2017, sec. 5.1.2 (gridding with thresholds as in 3.4).
     """

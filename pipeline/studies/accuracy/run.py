@@ -23,31 +23,33 @@ from pipeline.studies.accuracy.measured import RECOMMENDED, measured_tables
 from pipeline.studies.accuracy.theory import theory_tables
 
 BUDGETS = {"theory": (0.12, 0.03), "measured": (0.02, 0.02)}
-"""Time [s] for which each method is repeated, in a full and in a quick study. The measured branch gets less, because
-calls with thousands of trials need no warm-up."""
+"""Time [s] for which each method is repeated, in a full and in a quick study.
+
+Measurement methods have less time, because calls with thousands of trials need no warm-up.
+"""
 
 Say = Callable[[str], None]
 
 
 @cache
 def words() -> dict[str, Any]:
-    """Return meanings of quantities, paths of extreme cases, and omissions, from ``words.toml`` in this folder."""
+    """Return the texts of quantities, paths of extreme cases, and omissions, from ``words.toml`` in this folder."""
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
 
 def measure(
     quick: bool = False, say: Say = lambda _: None, *, theory: bool = True, measured: bool = True
 ) -> AccuracyReport:
-    """Run every method on every quantity and return errors and times.
+    """Run every method on every quantity, and return errors and times.
 
     Parameters
     ----------
     quick : bool
-        Fewer settings, trials and repetitions.
+        Whether to use fewer settings, trials and repetitions.
     say : callable
-        Called with the name of each part when it starts.
+        Function that is called with the name of each part when it starts.
     theory, measured : bool
-        Which branches are measured; the other one stays empty.
+        Whether to measure the methods of theory, and those for logs. The other part of the report stays empty.
     """
     report = AccuracyReport(
         key=accuracy.key(),
@@ -80,24 +82,26 @@ def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float,
 
 
 def left_out() -> tuple[LeftOut, ...]:
-    """Return the methods of theory that are not measured here, with reasons; methods that are not installed come
-    first."""
+    """Return the methods of theory that are not measured here, with reasons.
+
+    Methods that are not installed come first.
+    """
     entries = [entry for entry in words()["left_out"] if "library" not in entry or find_spec(entry["library"]) is None]
     return tuple(LeftOut(**{name: entry[name] for name in LeftOut.model_fields}) for entry in entries)
 
 
 COLUMNS = 3
-"""Number of panels per row of the figure."""
+"""Number of panels in a row of the figure."""
 
 WIDTH, HEIGHT = 4.0, 3.0
 """Size of a panel [in]."""
 
 SMALLEST = 1e-17
-"""Replacement of a zero error on a logarithmic axis: below the rounding of a double near 1."""
+"""Value that replaces a zero error on a logarithmic axis. It is below the rounding error of a double near 1."""
 
 
 def render(report: AccuracyReport) -> str:
-    """Return the page as one HTML document."""
+    """Return the page as an HTML document."""
     measured = report.measured_branch.rungs if report.measured_branch else ()
     return fill_template(
         "accuracy.html.j2",
@@ -115,7 +119,8 @@ def render(report: AccuracyReport) -> str:
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
-    """Return one row per quantity: error and time of this package, and of the fastest other method within `WRONG`."""
+    """Return a row for each quantity: error and time of this package, and of the fastest other method within
+    `WRONG`."""
     rows = []
     for quantity, rungs in grouped(report.rungs, "quantity").items():
         ours = next((r for r in rungs if r.method == OURS), None)
@@ -134,8 +139,8 @@ def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
 
 
 def picture(rungs: Sequence[Rung], identifier: str) -> str:
-    """Return a plot of error (abscissa) and run time as ``<svg>``: one panel per quantity, one line per method."""
-    import matplotlib  # takes half a second; other commands do not need it
+    """Return a plot of error (abscissa) and run time as ``<svg>``. Quantities have panels, and methods have lines."""
+    import matplotlib  # this import takes half a second, and other commands do not need it
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
 

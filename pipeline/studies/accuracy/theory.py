@@ -1,8 +1,8 @@
-"""Limits, responses, costs and optima of loops: reference values, and a table with one row per method.
+"""Limits, responses, costs and optima of loops: reference values, and a table with a row for each method.
 
-The truth is given by the reference values shipped with the package (docs/make_reference.py). An error is the largest
-one over all reference points; it is relative, except for overshoot, which is relative to the final displacement
-already. A missing result counts as an error of 1.
+The truth is given by reference values that are shipped with the package (docs/make_reference.py). An error is the
+largest one over all reference points. Errors are relative, except for overshoot, which already is relative to the final
+displacement. A missing result counts as an error of 1.
 """
 
 from __future__ import annotations
@@ -48,11 +48,13 @@ DENSE_SAMPLES = 2048
 """Horizon of the dense simulation, at which the slowest reference point has decayed to 1e-7."""
 
 SEARCH_SAMPLES, SEARCH_FINE = 256, 8
-"""Horizon and points per sample in the searches for an optimum; the optima settle within 30 samples."""
+"""Horizon and points per sample in the searches for an optimum. The optima settle within 30 samples."""
 
 SEARCH_BOX, START = (0.3, 1.0), (0.05, 0.3)
-"""Largest alpha and beta of the searches for d = 1, with optima at (0.070, 0.471) and (0.045, 0.304), and the start of
-a search."""
+"""Largest alpha and beta of the searches for d = 1, and the start of a search.
+
+The optima are at (0.070, 0.471) and (0.045, 0.304).
+"""
 
 _TOLERANCE, _SAMPLES = "tolerance {:.0e}", "{} samples"
 _FINE = "{} points a sample", (1, 4, 16, 64), 3
@@ -62,7 +64,7 @@ _repetition = count()
 
 @cache
 def reference() -> dict[str, Any]:
-    """Return the high-precision values that ship with the package (made by docs/make_reference.py)."""
+    """Return the high-precision values that are shipped with the package (made by docs/make_reference.py)."""
     document: dict[str, Any] = json.loads(reference_file().read_text(encoding="utf-8"))
     return document
 
@@ -73,7 +75,7 @@ def case_of(entry: dict[str, Any]) -> Case:
 
 
 def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
-    """Return the loop of a reference entry as this package represents it."""
+    """Return the loop of a reference entry in the form that this package uses."""
     numbers = {"lag": entry.get("lag", 0.0), "load_mass": entry.get("far_mass", 0.0)}
     if numbers["load_mass"]:
         numbers |= {"spring": entry["spring"], "spring_damping": entry["damper"]}
@@ -83,18 +85,18 @@ def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
 
 
 def unknown(loop: NormalisedLoop) -> NormalisedLoop:
-    """Return a loop without cached results of earlier calls: its damping is larger by a few roundings."""
+    """Return a loop without cached results of earlier calls. Its damping is larger by a few rounding errors."""
     return loop.with_delta(loop.delta + next(_repetition) * 2.0**-57)
 
 
 def own_numerator(gamma: float, delta: float) -> tuple[float, float]:
-    """Return n1 and n0 of the sampled plant by this package."""
+    """Return n1 and n0 of the sampled plant as computed by this package."""
     matrix, push, _, _ = NormalisedLoop.ideal(gamma, delta, 0.0).open_loop
     return peers.numerator(np.column_stack((matrix[:2, :2], push[:2])))
 
 
 def installed(ways: dict[str, _Way]) -> dict[str, _Way]:
-    """Return the methods without those of optional libraries that are not installed."""
+    """Return the methods that need no optional library, or one that is installed."""
     return {name: way for name, way in ways.items() if name != PEER or find_spec("control")}
 
 
@@ -156,12 +158,12 @@ def theory_tables() -> Iterator[Table]:
 
 
 def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., Values]:
-    """Return a function that wraps the result of ``run`` at a setting as values of a quantity."""
+    """Return a function that wraps the result of ``run`` for a setting as values of a quantity."""
     return lambda *setting: {quantity: np.asarray(run(*first, *setting))}
 
 
 def _edge(case: Case, loop: NormalisedLoop) -> Table:
-    """Return the table of the boundary: largest alpha at given beta."""
+    """Return the table of the boundary: largest alpha for given beta."""
     edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
 
@@ -233,8 +235,10 @@ def _optimum(quantity: str, criterion: str) -> Table:
 
 
 def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floats:
-    """Return the cost of points by dense simulation, infinite if not stable or not settled; ``place`` is the index in
-    `COSTS`."""
+    """Return the cost of points by dense simulation, or infinity if not stable or not settled.
+
+    ``place`` is the index in `COSTS`.
+    """
     result = np.full(len(alpha), np.inf)
     use = np.flatnonzero(alpha > 0)
     use = use[peers.radius_by_eigenvalues(case, alpha[use], beta[use]) < 1]
@@ -247,9 +251,9 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
 
 
 def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
-    """Return the table of costs of the samples over a grid, all criteria in one row."""
+    """Return the table of costs of the samples over a grid, with all criteria in one row."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
-    usable = axes[0] > 0  # at alpha = 0 the wall exerts no restoring force
+    usable = axes[0] > 0  # at alpha = 0 the wall has no restoring force
     alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))
     at = np.array([row["j"] * usable.sum() + row["i"] - (~usable).sum() for row in known["rows"]])
     exact = {name: np.array([row[f"{name}_discrete"] for row in known["rows"]]) for name in COSTS.values()}
@@ -273,12 +277,12 @@ def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
 
 
 def _with_parts() -> Iterator[Table]:
-    """Yield the tables of a loop with filter, lag, mode and fractional delay, and of loops at which methods fail
-    early."""
+    """Yield the table of a loop with filter, lag, mode and fractional delay, and tables of loops at which methods
+    fail."""
     known, hard = reference()["device"], reference()["hard"]
     shape, (edge, radius) = normalised_loop(known["loop"]), GENERAL
     beta, wall = np.array(known["limit_beta"]), (np.array(known["alpha"]), np.array(known["beta"]))
-    # a Butterworth filter of order 2 delays slow motion by sqrt(2)/cut-off
+    # A Butterworth filter of order 2 delays slow motion by sqrt(2)/cut-off.
     late = shape.delay + shape.lag + np.sqrt(2) / (2 * np.pi * known["loop"]["cutoff"])
 
     def bisection(tolerance: float) -> Values:
