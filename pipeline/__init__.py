@@ -1,8 +1,8 @@
-"""Virtual walls under delay: from step-response logs to their stability, their costs and a comparison with theory.
+"""Virtual walls under delay: analysis of step-response logs for stability and costs, and comparison with theory.
 
 The names in `__all__` are the public Python interface (``docs/python.md``): functions, and record classes whose tables
-are data frames in SI units. Each is imported at its first use, so that ``import pipeline`` takes no time. Everything
-else is private; the modules are listed in ``docs/architecture.md``.
+are data frames in SI units. Each name is imported at its first use, so that ``import pipeline`` is fast. All other
+modules are private and are listed in ``docs/architecture.md``.
 """
 
 from importlib import import_module
@@ -51,7 +51,7 @@ _PUBLIC = {
     "rig.design": ("Design", "design"),
     "rig.published": ("published_limits",),
 }
-"""Public names by the module that defines them."""
+"""Module that defines each public name."""
 
 _CLASSES = {"Identified": "IdentifiedDevice"}
 """Name of a public class in its module, if it differs from the public name."""

@@ -1,4 +1,4 @@
-"""`python -m pipeline`: the command line, for when the console script is not on the path."""
+"""Run the command line with `python -m pipeline`, for example if the console script is not on the path."""
 
 from pipeline.shell.cli import run
 

@@ -1,1 +1,1 @@
-"""From files to stored trials: finding, reading, refusing and storing logs, and skipping known ones."""
+"""Intake of log files as stored trials: find, read and check logs, skip known logs, refuse or store the others."""

@@ -1,7 +1,7 @@
-"""Check of every stored file against the hash in its name, and recovery of damaged ones.
+"""Check of every stored file against the hash in its name, and recovery of damaged files.
 
-Results and theory are recomputed when they are needed. For a damaged file of trials, the logs are read again if they
-exist; otherwise trials in readable row groups are kept. Lost trials are named.
+Results and theory are recomputed when they are needed. The logs of a damaged trial file are read again if they exist;
+otherwise, trials in readable row groups are kept. Lost trials are listed.
 """
 
 from __future__ import annotations
@@ -36,29 +36,32 @@ from pipeline.store.batch_files import GROUP_TRIALS, ExperimentKey, write_batch
 from pipeline.store.storage import TABLE, missing_inputs, read_rows
 
 DAMAGED_FOLDER = "damaged"
-"""Folder below `processed` for damaged files that cannot be recomputed; nothing there is ever removed."""
+"""Folder below `processed` for damaged files that cannot be recomputed. Nothing in it is ever removed."""
 
 _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 
 Remedy = Literal["save", "remove", "set aside"]
-"""Remedy for a damaged file. save: its trials are read again or copied, and the file is set aside. remove: its content
-is recomputed. set aside: its content is lost."""
+"""Remedy for a damaged file.
+
+"save": its trials are read again or copied, and the file is set aside. "remove": its content is recomputed. "set
+aside": its content is lost.
+"""
 
 
 class Damage(Record):
-    """A damaged file and the fate of its trials.
+    """A damaged file, and what happens to its trials.
 
     Parameters
     ----------
     file : str
-        Below `processed`.
+        Path below `processed`.
     fault : str
     remedy : {"save", "remove", "set aside"}
     trials, read_again, kept : int
-        Trials known to be in the file; those of them that are, or can be, read again from their logs; and those
-        recovered from the file itself.
+        Number of trials known to be in the file, of those that are (or can be) read again from their logs, and of those
+        recovered from the file.
     lost : tuple of dict
-        ``trial_id`` and ``source_path``, as far as they can be read, of trials that cannot be saved.
+        ``trial_id`` and ``source_path``, if readable, of the trials that cannot be recovered.
     """
 
     file: str
@@ -71,12 +74,12 @@ class Damage(Record):
 
     @property
     def mended(self) -> bool:
-        """Whether its whole content is available again, or will be recomputed."""
+        """Whether the complete content is available again or will be recomputed."""
         return self.remedy == "remove" or (self.remedy == "save" and not self.lost)
 
 
 class CheckReport(Record):
-    """Result of a check: files and bytes read, damaged files, whether these were repaired, and missing trials."""
+    """Result of a check: files and bytes read, damaged files, whether they were repaired, and missing trials."""
 
     files: int
     bytes: int
@@ -91,9 +94,9 @@ def check(
     progress: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] | None = None,
 ) -> CheckReport:
-    """Check every stored file against its hash; with `repair` save what can be saved.
+    """Check every stored file against its hash. With `repair`, recover what can be recovered.
 
-    A repair that is killed at any moment loses nothing, and the next one continues.
+    A repair that is killed loses no data, and the next repair continues.
 
     Parameters
     ----------
@@ -107,7 +110,7 @@ def check(
     Raises
     ------
     StoreError
-        If the folder cannot be read, or written to.
+        If the folder cannot be read or written.
     """
     files, lost = list(_files(processed)), missing_inputs(processed)
     faults: dict[Path, str] = {}
@@ -117,7 +120,7 @@ def check(
             try:
                 size += file.stat().st_size
                 if file_hash(file) != hash_in_name(file.name):
-                    faults[file] = "its content is not that of its name"
+                    faults[file] = "its content does not match its name"
             except PermissionError as error:
                 faults[file] = str(error.strerror)
         if progress:
@@ -133,7 +136,7 @@ def check(
 
 
 def _files(processed: Path) -> Iterator[Path]:
-    """Yield every file whose name contains the hash of its content, or should."""
+    """Yield every file whose name should contain the hash of its content."""
     for tree in ("trials", "stages", "theory", "corrections"):
         yield from sorted(f for f in (processed / tree).rglob("*") if f.is_file() and not f.name.startswith("."))
     yield from sorted((processed / FOLDER).glob(f"*/{RECORD}-*"))
@@ -141,7 +144,7 @@ def _files(processed: Path) -> Iterator[Path]:
 
 
 def _of_others(processed: Path, file: Path, faults: dict[Path, str], repair: bool) -> Damage:
-    """Remove, or set aside, a damaged file without trials."""
+    """Remove a damaged file without trials, or set it aside."""
     name = file.relative_to(processed)
     remedy: Remedy = "set aside" if name.parts[0] in ("corrections", "quarantine") else "remove"
     if repair and remedy == "remove":
@@ -152,7 +155,7 @@ def _of_others(processed: Path, file: Path, faults: dict[Path, str], repair: boo
 
 
 def _set_aside(processed: Path, file: Path) -> None:
-    # each *.parquet below the store is readable
+    # Readers find every *.parquet file below the store, so the file needs another extension.
     place = processed / DAMAGED_FOLDER / file.relative_to(processed).with_name(f"{file.name}.damaged")
     make_folder(place.parent)
     os.replace(file, place)
@@ -161,7 +164,7 @@ def _set_aside(processed: Path, file: Path) -> None:
 
 
 def _groups(file: Path) -> Iterator[pa.Table]:
-    """Yield the groups of rows of a damaged file that can be read."""
+    """Yield the readable row groups of a damaged file."""
     with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
             with suppress(*_UNREADABLE):
@@ -169,7 +172,7 @@ def _groups(file: Path) -> Iterator[pa.Table]:
 
 
 def _rows_of(file: Path) -> list[dict[str, str]]:
-    """Return id, log and profile of each trial of a damaged file; empty if unreadable."""
+    """Return id, log and profile of each trial of a damaged file. The result is empty if they are unreadable."""
     columns: dict[str, list[str]] = {name: [] for name in ("trial_id", "source_path", "profile")}
     with suppress(StoreError), open_table(file) as stored:
         for number in range(stored.num_row_groups):
@@ -184,10 +187,10 @@ def _rows_of(file: Path) -> list[dict[str, str]]:
 def _read_again(
     processed: Path, rows: list[dict[str, str]], faults: dict[Path, str], say: Callable[[str], None] | None
 ) -> None:
-    """Ingest the logs of damaged files from their places, with the profiles that read them."""
+    """Ingest the logs of damaged files again, from their paths and with the profiles that read them first."""
     for profile in sorted({row["profile"] for row in rows}):
         logs = {path_of_text(row["source_path"]) for row in rows if row["profile"] == profile}
-        with suppress(ProfileError):  # a profile of a lab
+        with suppress(ProfileError):  # the profile belongs to a lab
             ingest(sorted(logs), processed, profile or None, say=say, damaged=faults)
 
 
@@ -198,11 +201,11 @@ def _is_there(row: dict[str, str]) -> bool:
 def _of_trials(
     processed: Path, file: Path, rows: list[dict[str, str]], faults: dict[Path, str], repair: bool
 ) -> Damage:
-    """Store readable trials of a damaged file that their logs do not provide, set it aside, and list lost trials.
+    """Store readable trials of a damaged file whose logs are missing, set the file aside, and list the lost trials.
 
-    Without `repair` this is only reported.
+    Without `repair`, nothing is changed and the result is only reported.
     """
-    # the same logs give the same file, which is complete again if all of them were read
+    # Reading all logs again writes the same file, which is then complete.
     there = {other: text for other, text in faults.items() if other.exists()}
     damaged = {other: text for other, text in there.items() if file_hash(other) != hash_in_name(other.name)}
     stored = set(read_rows(processed, ["source_path"], damaged).column("source_path"))

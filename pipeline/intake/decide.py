@@ -1,8 +1,7 @@
-"""Decisions of an ingest: the action for a source, based on the source and the stored data. Nothing here reads or
-writes files.
+"""Decisions of an ingest: which action follows for a source, given the source and the stored data.
 
-`decide_unread` judges a source by its size and time, before it is opened; `decide` judges one whose content is known.
-Each rule has a name; the first that applies decides.
+The functions are pure and access no files. `decide_unread` uses size and time of a source before it is opened. `decide`
+uses the content. Each rule has a name, and the first rule that applies determines the decision.
 """
 
 from __future__ import annotations
@@ -20,13 +19,16 @@ from pipeline.intake.stored_sources import StoredSource
 Rule = Literal[
     "unchanged", "copy", "renamed copy", "new", "renamed", "changed", "profile changed", "completed", "refused before"
 ]
-"""Names of the rules. A copy has the content of another stored source; a renamed copy also has other conditions in its
-name. Completed: an interrupted run had stored only some of its trials."""
+"""Names of the rules.
+
+"copy": another stored source has the same content. "renamed copy": the conditions in its name differ as well.
+"completed": an interrupted run had stored only some of the trials.
+"""
 
 
 @dataclass(frozen=True)
 class Twin:
-    """A source stored under another path, with the same content and the same conditions in its name."""
+    """A stored source with another path, the same content, and the same conditions in its name."""
 
     path: str
     stored: StoredSource
@@ -34,27 +36,27 @@ class Twin:
 
     @property
     def name(self) -> str:
-        """Name of its file."""
+        """Name of the file."""
         return path_of_text(self.path).name
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """A source whose content is known, and the stored sources that it may repeat or replace.
+    """A source with its content, and the stored sources that it may repeat or replace.
 
     Parameters
     ----------
     source : Source
     sha256 : str
-        Of its content.
+        Hash of its content.
     devices : tuple of str or None
-        Devices of its trials; None if it was not parsed because its content is already stored.
+        Devices of its trials. None if it was not parsed because its content is already stored.
     former : StoredSource or None
-        Source stored under its path.
+        Stored source with the same path.
     twin : Twin or None
     lost : tuple of (str, StoredSource) or None
-        Path and contents of a stored source with this content and profile whose file no longer exists; only if the
-        profile reads conditions from names, so that a corrected name does not count as a copy.
+        Path and data of a stored source with the same content and profile whose file no longer exists. It is only set
+        if the profile reads conditions from names, so that a source with a corrected name is not treated as a copy.
     """
 
     source: Source
@@ -66,16 +68,16 @@ class Evidence:
 
     @property
     def is_same(self) -> bool:
-        """Whether the same content is stored under its path."""
+        """Whether the same content is stored under the same path."""
         return self.former is not None and self.former.sha256 == self.sha256
 
 
 @dataclass(frozen=True)
 class Drop:
-    """Removal of stored trials of a source stored under ``path``.
+    """Removal of the trials of a source that is stored under ``path``.
 
-    ``outcome`` is reported for the source ``shown``; None if nothing is reported. ``late``: only after new trials are
-    stored.
+    ``outcome`` is reported for the source ``shown``. None means that nothing is reported. ``late`` means that the
+    trials are removed after the new trials are stored.
     """
 
     shown: str
@@ -87,7 +89,7 @@ class Drop:
 
 @dataclass(frozen=True)
 class Decision:
-    """Decision on a source: the rule, the reason for the report, removals, and a warning."""
+    """Decision on a source: rule, reason for the report, removals, and a warning."""
 
     rule: Rule
     reason: str
@@ -96,27 +98,27 @@ class Decision:
 
     @property
     def stores(self) -> bool:
-        """Whether its trials are stored."""
+        """Whether the trials of the source are stored."""
         return self.rule in ("new", "renamed", "changed", "profile changed", "completed")
 
 
 def decide_unread(
     source: Source, stored: StoredSource | None, refused: QuarantineRecord | None, *, replace: bool
 ) -> Decision | None:
-    """Return the decision on a source by size, time and profile, or None if its content has to be read.
+    """Return the decision on a source by size, time and profile, or None if its content must be read.
 
-    A refused source without a hash could not be read, and is tried again: new permissions change neither size nor time.
-    With ``replace`` other refused sources are tried again, too.
+    A refused source without a hash could not be read. It is tried again, because new permissions change neither size
+    nor time. With ``replace``, other refused sources are also tried again.
 
     Parameters
     ----------
     source : Source
     stored : StoredSource or None
-        Source stored under its path.
+        Stored source with the same path.
     refused : QuarantineRecord or None
-        Its record in quarantine.
+        Record of the source in quarantine.
     replace : bool
-        Whether trials of another profile or device are replaced.
+        Whether trials read with another profile or for another device are replaced.
     """
     state = (source.size, source.mtime_ns, source.profile_sha256)
     former = None if refused is None else (refused.size, refused.mtime_ns, refused.profile_sha256)
@@ -128,25 +130,25 @@ def decide_unread(
 
 
 def decide(evidence: Evidence, *, replace: bool) -> Decision:
-    """Return the decision on a source whose content is known.
+    """Return the decision on a source whose content has been read.
 
     Parameters
     ----------
     evidence : Evidence
     replace : bool
-        Whether to replace trials of the same content that belong to another profile or device.
+        Whether to replace trials of the same content that were read with another profile or for another device.
 
     Raises
     ------
     LogError
-        If another profile or device has them, and ``replace`` is false.
+        If such trials exist and ``replace`` is false.
     """
     twin, former = evidence.twin, evidence.former
     if evidence.devices is None or (twin is not None and twin.stored.profile_sha256 == evidence.source.profile_sha256):
         return _repeated(evidence)
     rival = former if evidence.is_same else twin.stored if twin is not None else None
     replaced = _replaced_rival(evidence, rival, replace=replace)
-    if twin is not None and replaced is None and twin.exists:  # another version of the profile read it
+    if twin is not None and replaced is None and twin.exists:  # read with another version of the profile
         return _repeated(evidence)
     shown, key = evidence.source.shown, evidence.source.key
     drops = () if twin is None else (Drop(shown, twin.path, twin.stored, replaced),)
@@ -158,44 +160,46 @@ def decide(evidence: Evidence, *, replace: bool) -> Decision:
         return Decision("changed", "content changed", (*drops, Drop(shown, key, former, outcome, late)))
     if former.profile_sha256 != evidence.source.profile_sha256:
         return Decision("profile changed", "profile changed", (*drops, Drop(shown, key, former, replaced)))
-    return Decision("completed", "stored in part, by an interrupted run", drops)
+    return Decision("completed", "stored only in part by an interrupted run", drops)
 
 
 def _repeated(evidence: Evidence) -> Decision:
-    """Return the decision on a source whose content is stored, under its path or another one."""
+    """Return the decision on a source whose content is stored, under its own or another path."""
     source, twin, former = evidence.source, evidence.twin, evidence.former
     if twin is None:
         return Decision("unchanged", "unchanged content")
     drops: tuple[Drop, ...] = ()
     if former is not None:
-        outcome = f"its content is now that of {twin.path}; its former trials were removed"
+        outcome = f"it now has the content of {twin.path}; its former trials were removed"
         if evidence.is_same:
-            outcome = f"{twin.path} now has the same content; its trials are stored as those of that log"
+            outcome = f"{twin.path} now has the same content; its trials are stored for that log"
         drops = (Drop(source.shown, source.key, former, outcome),)
     reason = f"same content as {twin.path}"
     if source.profile is not None and source.profile.reads_names and twin.name != source.path.name:
-        text = f"has the content of {twin.path} under another name; left out. Remove the one that is wrong."
+        text = f"has the content of {twin.path} under another name and was skipped. Remove the wrong file."
         return Decision("renamed copy", reason, drops, text)
     return Decision("copy", reason, drops)
 
 
 def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
-    """Return the decision on a source whose path is not stored: new, or a lost source under a corrected name."""
+    """Return the decision on a source whose path is not stored: a new source, or a lost one with a corrected name."""
     source = evidence.source
     if evidence.lost is None:
         return Decision("new", "new", drops)
     path, stored = evidence.lost
-    lost = Drop(path, path, stored, f"is now {source.shown}; its trials were read again")
+    lost = Drop(path, path, stored, f"was renamed to {source.shown}; its trials were read again")
     return Decision("renamed", f"its name was {path}", (*drops, lost))
 
 
 def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: bool) -> str | None:
-    """Return the report on replaced trials with the same content but another profile or device, or None.
+    """Return the text for the report on replaced trials of the same content, or None if there are none.
+
+    Such trials were read with another profile or for another device.
 
     Raises
     ------
     LogError
-        If there are such trials, and ``replace`` is false.
+        If there are such trials and ``replace`` is false.
     """
     assert evidence.source.profile is not None, "a source without a profile is refused before it is read"
     profile, devices = evidence.source.profile.name, sorted(set(evidence.devices or ()))
@@ -205,8 +209,8 @@ def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: 
     if not replace:
         raise LogError(
             f"is stored as a log of {before}, but profile {profile!r} now claims it for device "
-            f"{', '.join(map(repr, devices))}. Its trials stay as they are. To read it as that now, delete them or "
-            "give --replace; or name the right profile.",
+            f"{', '.join(map(repr, devices))}. The stored trials were not changed. To read the log with the new "
+            "profile, delete them or give --replace. Otherwise, name the right profile.",
             code="profile-wrong",
         )
     count = len(rival.trials)

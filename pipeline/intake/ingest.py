@@ -1,7 +1,7 @@
-"""Logs to Parquet: find, recognise known logs, read in batches, validate, store, and refuse with a reason.
+"""Ingest of logs into Parquet files: find logs, skip known ones, read in batches, check, and store or refuse them.
 
-A log is identified by its content; a source whose size and modification time are unchanged is not even opened. One
-ingest writes at a time; what it stores becomes visible batch by batch; the next one finishes an interrupted one.
+A log is identified by its content. A source whose size and modification time are unchanged is not opened. Only one
+ingest writes at a time. Its results become visible batch by batch, and the next ingest completes an interrupted one.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from pipeline.intake.sources import (
     Notices,
     Read,
     Source,
-    asked_profiles,
     check_places,
     find_sources,
     is_settled,
     reads_of,
+    requested_profiles,
 )
 from pipeline.intake.stored_sources import (
     Accepted,
@@ -57,12 +57,12 @@ from pipeline.store.objects import publish, renewed
 from pipeline.store.storage import check_version, read_corrections
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
-"""Summary of a decision (`pipeline.intake.decide`) for the report."""
+"""Action for the report that follows from the rule of a decision (`pipeline.intake.decide`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A source in quarantine: path, reason, faulty row (counted from 1), and further fields of `errors.LogError`."""
+    """A source in quarantine: path, reason, faulty row (counted from 1), and other fields of `errors.LogError`."""
 
     path: str
     reason: str
@@ -73,7 +73,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class LogWarning:
-    """An irregularity that was accepted in a source; for a fault of its recording also code and severity."""
+    """An irregularity that was accepted in a source. A fault of its recording also has a code and a severity."""
 
     path: str
     warning: str
@@ -83,7 +83,7 @@ class LogWarning:
 
 @dataclass(frozen=True, slots=True)
 class ChangedSource:
-    """A source whose content differs from the stored one, and the fate of the stored trials."""
+    """A source whose content differs from the stored content, and what happened to the stored trials."""
 
     path: str
     outcome: str
@@ -91,7 +91,7 @@ class ChangedSource:
 
 @dataclass(frozen=True, slots=True)
 class PlannedSource:
-    """Action for a source, done or planned by a dry run, and its reason."""
+    """Action for a source and its reason. A dry run only plans the action."""
 
     path: str
     action: Action
@@ -99,28 +99,28 @@ class PlannedSource:
 
 
 class IngestReport(Record):
-    """Number of logs by result; ``found = ingested + skipped + len(quarantined)``.
+    """Number of logs by result, with ``found = ingested + skipped + len(quarantined)``.
 
-    A log is a source file (or pair of files), even if it contains several trials.
+    A log is a source file (or pair of files), which may contain several trials.
 
     Parameters
     ----------
     found, ingested, skipped : int
     quarantined : tuple of Refusal
     warnings : tuple of LogWarning
-        Irregularities of ingested logs.
+        Irregularities of the ingested logs.
     removed : tuple of str
-        Stored sources that no longer exist below the searched folders; their trials stay stored.
+        Stored sources that no longer exist below the searched folders. Their trials stay stored.
     changed : tuple of ChangedSource
-        Sources whose content differs from the stored one.
+        Sources whose content differs from the stored content.
     waiting : tuple of str
-        Sources that changed a moment ago and were left for later; they do not count as found.
+        Sources that were modified recently and are left for the next ingest. They are not counted in ``found``.
     plan : tuple of PlannedSource or None
-        With a dry run: the planned action for each source, including waiting ones.
+        Planned action for each source of a dry run, including waiting sources. None otherwise.
     damaged : tuple of str
-        Damaged stored files with their remedy; their logs count as new, others are not affected.
+        Damaged stored files with their remedies. The logs in these files count as new; others are not affected.
     ignored : tuple of str
-        Files in searched folders that are no logs: papers, scripts, settings, pictures, sheets; they do not count.
+        Files in searched folders that are not logs: papers, scripts, settings, pictures, sheets. They are not counted.
     """
 
     found: int
@@ -137,8 +137,10 @@ class IngestReport(Record):
 
 
 PENDING_BYTES = 64 << 20
-"""Memory of logs collected before they are stored [byte]: 2,300 logs of 1,000 rows per file; an interruption loses the
-work of about a second."""
+"""Memory of the logs that are collected before they are stored [byte].
+
+A file then has 2,300 logs of 1,000 rows. An interruption loses the work of about a second.
+"""
 
 
 def ingest(
@@ -158,57 +160,58 @@ def ingest(
     damaged: dict[Path, str] | None = None,
     ignore: Sequence[str] = (),
 ) -> IngestReport:
-    """Store all new logs below some folders.
+    """Store all new logs in the given files and folders.
 
     Parameters
     ----------
     paths : sequence of Path
-        Folders (searched with those below) and files.
+        Files, and folders that are searched recursively.
     processed : Path
-        Folder of the stored tables, created if necessary.
+        Folder of the stored tables. It is created if it does not exist.
     profile : str, Path or Profile, optional
-        Shipped profile by name, a TOML file, or a loaded one; by default each file is claimed by a shipped profile.
+        Name of a shipped profile, a TOML file, or a loaded profile. By default, a shipped profile is chosen for each
+        file.
     jobs : int, optional
-        Threads that read and parse; by default one per processor, at most four.
+        Number of threads that read and parse. The default is one for each processor, at most four.
     dry_run : bool
-        Read and validate, write nothing, and report for each source what would be done.
+        Whether to read and check without writing, and to report for each source what would be done.
     rehash : bool
-        Compare the content even if size and modification time are unchanged.
+        Whether to compare the content even if size and modification time are unchanged.
     replace : bool
-        Whether to replace trials whose log is now claimed by another profile or device; by default such logs are
-        refused.
+        Whether to replace trials whose log is now claimed by another profile or for another device. By default such
+        logs are refused.
     progress : callable, optional
-        Called with (logs done, logs found).
+        Function that is called with the number of logs done and the number of logs found.
     settle_s : float
-        Skip sources modified less than this time ago [s]: they may still be recording. A source that
-        changes while it is read is refused in any case.
+        Age [s] below which a modified source is skipped, because it may still be recorded. A source that changes while
+        it is read is always refused.
     growing : collection of str
-        Absolute paths of files known to be growing, regardless of their time stamps; also skipped.
+        Absolute paths of files that are known to grow. They are skipped regardless of their time stamps.
     wait_s : float
-        How long to wait for another command that writes to `processed` [s].
+        Time to wait for another command that writes to `processed` [s].
     say : callable, optional
-        Called with a message when waiting begins.
+        Function that is called with a message when waiting begins.
     damaged : dict of Path to str, optional
-        Stored files known to be damaged, with the fault: their logs count as new.
+        Stored files that are known to be damaged, with their faults. The logs in these files count as new.
     ignore : sequence of str
-        Patterns of the names of files in searched folders that are no logs.
+        Patterns for the names of files in searched folders that are not logs.
 
     Raises
     ------
     UsageError
-        If a path does not exist or `jobs` is below 1.
+        If a path does not exist, or `jobs` is less than 1.
     ProfileError
-        If the profile is wrong, or two profiles claim one file.
+        If the profile is invalid, or two profiles claim the same file.
     StoreError
-        If `processed` is damaged or cannot be written, or if another command is writing to it; data already stored
-        remain valid.
+        If `processed` is damaged or cannot be written, or another command is writing to it. Data that are already
+        stored remain valid.
     """
     if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
+        raise UsageError(f"jobs must be at least 1, found {jobs}. Omit it for one thread per processor.")
     check_version(processed)
     folders = [Path(path) for path in paths]
-    check_places(folders, processed)  # before anything is written
-    asked = asked_profiles(profile, folders)
+    check_places(folders, processed)  # this check precedes all writing
+    asked = requested_profiles(profile, folders)
     ignored = (*ignore, *asked.ignore)
     with nullcontext() if dry_run else writing(processed, wait_s, say):
         run = _Run(processed, asked.profiles, dict(damaged or {}), dry_run, rehash, replace, progress, ignored)
@@ -220,7 +223,7 @@ def ingest(
 
 @dataclass
 class _Run:
-    """One ingest: the stored sources, decisions so far, and trials waiting to be stored.
+    """An ingest: the stored sources, the decisions so far, and the trials that wait to be stored.
 
     Parameters
     ----------
@@ -249,18 +252,18 @@ class _Run:
         self.periods = Periods(self.processed)
         self.sources = list[Source]()
         self.unread = 0
-        """Number of sources skipped without being read, because their size, modification time and profile are
+        """Number of sources that were skipped without reading, because size, modification time and profile are
         unchanged."""
         self.missing = set[str]()
-        """Paths of stored sources that were not found, or not searched for."""
+        """Paths of the stored sources that were not found or not searched for."""
         self.places = dict[str, str]()
-        """Path under which each trial is stored."""
+        """Path of the log of each stored trial, by trial id."""
         self.renamed = dict[str, str]()
         """Former and new id of each trial whose log was renamed."""
         self.pending, self.pending_bytes, self.dropped, self.outdated = list[Accepted](), 0, set[Key](), set[Key]()
-        """Trials to store, and stored trials that they replace: all, and those with older content."""
+        """Trials to store; stored trials that they replace; and those replaced trials that have an older content."""
         self.seen = dict[str, str]()
-        """First source with each hash of samples."""
+        """Path of the first source with each hash of samples."""
         self.folders = set[Path]()
         self.refusals, self.warnings, self.changed = list[Refusal](), list[LogWarning](), list[ChangedSource]()
         self.waiting, self.plan = list[PlannedSource](), list[PlannedSource]()
@@ -270,13 +273,13 @@ class _Run:
     def _motions(self) -> dict[str, Motion]:
         from pipeline.device_data.devices import (
             known_devices,
-        )  # slower than an ingest without new logs
+        )  # this import is slower than an ingest without new logs
 
         return {name: device.motion for name, device in known_devices().items()}
 
     @cached_property
     def _deleted(self) -> set[str]:
-        with suppress(StoreError):  # reported by the commands that compute
+        with suppress(StoreError):  # commands that compute report the error
             return {one.trial_id for one in read_corrections(self.processed).values() if one.deleted}
         return set()
 
@@ -290,7 +293,7 @@ class _Run:
         return found
 
     def look(self, folders: Sequence[Path], settle_s: float, growing: Collection[str]) -> None:
-        """Find the sources; unchanged ones are only counted."""
+        """Find the sources. Unchanged sources are only counted."""
         known = {} if self.dry_run or self.rehash else self.stored.states
         for path in (*self.refused, *growing):
             known.pop(path, None)
@@ -307,19 +310,19 @@ class _Run:
         restless = frozenset(growing)
         for source in found:
             if source.key in known and source.key not in left:
-                continue  # given twice
+                continue  # the path was given twice
             if is_settled(source.mtime_ns, settle_s) and restless.isdisjoint(map(os.path.abspath, source.files)):
                 self.sources.append(source)
             else:
                 self.waiting.append(PlannedSource(source.shown, "wait", f"modified less than {settle_s:g} s ago"))
 
     def work(self, jobs: int) -> None:
-        """Decide on every source and store the new ones."""
+        """Decide on every source, and store the new sources."""
         unsettled = [source for source in self.sources if not self._settled_unread(source)]
         if unsettled:
-            # a source that is checked again is added after that
+            # A source that must be checked again is added after this line.
             self.places = self.stored.places({source.key for source in unsettled})
-        # stored sources come first: a log that was copied and touched is recognised at its original path
+        # Stored sources are read first, so that a copied and touched log is recognised under its original path.
         unsettled.sort(key=lambda source: (source.key not in self.stored.paths, source.key))
         for batch in reads_of(unsettled, self._is_known, jobs):
             refused = [record for done in batch if (record := self._settle(done)) is not None]
@@ -335,14 +338,14 @@ class _Run:
         for folder in sorted(self.folders):
             try:
                 merge_small(self.processed, folder)
-            except StoreError as error:  # a damaged file affects only its experiment
+            except StoreError as error:  # a damaged file only affects its experiment
                 self.damaged[folder] = str(error)
 
     def report(self, folders: Sequence[Path]) -> IngestReport:
-        """Return the outcome for all sources, and the stored ones that no longer exist below the searched folders."""
+        """Return the report on all sources, and on the stored sources that are missing in the searched folders."""
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
         missing = [key for key in self.missing if key.startswith(roots)]
-        # unreadable files are reported elsewhere; a folder at the path of a log is no log
+        # Unreadable files are reported elsewhere. A folder at the path of a log does not count as the log.
         removed = [key for key in missing if is_gone(path := path_of_text(key)) or path.is_dir()]
         counts = Counter(one.action for one in self.plan)
         return IngestReport(
@@ -360,7 +363,7 @@ class _Run:
         )
 
     def _note(self, source: Source, action: Action, reason: str) -> None:
-        """Record the action for a source."""
+        """Add the action for a source to the report."""
         self.plan.append(PlannedSource(source.shown, action, reason))
         if self.progress:
             self.progress(len(self.plan) + self.unread, len(self.sources) + self.unread)
@@ -375,14 +378,14 @@ class _Run:
         if decision is None:
             return False
         if decision.rule == "refused before":
-            assert refused is not None, "it has a record"
+            assert refused is not None, "a refused source has a record"
             self._report_refused(source, refused)
         else:
             self._skip(source, decision.reason)
         return True
 
     def _is_known(self, source: Source, sha256: str) -> bool:
-        """Return whether a content was read with the same profile and is stored completely, under any path."""
+        """Return whether a content is completely stored under any path and was read with the same profile."""
         former = self.stored.get(source.key)
         if former is not None and former.whole and former.sha256 == sha256:
             return former.profile_sha256 == source.profile_sha256
@@ -390,24 +393,25 @@ class _Run:
         return twin is not None and twin.profile_sha256 == source.profile_sha256
 
     def _find(self, source: Source, sha256: str) -> str | None:
-        """Return the path of a stored log with the same content and the same conditions in its name."""
+        """Return the path of a stored log with the same content and the same conditions in its name, or None."""
         return self.places.get(trial_id(sha256, None, source.named_conditions))
 
     def _settle(self, read: Read) -> Refused | None:
         """Decide what to do with a source that was read.
 
-        If it is refused, return the record to be quarantined; None if quarantine already has this record.
+        Return the record for the quarantine if the source is refused. The result is None if it is accepted, or if its
+        record is in quarantine already.
         """
         source = read.source
         try:
             if isinstance(read.result, LogError):
                 raise read.result
-            assert read.sha256 is not None, "what was read has a hash"
+            assert read.sha256 is not None, "a source that was read has a hash"
             self._accept(source, read.sha256, read.result)
         except LogError as error:
             record, former = record_of(source, read.sha256, error), self.refused.get(source.key)
             self._report_refused(source, record)
-            if record != former and not record.knows_less(former):
+            if record != former and not record.is_less_specific(former):
                 return source, record
         return None
 
@@ -417,7 +421,7 @@ class _Run:
         Raises
         ------
         LogError
-            If it cannot be stored.
+            If the log cannot be stored.
         """
         accepted: list[Accepted] = []
         if logs is not None:
@@ -442,12 +446,12 @@ class _Run:
             self._queue(accepted, evidence.former.trials if decision.rule == "completed" and evidence.former else ())
 
     def _noted(self, source: Source, log: Log) -> Log:
-        """Return a log, with a finding if an earlier source has the same samples."""
+        """Return a log, with an additional finding if an earlier source has the same samples."""
         other = self.seen.setdefault(log.samples_sha256, source.shown)
         return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
     def _evidence(self, source: Source, sha256: str, accepted: Sequence[Accepted] | None) -> Evidence:
-        """Return the input of a decision: stored sources with the same path or content as a source."""
+        """Return the input of a decision: a source with the stored sources of the same path or content."""
         former, path = self.stored.get(source.key), self._find(source, sha256)
         if accepted:
             paths = {self.places.get(one.trial) for one in accepted}
@@ -462,7 +466,7 @@ class _Run:
         return Evidence(source, sha256, devices, former, twin, lost)
 
     def _take(self, evidence: Evidence, decision: Decision, accepted: Sequence[Accepted]) -> None:
-        """Record the trials of a log that is stored, with their warnings."""
+        """Add the trials of a log to those that will be stored, and report its warnings."""
         source, row, ids = evidence.source, accepted[0].row, tuple(one.trial for one in accepted)
         read_by = (row["source_sha256"], row["profile_sha256"], row["profile"])
         self.stored.taken[source.key] = StoredSource(
@@ -477,7 +481,7 @@ class _Run:
         texts: dict[str, Finding | None] = dict.fromkeys(text for one in accepted for text in one.log.warnings)
         texts |= {finding.sentence: finding for one in accepted for finding in one.log.findings}
         if not self._deleted.isdisjoint(ids):
-            texts["was deleted by hand, and is in the bin: `pipeline delete ... --undo` takes it out."] = None
+            texts["was deleted by hand and is in the bin. `pipeline delete ... --undo` restores it."] = None
         self.warnings += [
             LogWarning(source.shown, storable(text), *((found.code, found.severity) if found else (None, None)))
             for text, found in texts.items()
@@ -485,7 +489,7 @@ class _Run:
         self._note(source, "ingest", decision.reason)
 
     def _queue(self, accepted: Sequence[Accepted], present: Collection[str]) -> None:
-        """Queue trials to be stored together, except those already stored."""
+        """Add trials to the next batch, except trials that are already stored."""
         if self.dry_run:
             return
         new = [one for one in accepted if one.trial not in present]
@@ -495,7 +499,10 @@ class _Run:
             self._flush()
 
     def _flush(self) -> None:
-        """Store all pending trials and drop those that they replace; after an error all stored data are valid."""
+        """Store all pending trials, and drop the trials that they replace.
+
+        After an error, all stored data are valid.
+        """
         if self.dry_run or not (self.pending or self.dropped):
             return
         self.folders |= store(self.processed, batches_of(self.pending), self.dropped, self.outdated, self.damaged)
@@ -514,9 +521,9 @@ class _Run:
         refusal = Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)
         self.refusals.append(refusal)
         former = self.stored.get(source.key)
-        # without a hash no changed bytes were read, except for a file that has become too long to read
+        # Without a hash, no changed content was read. The exception is a file that is now too large to be read.
         seen = record.sha256 is not None or record.code == "too-large"
         if former is not None and former.sha256 != record.sha256 and seen:
-            outcome = "its new content is refused; the trials of the former one stay stored"
+            outcome = "its new content is refused; the trials of the former content stay stored"
             self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
         self._note(source, "refuse", refusal.reason)

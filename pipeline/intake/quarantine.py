@@ -1,7 +1,7 @@
-"""Quarantine: a record for each refused source, with the reason and a remedy.
+"""Quarantine of refused sources: one record for each, with the reason and a remedy.
 
-A refused source has one record, in a separate folder below ``processed/quarantine``. Refusing it again replaces the
-record, accepting it removes the record. The source itself is never changed or copied.
+Each record is in a separate folder below ``processed/quarantine``. Another refusal replaces the record, and an accepted
+source loses its record. The source itself is never changed or copied.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ RECORD = "reason"
 
 
 class QuarantineRecord(Record):
-    """Reason why a source was refused, and properties that show whether it has changed since.
+    """Reason why a source was refused, with properties that reveal a later change of the source.
 
     Parameters
     ----------
     path : str
-        Absolute path of the source (of the first file of a pair).
+        Absolute path of the source. For a pair of files, that of the first file.
     size, mtime_ns : int
-        Of all its files together [byte], and the newest modification [ns].
+        Total size of its files [byte], and time of the newest modification [ns].
     sha256 : str or None
-        Of its content; None if it could not be read or was too large to be a log.
+        Hash of its content. None if it could not be read or was too large to be a log.
     row : int or None
-        Faulty row, counted from 1: line of a text file, otherwise record, sample or message.
+        Faulty row, counted from 1. It is a line of a text file, otherwise a record, sample or message.
     reason : str
     profile, profile_sha256 : str or None
-        Profile that claimed it, if any.
+        Profile that claimed the source, or None.
     code : str or None
-        Machine-readable reason, one of `errors.CURES`; None in records of earlier versions.
+        Machine-readable reason, one of `errors.CURES`. None in records of former versions.
     profile_line : str or None
-        Profile line with which it might be readable.
+        Line that the profile may need so that the source becomes readable.
     """
 
     path: str
@@ -55,15 +55,16 @@ class QuarantineRecord(Record):
     code: str | None = None
     profile_line: str | None = None
 
-    def knows_less(self, other: QuarantineRecord | None) -> bool:
-        """Return whether its profile does not fit the file, while that of the other record fitted and found a fault."""
+    def is_less_specific(self, other: QuarantineRecord | None) -> bool:
+        """Return whether this profile does not match the file's columns, while that of the other record found a
+        fault."""
         if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
             return False
         return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
 
 
 FOLDER = "quarantine"
-"""Folder below `processed` of all refused logs."""
+"""Folder below `processed` with the records of all refused logs."""
 
 
 def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
@@ -73,14 +74,14 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     ----------
     processed : Path
     damaged : dict of Path to str, optional
-        Receives the damaged records with their faults; without it they raise an error.
+        Receives the damaged records and their faults. If it is None, a damaged record raises an error.
 
     Raises
     ------
     StoreError
         If a record is damaged.
     OSError
-        If the folder may not be read.
+        If the folder cannot be read.
     """
     records = []
     try:
@@ -91,8 +92,8 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
         if (data := read_result(folder, RECORD, ".json")) is not None:
             records.append(QuarantineRecord.model_validate_json(data))
             continue
-        for file in result_files(folder, RECORD, ".json")[:1]:  # none if its log was accepted in the meantime
-            fault = f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}"
+        for file in result_files(folder, RECORD, ".json")[:1]:  # a log accepted in the meantime has no record
+            fault = f"{file}: not a quarantine record (its content does not match its name). {REMEDY}"
             if damaged is None:
                 raise StoreError(fault)
             damaged[file] = fault
@@ -100,18 +101,18 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
 
 
 def record_id(record: QuarantineRecord) -> str:
-    """Return the id of a record: the name of its folder."""
+    """Return the id of a record, which is the name of its folder."""
     return digest(record.path)
 
 
 def find_record(processed: Path, wanted: str) -> QuarantineRecord:
-    """Return the record of a source by its id or path.
+    """Return the record of a source, given its id or path.
 
     Parameters
     ----------
     processed : Path
     wanted : str
-        Id or path of the source, absolute or relative to the current folder.
+        Id, or path of the source, which may be relative to the current folder.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
     for record in list_quarantine(processed):
         if wanted == record_id(record) or path == record.path:
             return record
-    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` lists the ids and paths of refused logs.")
 
 
 def record_of(source: Source, sha256: str | None, error: LogError) -> QuarantineRecord:
@@ -145,9 +146,9 @@ Refused = tuple[Source, QuarantineRecord]
 
 
 def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
-    """Put refused sources into quarantine; syncing files together is twenty times faster.
+    """Put refused sources into quarantine. Syncing their files together is twenty times faster than one by one.
 
-    A record quotes the log, so it has the same read permissions.
+    A record quotes the log. Therefore, it has the same read permissions.
     """
 
     def write(one: Refused) -> None:
@@ -159,5 +160,5 @@ def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
 
 
 def remove_from_quarantine(processed: Path, path: str) -> None:
-    """Remove the record of a source, if there is one: it was repaired and is now stored."""
+    """Remove the record of a source, if it exists, because the source was repaired and is now stored."""
     shutil.rmtree(processed / FOLDER / digest(path), ignore_errors=True)

@@ -1,7 +1,7 @@
-"""From folders to checked logs, read-only: find logs, find the profile that claims each, read in batches.
+"""Search for logs, choice of the profile that claims each log, and reading in batches. Nothing is written.
 
-``ros2 bag record`` makes a folder with ``metadata.yaml`` and one or more ``.db3`` or ``.mcap`` files: a long recording
-is split over several. Together they are one log.
+``ros2 bag record`` creates a folder with ``metadata.yaml`` and ``.db3`` or ``.mcap`` files. It splits a long recording
+into several files, which together are one log.
 """
 
 from __future__ import annotations
@@ -35,28 +35,31 @@ from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 MANY = 400
-"""Number of sources above which checking their recordings together saves more time than loading machine code takes."""
+"""Number of sources above which checking recordings together saves more time than loading compiled code takes."""
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20
-"""Number of logs and bytes of text parsed at once: enough to make the cost per call negligible, with little memory."""
+"""Number of logs, and bytes of text, that are parsed together. The cost of a call is then negligible, memory small."""
 
 LONGEST_FOLDER = 200
-"""Longest folder name [byte] of a device or experiment; file systems allow 255 bytes."""
+"""Longest folder name of a device or experiment [byte]. File systems allow 255 bytes."""
 
 METADATA = "metadata.yaml"
 ENDINGS = (".db3", ".mcap")
 
 LARGEST_METADATA = 1 << 20
-"""Number of bytes of ``metadata.yaml`` that are read; it has a few hundred per file and topic."""
+"""Number of bytes that are read of ``metadata.yaml``. It has a few hundred bytes for each file and topic."""
 
 _LISTED = re.compile(r"relative_file_paths:\s*(\[[^\]]*\]|(?:[ ]*-[^\n]*(?:\n|$))+)")
 _RECORDED = re.compile(rf"""[^/'",\[\]\n]*({"|".join(map(re.escape, ENDINGS))})(\.zstd)?\b""")
-"""Patterns of the list of files in the metadata, and of a file name in it, without its folder."""
+"""Patterns of the list of files in the metadata, and of a file name without folder in this list."""
 
 
 def files_of_bag(file: Path) -> tuple[Path, ...]:
-    """Return the files of the bag that a file belongs to, listed in its folder's ``metadata.yaml``, if any."""
+    """Return the files of the bag that a file belongs to, from ``metadata.yaml`` in its folder.
+
+    Otherwise, return ().
+    """
     if file.name != METADATA and file.suffix.lower() not in ENDINGS:
         return ()
     try:
@@ -66,13 +69,13 @@ def files_of_bag(file: Path) -> tuple[Path, ...]:
         return ()
     section = _LISTED.search(text)
     found = [name[0].lstrip("- ") for name in _RECORDED.finditer(section[1])] if section else []
-    # a file unpacked by hand has lost its second extension
+    # A file that was unpacked by hand has lost its second extension.
     names = [plain if os.path.exists(file.with_name(plain := name.removesuffix(".zstd"))) else name for name in found]
     return tuple(map(file.with_name, names)) if file.name in (METADATA, *names) else ()
 
 
 UNCOUNTED = frozenset({"truth.json"})
-"""Files that the simulator writes next to logs, in lower case; they are not reported."""
+"""Files that the simulator writes next to logs, in lower case. They are not reported."""
 
 _PAPERS = ("readme", "license", "licence", "copying", "changelog", "citation", "makefile", "dockerfile", "thumbs.db")
 _NO_LOGS = {
@@ -81,13 +84,13 @@ _NO_LOGS = {
     "settings": "toml yaml yml ini cfg conf lock",
     "pictures": "png jpg jpeg gif svg bmp tif tiff webp eps mp4 avi mov mkv",
 }
-"""Prefixes and suffixes of names of files without samples."""
+"""Base names and extensions of files without samples."""
 
 _ENDINGS = frozenset(" ".join(_NO_LOGS.values()).split())
 
 
 def is_no_log(name: str) -> bool:
-    """Return whether a file is a paper, script, setting or picture according to its name.
+    """Return whether the name of a file shows that it is a paper, script, settings file or picture.
 
     >>> [is_no_log(name) for name in ("README.txt", "lab.toml", "look.html", "run_1.csv", "run.txt")]
     [True, True, True, False, False]
@@ -98,14 +101,14 @@ def is_no_log(name: str) -> bool:
 
 @dataclass
 class Notices:
-    """Folders and files that a search skips.
+    """Folders and files that a search skipped.
 
     Parameters
     ----------
     folders : list of (Path, str)
-        Folders that are not searched, each with the reason: a link, or no read permission.
+        Folders that were not searched, with the reason: the folder is a link or cannot be read.
     ignored : list of Path
-        Files in searched folders that are no logs, by their names or by the caller's patterns.
+        Files in searched folders that are not logs, according to their names or the caller's patterns.
     """
 
     folders: list[tuple[Path, str]] = field(default_factory=list)
@@ -119,20 +122,20 @@ class Source:
     Parameters
     ----------
     path : Path
-        First file, as found; the folder of a ROS 2 bag, which is one log.
+        First file, as found. For a ROS 2 bag, the folder, which is one log.
     key : str
-        Its absolute path in the form of `file_names.path_text`: the key of the log in `processed/`, independent of the
-        current folder.
+        Absolute path in the form of `file_names.path_text`, which does not depend on the current folder. It is the key
+        of the log in `processed/`.
     files : tuple of Path
         All files of the log.
     size, mtime_ns : int
-        Size of all files together [byte] and newest modification time [ns].
+        Total size of the files [byte] and newest modification time [ns].
     profile : Profile or None
-        Profile that reads it.
+        Profile that reads the log.
     problem : LogError or None
-        Why it cannot be read at all.
+        Reason why the log cannot be read at all.
     mode : int
-        Permission bits common to all of its files.
+        Permission bits that all of its files have.
     """
 
     path: Path
@@ -156,16 +159,16 @@ class Source:
 
     @cached_property
     def named_conditions(self) -> str | None:
-        """Conditions that the profile reads from the name of the log, as text; None if it does not read names.
+        """Conditions that the profile reads from the name of the log, as text. None if it does not read names.
 
-        Names with the same meaning, such as 2 and 2.0, give the same text.
+        Equivalent names, such as names with 2 and 2.0, give the same text.
         """
         profile, name = self.profile, storable(self.path.name)
         if profile is None or not profile.reads_names:
             return None
         try:
             found = (conditions_in_name(profile.name_pattern, name) if profile.name_pattern else None) or {}
-        except ParameterError:  # the log is refused when it is read
+        except ParameterError:  # reading the log raises this error again
             found = {}
         for key in found.keys() & CONDITION_QUANTITIES:
             with suppress(ValueError):
@@ -175,16 +178,16 @@ class Source:
 
 
 @dataclass(frozen=True)
-class AskedProfiles:
-    """Profiles that may claim logs, ready for use.
+class RequestedProfiles:
+    """Profiles that may claim logs, with their sheets of conditions read.
 
     Parameters
     ----------
     profiles : tuple of Profile
     ignore : tuple of str
-        Patterns of files that are no logs, such as the sheet of conditions.
+        Patterns of files that are not logs, such as the sheet of conditions.
     notices : tuple of (Path, str)
-        Mismatches between the sheet and the logs.
+        Differences between the sheet and the logs.
     """
 
     profiles: tuple[Profile, ...]
@@ -192,25 +195,25 @@ class AskedProfiles:
     notices: tuple[tuple[Path, str], ...] = ()
 
 
-def asked_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) -> AskedProfiles:
-    """Return the named profile with its sheet read, or the shipped profiles if none is named.
+def requested_profiles(profile: str | Path | Profile | None, paths: Sequence[Path]) -> RequestedProfiles:
+    """Return the given profile after reading its sheet, or the shipped profiles if no profile is given.
 
     Raises
     ------
     ProfileError
-        If there is no such profile, or the profile or its sheet is wrong.
+        If the profile does not exist, or the profile or its sheet is invalid.
     """
     if profile is None:
-        return AskedProfiles(shipped_profiles())
+        return RequestedProfiles(shipped_profiles())
     loaded = load_profile(profile)
     if loaded.sheet is None:
-        return AskedProfiles((loaded,))
+        return RequestedProfiles((loaded,))
     sheet = Path(loaded.sheet.file)
     names = {file.name for path in paths for file in (_files(path, None, [], {}) if path.is_dir() else [path])}
     read = with_sheet(loaded, names)
-    # if a single log is given, the other logs of the sheet are elsewhere
+    # If a single log is given, the other logs of the sheet are elsewhere.
     notices = tuple((sheet, text) for text in read.notices) if any(path.is_dir() for path in paths) else ()
-    return AskedProfiles((read.profile,), (escape(os.path.abspath(sheet)),), notices)
+    return RequestedProfiles((read.profile,), (escape(os.path.abspath(sheet)),), notices)
 
 
 def find_sources(
@@ -221,34 +224,34 @@ def find_sources(
     unchanged: dict[str, tuple[int, int]] | None = None,
     ignore: Sequence[str] = (),
 ) -> list[Source]:
-    """Return every log below the given folders and files, each once, in order of path.
+    """Return every log in the given folders and files once, sorted by path.
 
-    Links to files are followed. Links to folders inside a searched folder are not, since they may be circular; they are
-    added to `notices`. A file in a searched folder that is a paper, script, setting or picture by its name is no log,
-    unless a profile names its extension; an explicitly given file always is.
+    Links to files are followed. Links to folders inside a searched folder are added to `notices`, because they may be
+    circular. A paper, script, settings file or picture in a searched folder, as recognised by its name, is not a log
+    unless a profile names its extension. A file that is given explicitly always is a log.
 
     Parameters
     ----------
     paths : sequence of Path
-        Files, and folders searched with all subfolders.
+        Files, and folders that are searched recursively.
     profiles : tuple of Profile
         Profiles that may claim a file.
     exclude : Path, optional
-        Folder to skip (`processed/`, which may be inside a searched folder).
+        Folder to skip. (`processed/` may be inside a searched folder.)
     notices : Notices, optional
         Receives the skipped folders and files.
     unchanged : dict of str to (int, int), optional
-        Size [byte] and time [ns] of files, by absolute path. Files that still match are skipped and removed from this
-        mapping.
+        Size [byte] and time [ns] of known files, by absolute path. Files that still match are skipped, and their
+        entries are removed from this mapping.
     ignore : sequence of str
-        Patterns of files in searched folders that are no logs: matched with names or absolute paths.
+        Patterns of files in searched folders that are not logs. They are matched with names and absolute paths.
 
     Raises
     ------
     UsageError
-        If a path does not exist, is not readable, or is in the excluded folder.
+        If a path does not exist, cannot be read, or is in the excluded folder.
     ProfileError
-        If two profiles claim one file.
+        If two profiles claim the same file.
     """
     found: dict[str, Source] = {}
     excluded, seen = check_places(paths, exclude), Notices() if notices is None else notices
@@ -277,34 +280,37 @@ def _matches(file: Path, patterns: Sequence[str]) -> bool:
 
 
 def _names_ending(profile: Profile | None, file: Path) -> bool:
-    """Return whether a pattern of a profile names the extension of a file, so that the file is a log."""
+    """Return whether a pattern of the profile names the extension of a file, so that the file is a log."""
     ending = file.suffix.lower() or file.name.lower()
     return profile is not None and any(pattern.lower().endswith(ending) for pattern in profile.files)
 
 
 def check_places(paths: Sequence[Path], exclude: Path | None) -> str | None:
-    """Check that the folders may be searched; return the real path of the excluded one. Errors as `find_sources`."""
-    # the target of a link may also be reached by its real path
+    """Return the real path of the excluded folder, after checking that the folders may be searched.
+
+    The errors are those of `find_sources`.
+    """
+    # The target of a link may also be reached by its real path.
     excluded = None if exclude is None else os.path.realpath(exclude)
     for path in paths:
         if not os.path.exists(path):
-            raise UsageError(f"{path}: no such file or folder, or it cannot be read. Give folders with logs, or logs.")
+            raise UsageError(f"{path}: does not exist or cannot be read. Give logs, or folders with logs.")
         if excluded is not None and os.path.join(os.path.realpath(path), "").startswith(os.path.join(excluded, "")):
-            raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
+            raise UsageError(f"{path}: is inside {exclude}, the folder of results. Give folders with logs.")
     return excluded
 
 
 def _files(
     folder: Path, excluded: str | None, notices: list[tuple[Path, str]], unchanged: dict[str, tuple[int, int]]
 ) -> Iterator[Path]:
-    """Yield the files below a folder except hidden ones and `UNCOUNTED`; links to folders are not followed."""
+    """Yield the files below a folder, except hidden files and `UNCOUNTED`. Links to folders are not followed."""
 
     def refused(error: OSError) -> None:
         notices.append((Path(error.filename), f"folder cannot be read ({error.strerror}). Correct its permissions."))
 
     for here, folders, names in os.walk(folder, onerror=refused):
         shown = [Path(here, name) for name in folders if name[0] != "."]
-        text = "is a link to a folder, which is not followed. Give that folder if it has logs."
+        text = "is a link to a folder, which is not followed. If it has logs, give its path."
         notices += [(path, text) for path in shown if path.is_symlink()]
         folders[:] = [path.name for path in shown if os.path.realpath(path) != excluded]
         below = os.path.join(os.path.abspath(here), "")
@@ -317,7 +323,7 @@ def _files(
 
 
 def _state(path: str) -> tuple[int, int] | None:
-    """Return size and time of a path; for a link, those of the link itself."""
+    """Return size and time of a path. For a link, they are those of the link itself."""
     with suppress(OSError):
         status = os.lstat(path)
         return status.st_size, status.st_mtime_ns
@@ -325,8 +331,8 @@ def _state(path: str) -> tuple[int, int] | None:
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
-    """Return whether a modification time [ns] is at least `settle_s` ago, so that recording has ended."""
-    # a time in the future, due to a wrong clock, must not cause endless waiting
+    """Return whether a modification time [ns] is at least `settle_s` ago. Then the recording has ended."""
+    # A time in the future, due to a wrong clock, must not cause endless waiting.
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
 
 
@@ -356,7 +362,7 @@ def _status(file: Path, one_of_several: bool) -> os.stat_result:
     Raises
     ------
     LogError
-        If it cannot be read.
+        If the file cannot be read.
     """
     try:
         status = os.stat(file)
@@ -365,12 +371,12 @@ def _status(file: Path, one_of_several: bool) -> os.stat_result:
         found = f"{file.name} {'is missing' if missing else f'cannot be read ({error.strerror})'}"
         raise refusal("partner-missing" if missing else "unreadable", "", found, f"it in {file.parent}") from error
     if not stat.S_ISREG(status.st_mode):
-        raise refusal("not-regular", "", f"{file.name} is no regular file", "a log")
+        raise refusal("not-regular", "", f"{file.name} is not a regular file", "a log")
     return status
 
 
 def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path]:
-    """Return the profile that claims a file, and the log that the file belongs to."""
+    """Return the profile that claims a file, and the path of the log that the file belongs to."""
     for profile in profiles:
         if (log := profile.log_of_partner(file)) is not None:
             return profile, log
@@ -379,9 +385,9 @@ def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None,
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """A source after reading: its logs, a refusal, or neither if its content is already stored.
+    """A source after reading, with its logs, with a refusal, or with None if its content is already stored.
 
-    ``source`` has the size and time that the files had while they were read.
+    ``source`` has the size and time of the files while they were read.
     """
 
     source: Source
@@ -392,18 +398,19 @@ class Read:
 def read_and_check(
     sources: Sequence[Source], known: Callable[[Source, str], bool], *, together: bool = False
 ) -> list[Read]:
-    """Read, hash, parse and check sources of one profile, in the order given.
+    """Read, hash, parse and check sources of one profile, in the given order.
 
-    It writes nothing and keeps no state, so that it may run in a thread.
+    The function writes nothing and has no state, so that it may run in a thread.
 
     Parameters
     ----------
     sources : sequence of Source
-        All claimed by the same profile, or by none; at most a few MB in total, since they are kept in memory.
+        Sources that are all claimed by one profile, or by none. Their total size is at most a few MB, as all are kept
+        in memory.
     known : callable
-        Function that returns whether a source with a given SHA-256 is already stored; such a source is not parsed.
+        Function that returns whether a source with the given SHA-256 is already stored. Such a source is not parsed.
     together : bool, optional
-        Whether their recordings are checked together, which is faster for more than `MANY`.
+        Whether the recordings are checked together, which is faster for more than `MANY` sources.
     """
     reads, raws = list[Read](), dict[int, RawLog]()
     for index, source in enumerate(sources):
@@ -420,7 +427,7 @@ def read_and_check(
             reads[index] = replace(reads[index], result=outcome)
     for read in reads:
         if isinstance(why := read.result, LogError):
-            # the traceback would keep the bytes of logs in memory
+            # The traceback would keep the content of logs in memory.
             why.__traceback__ = why.__cause__ = why.__context__ = None
     if together:
         find_together([log for read in reads if isinstance(read.result, tuple) for log in read.result])
@@ -428,12 +435,12 @@ def read_and_check(
 
 
 def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
-    """Read one source: the profile that claims it, the raw log, and the logs that the profile reads from it.
+    """Read one source, and return the profile that claims it, the raw log, and the logs read from it.
 
     Raises
     ------
     LogError
-        If it is refused, with the row at fault.
+        If the source is refused. The error has the faulty row.
     """
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
@@ -444,12 +451,12 @@ def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
 
 
 def load_source(source: Source) -> tuple[RawLog, str, Source]:
-    """Return the bytes and the SHA-256 of a source, and the source with its size and time during reading.
+    """Return the content and SHA-256 of a source, and the source with its size and time during reading.
 
     Raises
     ------
     LogError
-        If it is too large, cannot be read, changes while it is read, or no profile claims it.
+        If the source is too large, cannot be read, changes while it is read, or is not claimed by a profile.
     """
     if source.size > LARGEST_LOG:
         expected = f"a log of one step response, at most {LARGEST_LOG}"
@@ -467,7 +474,7 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
         except OSError as error:
             raise refusal("unreadable", "", f"file cannot be read ({error.strerror})") from error
         if (before.st_size, before.st_mtime_ns) != (len(data[-1]), after.st_mtime_ns):
-            raise refusal("changed-while-read", "", "file changed while it was read", "a finished recording")
+            raise refusal("changed-while-read", "", "the file changed while it was read", "a finished recording")
         size, mtime_ns = size + after.st_size, max(mtime_ns, after.st_mtime_ns)
     sha256 = content_hash([hashlib.sha256(part).hexdigest() for part in data])
     raw = RawLog(tuple(storable(file.name) for file in source.files), tuple(data))
@@ -477,7 +484,7 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
 
 
 def content_hash(hashes: Sequence[str]) -> str:
-    """Return the SHA-256 of a log from those of its files, in their order."""
+    """Return the SHA-256 of a log from the hashes of its files, in the order of the files."""
     return hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
 
 
@@ -488,7 +495,7 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
     ----------
     log : Log
     known : mapping of str to {"translation", "rotation"}
-        Motion of each device that has a device file.
+        Motion of each device with a device file.
 
     Raises
     ------
@@ -515,7 +522,10 @@ def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
 
 
 def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
-    """Split sources into batches of one profile with at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
+    """Split sources into batches.
+
+    A batch has one profile, and at most `BATCH_LOGS` logs and `BATCH_BYTES` (or one log).
+    """
     batch: list[Source] = []
     size = 0
     for source in sources:
@@ -530,9 +540,9 @@ def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
 
 
 def reads_of(sources: Sequence[Source], known: Callable[[Source, str], bool], jobs: int) -> Iterator[list[Read]]:
-    """Read sources in batches in `jobs` threads, and yield the results in order.
+    """Read sources in batches in `jobs` threads, and yield the results in the given order.
 
-    At most `jobs` batches are read ahead, so that memory is bounded. Parameters as for `read_and_check`.
+    At most `jobs` batches are read ahead, which limits memory. The parameters are those of `read_and_check`.
     """
     batches, running = batches_of(sources), list[Future[list[Read]]]()
     read = partial(read_and_check, known=known, together=len(sources) >= MANY)

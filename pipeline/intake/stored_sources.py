@@ -1,4 +1,4 @@
-"""Stored sources: the stored trials of each, and the rows of the trials table for new ones."""
+"""Stored sources with their trials, and rows of the trials table for new sources."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from pipeline.store.names import name_of_folder
 from pipeline.store.storage import read_rows, same_period, trials_files
 
 SEEN = ("source_path", "source_size", "source_mtime_ns", "source_trials", "claims")
-"""Columns that show whether a source is new; each further column costs a tenth of the time, with groups of 64 rows."""
+"""Columns that show whether a source is new. Each further column costs a tenth of the time with groups of 64 rows."""
 
 MORE = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns", "device", "trial_id")
-"""Columns that are read when a stored log is requested."""
+"""Columns that are read if details of a stored log are needed."""
 
 
 class StoredSource(NamedTuple):
@@ -42,13 +42,13 @@ class StoredSource(NamedTuple):
     Parameters
     ----------
     sha256, profile_sha256, profile : str
-        Content, and the profile that read it.
+        Hash of the content, and hash and name of the profile that read it.
     size, mtime_ns : int
-        Size [byte] and modification time [ns] when it was read.
+        Size [byte] and modification time [ns] at the time of reading.
     devices, trials : tuple of str
         Device and id of each of its trials.
     whole : bool
-        Whether these are all trials of the source: an interrupted run may have written only some.
+        Whether these are all trials of the source. An interrupted run may have written only some.
     """
 
     sha256: str
@@ -61,20 +61,20 @@ class StoredSource(NamedTuple):
     whole: bool = True
 
     def keys(self, path: str) -> set[Key]:
-        """Return the keys of its trials as read."""
+        """Return the keys of its trials, which identify them as read."""
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
 class StoredSources:
-    """Stored data of each source by path; details beyond whether it is new are read on demand.
+    """Stored data of each source by path. Data that do not show whether a source is new are read when needed.
 
     Parameters
     ----------
     processed : Path
     claims : str
-        Hash of all profiles that may claim a file now.
+        Hash of all profiles that may currently claim a file.
     damaged : dict of Path to str
-        As for `storage.read_trials`.
+        As in `storage.read_trials`.
     """
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
@@ -85,14 +85,14 @@ class StoredSources:
         missing = {name: trials[name] - count for name, count in Counter(path).items() if count != trials[name]}
         self.paths, self.partly = trials.keys(), missing.keys()
         self.doubled = min(missing.values(), default=0) < 0
-        """Whether any log is stored twice, with different content."""
+        """Whether any log is stored twice with different content."""
         states = zip(path, size, mtime_ns, by, strict=True)
         self.states = {name: (of, at) for name, of, at, claimed in states if claimed == claims}
-        """Size [byte] and time [ns] of each source that is one completely stored file of an unambiguous profile."""
+        """Size [byte] and time [ns] of each completely stored source with a single file and an unambiguous profile."""
         for name in (*missing, *(name for name in self.states if name.endswith(ENDINGS))):
             self.states.pop(name, None)
         self.taken = dict[str, StoredSource]()
-        """Sources stored since."""
+        """Sources stored since this object was created."""
 
     @cached_property
     def _former(self) -> dict[str, StoredSource]:
@@ -105,11 +105,12 @@ class StoredSources:
         return found
 
     def get(self, path: str) -> StoredSource | None:
-        """Return the stored data of a path; None if they are in a damaged file, so that its logs count as new."""
+        """Return the stored data of a path. None if they are in a damaged file, so that the log counts as new."""
         return self.taken.get(path) or (self._former.get(path) if path in self.paths else None)
 
     def places(self, but: set[str]) -> dict[str, str]:
-        """Return the path under which each trial is stored, except for given and for incomplete sources."""
+        """Return the path of the log of each stored trial, except for the sources in ``but`` and for incomplete
+        sources."""
         rows = read_rows(self.processed, ("trial_id", "source_path"), self.damaged)
         pairs = zip(rows.column("trial_id"), rows.column("source_path"), strict=True)
         return {trial: path for trial, path in pairs if path not in but and path not in self.partly}
@@ -117,27 +118,27 @@ class StoredSources:
 
 @dataclass
 class Periods:
-    """Sampling period [s] of each experiment of a store, by device and name; the first log decides.
+    """Sampling period [s] of each experiment in a store, by device and experiment. The first log determines it.
 
-    A log with another period belongs to another loop, and therefore to a separate experiment.
+    A log with another period belongs to another loop. Therefore, it is assigned to a separate experiment.
     """
 
     processed: Path
 
     @cached_property
     def known(self) -> dict[tuple[str, str], float]:
-        """Stored periods, and those assigned since."""
+        """Periods in the store, and periods of newly assigned experiments."""
         found: dict[tuple[str, str], float] = {}
         for file in trials_files(self.processed):
             place = name_of_folder(file.parent.parent.name), name_of_folder(file.parent.name)
             if place not in found:
-                # damage is reported by the functions that read more of it
+                # Functions that read more of a damaged file report the damage.
                 with suppress(StoreError, FileNotFoundError), open_table(file) as stored:
                     found[place] = stored.read_row_group(0, ["sampling_period_s"]).column(0)[0].as_py()
         return found
 
     def assign(self, log: Log) -> Log:
-        """Return a log with the name of the experiment of its period, with a warning if it differs from the header."""
+        """Return a log with the experiment of its period. If this differs from the header, the log has a warning."""
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
         if same_period(common, period):
@@ -148,14 +149,14 @@ class Periods:
         name = next(names, f"{stem}{1e3 * period:.4g}ms")
         self.known.setdefault((header.device, name), period)
         text = (
-            f"the sampling period is {1e3 * period:.4g} ms; logs of experiment {header.experiment!r} have "
-            f"{1e3 * common:.4g} ms. It is stored as experiment {name!r}: another period is another loop."
+            f"the sampling period is {1e3 * period:.4g} ms, but logs of experiment {header.experiment!r} have "
+            f"{1e3 * common:.4g} ms. It is stored as experiment {name!r}, because another period is another loop."
         )
         return replace(log, header=replace(header, experiment=name), warnings=(*log.warnings, text))
 
 
 OTHER_GAINS = "other_gains"
-"""Key in ``extra`` of a trial whose command obeys other gains than its header states: the gains and the remedy."""
+"""Key in ``extra`` for a sentence on gains that the command follows although the header states others."""
 
 LOG_BYTES = 2048
 """Memory of a log without its samples [byte]."""
@@ -166,7 +167,7 @@ _CONDITIONS = ("device", "experiment", "stiffness", "damping", "step", "sampling
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log and its row in the trials table, without the columns that are computed for many logs at once."""
+    """A checked log with its row in the trials table. Columns that are computed for many logs at a time are missing."""
 
     source: Source
     log: Log
@@ -184,7 +185,7 @@ class Accepted:
 
     @property
     def place(self) -> ExperimentKey:
-        """Key that it shares with all trials of its file."""
+        """Key that the trial shares with all trials of its file."""
         device, experiment, motion = (self.row[name] for name in ("device", "experiment", "motion"))
         return ExperimentKey(device, experiment, motion, readers_of(self.source.mode))
 
@@ -194,7 +195,7 @@ def accepted_logs(
 ) -> list[Accepted]:
     """Return the trials of a source.
 
-    A trial whose command follows gains other than the stated ones is marked and gets a warning.
+    A trial whose command follows other gains than the header states is marked and has a warning.
 
     Parameters
     ----------
@@ -202,14 +203,14 @@ def accepted_logs(
     sha256 : str
     logs : sequence of Log
     known : mapping of str to Motion
-        Motion of each device that has a device file.
+        Motion of each device with a device file.
     claims : str
-        Hash of all profiles that might have claimed it.
+        Hash of all profiles that might have claimed the source.
 
     Raises
     ------
     LogError
-        If a log cannot be stored (`reading.motion_of`).
+        If a log cannot be stored (see `sources.motion_of`).
     """
     assert source.profile is not None, "a source without a profile is refused before it is read"
     common = {
@@ -226,7 +227,7 @@ def accepted_logs(
     found = []
     for log in logs:
         row = common | {"motion": motion_of(log, known), "label": log.label, "rows": len(log.time)}
-        # distortion of the command by a faulty recording does not mean another wall
+        # A faulty recording may distort the command, which does not indicate another wall.
         is_safe = not any(finding.is_unsafe for finding in log.findings)
         if is_safe and (text := gain_mismatch(source.profile, log)) is not None:
             header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
@@ -239,7 +240,7 @@ def accepted_logs(
 
 
 def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.Table]]:
-    """Return the trials of logs by place, one group of rows at a time."""
+    """Return the trials of logs by file key, one row group at a time."""
     places = defaultdict[ExperimentKey, list[Accepted]](list)
     for one in accepted:
         places[one.place].append(one)
@@ -247,7 +248,7 @@ def batches_of(accepted: Sequence[Accepted]) -> dict[ExperimentKey, Iterator[pa.
 
 
 def _tables(members: Sequence[Accepted]) -> Iterator[pa.Table]:
-    """Yield the trials of logs, one group of rows at a time."""
+    """Yield the trials of logs, one row group at a time."""
     step = max(min(GROUP_TRIALS, GROUP_BYTES // max(one.bytes for one in members)), 1)
     for first in range(0, len(members), step):
         yield _table(members[first : first + step])
@@ -266,7 +267,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     ]
     samples: dict[str, list[Any]] = {"time_s": [log.time for log in logs]}
     samples |= {name: [getattr(log, name) for log in logs] for name in ("command", "position", "force", "velocity")}
-    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # fractional and integer stamps of the file
+    for name, kind in (("raw_time", "f"), ("raw_count", "i")):  # fractional and integer time stamps of the file
         stamps = [log.raw_time for log in logs]
         samples[name] = [None if values is None or values.dtype.kind != kind else values for values in stamps]
     columns |= {name: pa.array(values, COLUMNS[name].dtype) for name, values in samples.items()}
@@ -274,17 +275,17 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
 
 
 def trial_id(sha256: str, label: str | None, conditions: str | None = None) -> str:
-    """Return the id of a trial, from its source and, if the source has several trials, its label.
+    """Return the id of a trial. It depends on the source and, if the source has several trials, on the label.
 
     Parameters
     ----------
     sha256 : str
-        Of the source, 64 hexadecimal digits.
+        Hash of the source, 64 hexadecimal digits.
     label : str or None
         Label of the trial in the source.
     conditions : str, optional
-        Conditions read from the name of the file: the same samples with other conditions are another trial.
+        Conditions read from the file name. The same samples with other conditions are another trial.
     """
     parts = [part for part in (label, conditions) if part is not None]
-    # neither label nor name contains a NUL
+    # Neither a label nor a name contains a NUL character.
     return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]

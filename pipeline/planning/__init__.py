@@ -1,1 +1,1 @@
-"""Planning of the next walls (K, B): a model proposes, verdicts of trials decide."""
+"""Planning of the next walls (K, B). A model proposes walls, and verdicts of trials decide."""

@@ -1,4 +1,4 @@
-"""Trials of one experiment so far, the requested limits, and the starting point."""
+"""Trials of an experiment so far, the requested limits, and the starting point of a plan."""
 
 from __future__ import annotations
 
@@ -46,47 +46,51 @@ from pipeline.store.samples import in_order, load_trials
 from pipeline.store.storage import list_experiments, read_trials
 
 DAMPINGS = 12
-"""Default number of dampings at which limits are sought."""
+"""Default number of dampings at which limits are searched for."""
 
 TRIALS = 16
-"""Number of logs to which a device is fitted: a parameter accurate to 1 % from one log is accurate to 0.3 % from these,
-and the user waits for the fit."""
+"""Number of logs to which a device is fitted.
+
+A parameter that is accurate to 1 % from one log is accurate to 0.3 % from this number. The user waits for the fit.
+"""
 
 FEW = 3
-"""Number of logs below which a device with friction is not identified reliably: another delay may explain them."""
+"""Number of logs below which a device with friction is not identified reliably. Another delay may explain the logs."""
 
 UNSURE = 0.5
-"""Threshold below which the device counts as unknown: the smallest "largest limit" among the devices consistent with
-the logs, relative to that of the most likely one."""
+"""Share of the most likely device's largest limit below which the device counts as unknown.
+
+The smallest of the largest limits of all devices consistent with the logs is compared with it.
+"""
 
 RANGE = 1.5
 """Default of the largest damping, relative to that of the stiffest wall."""
 
 AGAIN = 3
-"""Growth of the number of logs, as a factor, after which the parts of the device are selected again."""
+"""Factor by which the number of logs must grow before the parts of the device are selected again."""
 
 Look = Callable[[list[Recording]], ChosenParts | None]
-"""Function that selects the parts of a device; it returns None while a selection is running."""
+"""Function that selects the parts of a device. It returns None while a selection is running."""
 
 SAME = 0.002
-"""Tolerance, relative to the largest damping, within which two dampings count as equal: a tenth of the usual
+"""Tolerance, relative to the largest damping, within which two dampings count as equal. It is a tenth of the usual
 accuracy."""
 
 AS_SET = 0.25
 """Share of the spacing of dampings by which the set damping may differ from the requested one."""
 
 START_ERROR = 0.1
-"""Error of limits predicted from the parameters of a device file, relative to the largest limit."""
+"""Error of limits that are predicted from the parameters of a device file, relative to the largest limit."""
 
 NOT_IDENTIFIED = (
-    "the logs do not identify a device: mass and force on it cannot be separated. Record the next wall, longer logs, "
-    "or {}."
+    "no device can be identified from the logs: mass and force gain cannot be separated. Record the next "
+    "wall, longer logs, or {}."
 )
-"""Reason if logs are usable but do not identify a device, with the remedy."""
+"""Reason and remedy if logs are usable but no device can be identified from them."""
 
 RANGE_NEEDED = (
-    "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
-    "(pipeline plan --device my-device.toml; schemas/devices/falcon.toml is an example), or logs of some walls "
+    "an initial range is needed: give a device file with mass, delay_samples, damping_first and damping_last "
+    "(pipeline plan --device my-device.toml; schemas/devices/falcon.toml is an example), or logs of a few walls "
     "(pipeline ingest LOGS), for instance K = 500, 1000 and 2000 N/m at B = 10 Ns/m"
 )
 
@@ -102,19 +106,19 @@ class LearntDevice:
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """Options of a plan; see `next_wall.PlanGoal` for accuracy and gentleness.
+    """Options of a plan. See `next_wall.PlanGoal` for accuracy and gentleness.
 
     Parameters
     ----------
     goal : {"boundary", "optimum"}
     criterion : str
-        Criterion of the goal ``optimum``.
+        Criterion for the goal ``optimum``.
     count : int
-        Number of walls of a batch.
+        Number of walls in a batch.
     dampings : tuple of float
-        B at which limits are wanted [Ns/m, Nms/rad]; by default `DAMPINGS` of them over the range.
+        B at which limits are wanted [Ns/m, Nms/rad]. By default, `DAMPINGS` of them cover the range.
     largest_stiffness, largest_damping, largest_force, travel : float
-        Bounds of trials: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm] and distance of the start from the centre
+        Bounds of trials: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm], and distance of the start from the centre
         [m, rad].
     """
 
@@ -136,7 +140,7 @@ BOUNDS = {
     "force": "largest_force",
     "travel": "travel",
 }
-"""Quantities that bound what is tried, with their names in `PlanOptions`."""
+"""Quantities that bound the trials, with their names in `PlanOptions`."""
 
 
 def plan_options(
@@ -147,13 +151,14 @@ def plan_options(
     Raises
     ------
     UsageError
-        For another goal, a bound that is not in `BOUNDS` or not above 0, no wall, or a negative damping.
+        If the goal is unknown, a bound is not in `BOUNDS` or not above 0, the number of walls is 0, or a damping is
+        negative.
     """
     criterion = "settle_2pct" if goal in ("boundary", "optimum") else goal
     if criterion not in MEASURED:
         raise UsageError(f"goal {goal}: expected boundary, optimum or a criterion: {', '.join(MEASURED)}.")
     if count < 1:
-        raise UsageError(f"{count} walls: expected 1 or more to name at once.")
+        raise UsageError(f"{count} walls: expected at least 1.")
     for name, value in limits.items():
         if name not in BOUNDS:
             raise UsageError(f"limit of {name}: expected one of {', '.join(BOUNDS)}.")
@@ -168,12 +173,13 @@ def plan_options(
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Trials of one experiment so far, and its starting point: the experiment of the device file, if any.
+    """Trials of an experiment so far, and its starting point, which is the experiment of the device file if there is
+    one.
 
-    ``found`` is the device identified from its logs, with ``learnt`` as input for the next plan; without one
-    ``unknown`` is the reason. ``undecided`` has the reason of each trial whose verdict is undecided. ``free`` is the
-    number of trials without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` those that the rig set on
-    request.
+    ``found`` is the device identified from its logs, with ``learnt`` as input for the next plan. Without a device,
+    ``unknown`` is the reason. ``undecided`` has the reason of each trial with an undecided verdict. ``free`` is the
+    number of trials without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` the walls that the rig
+    set on request.
     """
 
     name: str
@@ -215,14 +221,14 @@ def open_campaign(
     known: LearntDevice | None = None,
     look: Look = look_at_once,
 ) -> Campaign:
-    """Return the stored trials of an experiment; errors as of `plan`.
+    """Return the stored trials of an experiment. The errors are those of `plan`.
 
     Parameters
     ----------
     name, processed, experiment, options
-        As of `plan`.
+        As for `plan`.
     known : LearntDevice, optional
-        The device identified from fewer logs.
+        Device identified from fewer logs.
     look : callable
         Function that selects the parts of the device.
     """
@@ -233,13 +239,13 @@ def open_campaign(
     of_file = next((e for e in device.experiments if e.name == chosen), None) if device else None
     if chosen not in stored:
         if device is None:
-            raise DeviceError(f"device {name!r}: no device file and no log of it in {processed}; {RANGE_NEEDED}.")
+            raise DeviceError(f"device {name!r}: no device file, and no log in {processed}; {RANGE_NEEDED}.")
         of_file = find_experiment(device, chosen)
         nothing = np.empty(0)
         tried = TriedWalls(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
         return Campaign(name, chosen, tried, device, of_file, *about, device.motion)
-    trials = in_order(read_trials(processed, name, chosen))  # in the order of the stages
+    trials = in_order(read_trials(processed, name, chosen))  # these rows have the order of the stages
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
     if options.largest_force < inf:
@@ -250,7 +256,7 @@ def open_campaign(
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
     if reason := unsafe_reason(findings):
         raise ParameterError(f"device {name!r}, experiment {chosen!r}: {reason}")
-    # a device without a wall may reach a stop: such logs are used only if there are no others
+    # A device without a wall may reach a stop. Such logs are used only if there are no others.
     fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
     fitted = fitted if fitted.any() else ~unsafe
     places = spread_over_plane(K, B, fitted, TRIALS)
@@ -273,7 +279,7 @@ def campaign_of(
     options: PlanOptions,
     force: Floats | None = None,
 ) -> Campaign:
-    """Return the trials of an experiment by their verdicts alone, without an identified device.
+    """Return the trials of an experiment by their verdicts, without an identified device.
 
     ``force`` is the largest absolute command of each trial [N, Nm], if needed.
     """
@@ -301,28 +307,28 @@ def campaign_of(
     )
 
 
-def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Device | None) -> str:
-    if asked is not None:
-        return asked
+def _experiment(name: str, requested: str | None, stored: Sequence[str], device: Device | None) -> str:
+    if requested is not None:
+        return requested
     if len(stored) > 1:
-        raise UsageError(f"device {name!r} has logs of experiments {', '.join(stored)}: name one (--experiment).")
+        raise UsageError(f"device {name!r} has logs of experiments {', '.join(stored)}. Name one (--experiment).")
     if stored:
         return stored[0]
     return device.experiments[0].name if device else ""
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are wanted: the stated ones, otherwise evenly spaced ones, or those tried.
+    """Return the dampings at which limits are wanted: the stated dampings, otherwise evenly spaced or tried ones.
 
-    Evenly spaced ones are moved to a nearby damping that was tried or that is a step of the device file. A damping that
-    the rig replaced by another one is replaced here, too.
+    Evenly spaced dampings are moved to a nearby damping that was tried or is a step of the device file. If the rig
+    replaced a damping by another one, it is also replaced here.
     """
     tried = np.unique(campaign.tried.damping)
     of_file = campaign.of_file
     if options.dampings:
         wanted = np.unique(np.array(options.dampings, dtype=np.float64))
     elif of_file is not None:
-        assert campaign.device is not None, "of which the experiment was found"
+        assert campaign.device is not None, "the experiment is that of a device file"
         grid = tested_grid(campaign.device, of_file)
         even = np.linspace(grid.damping_first, grid.damping_last, DAMPINGS)
         steps = np.round((even - grid.damping_first) / grid.damping_step)
@@ -339,7 +345,7 @@ def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ..
     wanted = _as_answered(wanted, campaign.answers)
     wanted = wanted[wanted <= options.largest_damping]
     if not len(wanted):
-        raise UsageError(f"device {campaign.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
+        raise UsageError(f"device {campaign.name!r}: no damping remains. Give some (--dampings 0,20,40).")
     return tuple(wanted.tolist())
 
 
@@ -353,7 +359,10 @@ def damping_range(loop: Loop) -> Floats:
 
 
 def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
-    """Return the wanted dampings, each replaced by the nearest tried one if the rig may have set it instead."""
+    """Return the wanted dampings.
+
+    If the rig may have set a nearby tried damping instead, it replaces the wanted one.
+    """
     if not len(tried) or len(wanted) < 2:
         return wanted
     nearest = tried[np.argmin(np.abs(tried[:, None] - wanted), axis=0)]
@@ -361,7 +370,7 @@ def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
 
 
 def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
-    """Return the wanted dampings, replaced by those that the rig set instead if these are near or were set twice."""
+    """Return the wanted dampings. A damping that the rig set instead replaces one if it is near or was set twice."""
     near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
     result = wanted.copy()
     for place, damping in enumerate(wanted.tolist()):
@@ -372,7 +381,7 @@ def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
 
 
 def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
-    """Return the trials, with dampings rounded to a wanted one next to them."""
+    """Return the trials with each damping rounded to a wanted damping next to it."""
     wanted = np.array(dampings)
     nearest = wanted[np.argmin(np.abs(tried.damping[:, None] - wanted), axis=1)] if len(tried) else tried.damping
     near = np.abs(nearest - tried.damping) <= SAME * float(wanted.max(initial=0.0))
@@ -380,9 +389,9 @@ def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
 
 
 def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits for the step, predicted by the device identified from the logs, else by the device file.
+    """Return the limits for the step, as predicted by the device from the logs, or else by the device file.
 
-    None without either, or if the limits of the devices consistent with the logs differ too much.
+    The result is None without either, or if the limits of the devices consistent with the logs differ too much.
     """
     wall = np.array(dampings)
     if campaign.found is not None:
@@ -393,15 +402,15 @@ def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | Non
     limit = linear_limits(loop, wall)
     largest = float(limit.max()) or _stiffest(loop)
     if not largest > 0:
-        raise DeviceError(f"device {campaign.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
+        raise DeviceError(f"device {campaign.name!r}: according to its file, no wall is stable; {RANGE_NEEDED}.")
     error = np.full(len(limit), START_ERROR * largest)
-    # the first wall is already a fraction of the limit
+    # The first wall is already a fraction of the limit.
     low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(campaign.tried) else limit
     return Forecast(limit, error, low=low, scale=largest)
 
 
 def _stiffest(loop: Loop) -> float:
-    """Return the largest stable stiffness of the linear loop [N/m, Nm/rad]; 0 if there is none."""
+    """Return the largest stable stiffness of the linear loop [N/m, Nm/rad], or 0 if there is none."""
     return float(linear_limits(loop, np.array([damping_of_stiffest(loop)]))[0])
 
 
@@ -409,7 +418,7 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
     trial = StepTrial(campaign.step, round(campaign.trial_s / campaign.sampling_period_s))
     limit, reach = limits_of(device, wall, trial)
     linear, linear_reach = limits_of(device, wall)
-    # the step of future trials is unknown as long as no trial had one
+    # The step of future trials is unknown until a trial has a step.
     known = np.isfinite(limit) & (len(campaign.tried) > 0 or not campaign.free)
     limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
     lowest, best = lowest_limits(device, wall), int(np.argmax(linear))
@@ -417,32 +426,33 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
     if unsure and len(campaign.tried):
         return None
     if campaign.is_sure and not unsure:
-        # known friction raises the limit for the step
+        # Known friction raises the limit for the step.
         by_friction = np.sqrt(np.maximum(reach**2 - linear_reach**2, 0.0))
         raised = limit - np.hypot(linear - lowest, by_friction)
-        # if the linear limit is uncertain, so is its increase by friction
+        # If the linear limit is uncertain, its increase by friction is also uncertain.
         lowest = np.where(linear - lowest <= NARROW * linear, np.maximum(raised, lowest), lowest)
     scale = float(limit.max())
     if not scale > 0 and not len(campaign.tried):
         scale = _stiffest(device.loop)
         if not scale > 0:
-            raise DeviceError(f"device {campaign.name!r}: by the device of its logs no wall is stable; {RANGE_NEEDED}.")
+            raise DeviceError(f"device {campaign.name!r}: according to its logs, no wall is stable; {RANGE_NEEDED}.")
     return Forecast(limit, reach / NORMAL_95, low=np.minimum(lowest, limit), scale=scale)
 
 
 def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) -> LearntDevice | None:
-    """Identify the device from trials of an experiment, starting from the device of fewer trials.
+    """Identify the device from trials of an experiment, starting from the device identified from fewer trials.
 
     Parameters
     ----------
     trials : Trials
-        Trials with K > 0 or, if there are none, trials without a wall; all of them, or `TRIALS` of them spread over
-        the walls.
+        Trials with K > 0 or, if there are none, trials without a wall. They are all such trials, or `TRIALS` of them
+        spread over the walls.
     count : int
         Number of such trials that are stored.
     known : LearntDevice or None
     look : callable
-        Called if the parts of the device are unknown, or were selected from at most a third of the logs.
+        Function that is called if the parts of the device are unknown, or were selected from at most a third of the
+        logs.
     """
     order = np.lexsort((trials.stiffness, trials.damping))
     spread = trials.select(order[np.unique(np.linspace(0, len(order) - 1, TRIALS).astype(np.int64))])
@@ -457,13 +467,13 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
             return None
         found = described(recordings, fit_parts(recordings, chosen))
     except (ParameterError, np.linalg.LinAlgError):
-        # a device that cannot be fitted is discarded
+        # A device that cannot be fitted is discarded.
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
         return LearntDevice(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
     device = loop_from_row(asdict(row), float(np.median(trials.sampling_period_s)))
-    # a filter is most visible at the largest damping
+    # A filter is most visible at the largest damping.
     most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None
     if velocity is None:
@@ -474,7 +484,7 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
 
 
 def unusable(recordings: list[Recording]) -> str:
-    """Return why no device can be identified from recordings, and what to record; empty if one can."""
+    """Return why no device can be identified from recordings, with the remedy, or "" if a device can be identified."""
     try:
         check_recordings(recordings)
     except ParameterError as error:
@@ -483,6 +493,6 @@ def unusable(recordings: list[Recording]) -> str:
 
 
 def _recordings(trials: Trials) -> list[Recording]:
-    """Return usable trials as input of the estimator, in the order of their ranks; all if none is usable."""
+    """Return usable trials as input of the estimator, sorted by rank. If none is usable, return all."""
     measured = [MeasuredTrial(trial) for trial in trials]
     return sorted(usable_recordings(measured) or map(recording, measured), key=lambda each: each.rank)

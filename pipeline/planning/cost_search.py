@@ -1,7 +1,7 @@
-"""Goal `optimum`: walls to try until the best cost by a criterion is found.
+"""Search for the goal `optimum`: walls to try until the best cost by a criterion is found.
 
-The device identified from all logs predicts the cost of each wall; the deviation of measured costs is modelled as a
-random function of (K, B). Only a measured cost makes a wall the best.
+The device identified from all logs predicts the cost of each wall. The deviation of measured costs is modelled as a
+random function of (K, B). The best wall is always one with a measured cost.
 """
 
 from __future__ import annotations
@@ -23,38 +23,48 @@ LENGTHS = np.array([0.12, 0.08])
 """Correlation lengths of the logarithm of a cost, relative to the ranges of B and K."""
 
 HIGHEST = 0.95
-"""Fraction of the limit above which responses last too long to be simulated or to be good."""
+"""Fraction of the limit above which responses are too slow to be simulated or to be good."""
 
 DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
-"""Grid over the stable region: number of dampings, and fractions of the limit at each."""
+"""Grid over the stable region: number of dampings, and fractions of the limit at each damping."""
 
 ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
 """Refinement around the lowest grid points: relative positions, and pairs of range (in grid spacings) and number of
-points: the shortest settling times lie in a narrow valley next to a jump, which a grid hits only by chance."""
+points.
+
+The shortest settling times lie in a narrow valley next to a jump, which a grid finds only by chance.
+"""
 
 LONGEST = 1000
 """Number of samples after which a response that still moves has no cost."""
 
 FIRST, FIRST_ELSE = 6, 15
-"""Number of measured costs below which no search is finished: with a correct device, and with wrong limits."""
+"""Smallest number of measured costs at which a search may end.
+
+The first number applies to a correct device, the second to a device with wrong limits.
+"""
 
 ROUGH, WRONG = 0.03, 0.15
-"""Standard deviation of the logarithm of a cost from the prediction of a device with the measured limits (settling
-times jump from one swing to the next), and of one without. A common offset of all costs may be as large."""
+"""Standard deviations of the logarithm of a cost from the prediction of a device with the measured limits, and without.
+
+A settling time jumps if a further swing leaves the band. A common offset of all costs may be as large.
+"""
 
 FINALISTS, NEIGHBOUR_OFFSETS = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
-"""Number of most promising walls, and offsets of their neighbours that are checked: device and rig may be wrong by that
-much."""
+"""Number of most promising walls, and offsets of their neighbours that are checked.
+
+Device and rig may be wrong by these offsets.
+"""
 
 NO_COST = 1.0
-"""Penalty, as logarithm, of a wall without a cost relative to its expected cost: it keeps the search away."""
+"""Penalty, as logarithm, of a wall without a cost relative to its expected cost, so that the search avoids it."""
 
 OFFSET = 0.01
-"""Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is equivalent to none."""
+"""Offset of costs that may be zero, so that they have a logarithm. One percent of overshoot is equivalent to none."""
 
 
 def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> Floats:
-    """Return the costs of the walls of a loop [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the stability limit."""
+    """Return the costs of walls of a loop [N/m, Nm/rad; Ns/m, Nms/rad]. They are NaN near and beyond the limit."""
     normalised, units = NormalisedLoop.of(loop), LoopUnits.of(loop)
     alpha, beta = stiffness / units.stiffness, damping / units.damping
     levels, place = np.unique(beta, return_inverse=True)
@@ -68,7 +78,7 @@ def costs_of(loop: Loop, stiffness: Floats, damping: Floats, criterion: str) -> 
 
 @dataclass(frozen=True, eq=False)
 class CostTarget:
-    """Goal and range of the search.
+    """Goal and range of the search for the best cost.
 
     Parameters
     ----------
@@ -76,7 +86,7 @@ class CostTarget:
     dampings, highest : float64, shape (n,)
         Increasing dampings B, and the estimated largest stable stiffness at each.
     by : Loop or None
-        The loop that predicts the costs.
+        Loop that predicts the costs.
     holds : bool
         Whether this loop agrees with the measured limits.
     """
@@ -89,25 +99,25 @@ class CostTarget:
 
     @property
     def offset(self) -> float:
-        """Added to costs that may be zero."""
+        """Offset of costs that may be zero."""
         return OFFSET if criterion_of(self.criterion).family.levels else 0.0
 
     @property
     def scale(self) -> Floats:
-        """Largest damping and stiffness, the units of coordinates."""
+        """Largest damping and stiffness, which are the units of the coordinates."""
         return np.array([float(self.dampings[-1]) or 1.0, max(float(self.highest.max()), 1e-300)])
 
     @property
     def least_size(self) -> float:
-        """Smallest standard deviation of costs from predicted ones."""
+        """Smallest standard deviation of costs from predicted costs."""
         return ROUGH if self.by is not None and self.holds else WRONG
 
     def highest_at(self, damping: Floats) -> Floats:
-        """Return the estimated largest stable stiffness at dampings."""
+        """Return the estimated largest stable stiffness at the given dampings."""
         return np.interp(damping, self.dampings, self.highest)
 
     def predicted(self, K: Floats, B: Floats) -> Floats:
-        """Return the logarithm of predicted costs; 0 without a device, NaN if it predicts none."""
+        """Return the logarithm of predicted costs: 0 without a device, NaN if it predicts none."""
         if self.by is None:
             return np.zeros(len(K))
         found = costs_of(self.by, K, B, self.criterion) + self.offset
@@ -116,20 +126,20 @@ class CostTarget:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Current state of the search for the best cost.
+    """State of the search for the best cost.
 
     Parameters
     ----------
     walls : tuple of (float, float, float)
         Walls to try next: K [N/m, Nm/rad], B [Ns/m, Nms/rad], expected cost.
     done : bool
-        Whether no wall is expected to be better than the best trial by more than the wanted accuracy.
+        Whether the search is done: no wall is expected to improve on the best trial by more than the accuracy.
     best : int or None
         Index of the best trial.
     least : float
         Smallest expected cost of all walls.
     region : (float, float, float, float) or None
-        Smallest and largest K and B of walls within the accuracy of it; None without a device.
+        Smallest and largest K and B of walls within the accuracy of this cost. None without a device.
     """
 
     walls: tuple[tuple[float, float, float], ...]
@@ -142,24 +152,24 @@ class Search:
 def search_walls(
     tried: TriedWalls, target: CostTarget, accuracy: float, count: int, unset: Floats | None = None
 ) -> Search:
-    """Return walls to try and whether the best cost is found.
+    """Return the walls to try, and whether the best cost is found.
 
     Parameters
     ----------
     tried : TriedWalls
-        With the costs.
+        Trials with their costs.
     target : CostTarget
     accuracy : float
-        Largest relative excess of the best cost tried over the best possible one.
+        Largest relative excess of the best tried cost over the best possible cost.
     count : int
     unset : float64, shape (n, 2), optional
-        K and B of walls that the rig replaced by others: they are not requested again.
+        K and B of walls that the rig replaced by others. They are not requested again.
 
     Notes
     -----
-    The logarithm of measured over predicted costs is a Gaussian process with lengths `LENGTHS`; the wall with
-    the largest expected improvement is tried (Jones 1998). Within a batch, each wall counts as tried with its expected
-    cost.
+    The logarithm of measured over predicted costs is a Gaussian process with lengths `LENGTHS`. The wall with the
+    largest expected improvement is tried (Jones 1998). Within a batch, each chosen wall counts as tried with its
+    expected cost.
     """
     K, B, ahead = _candidates(target)
     seen, value = _observations(tried, target)
@@ -187,14 +197,14 @@ def search_walls(
     region = None
     if target.by is not None:
         near, own = mean <= mean.min() + np.log1p(accuracy), [] if best is None else [best]
-        # the best wall must be part of the best region
+        # The best wall must be part of the best region.
         in_K, in_B = np.append(K[near], tried.stiffness[own]), np.append(B[near], tried.damping[own])
         region = (float(in_K.min()), float(in_K.max()), float(in_B.min()), float(in_B.max()))
     return Search(tuple(walls), done, best, float(np.exp(mean.min()) - target.offset), region)
 
 
 def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
-    """Return the trial of least cost; among equal ones that with the least predicted cost."""
+    """Return the trial of the lowest cost. Of equal trials, it is the one with the lowest predicted cost."""
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
@@ -211,7 +221,7 @@ def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
     cost = target.predicted(K, B)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
     for reach, starts in ZOOMS if target.by is not None and np.isfinite(cost).any() else ():
-        # the lowest, each at a different damping
+        # the lowest points, each at a different damping
         order = np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable")
         low = order[np.sort(np.unique(np.round(B[order], 9), return_index=True)[1])[:starts], None]
         near_B = np.clip(B[low] + reach * cell * np.repeat(ZOOM, len(ZOOM)), dampings[0], dampings[-1]).ravel()
@@ -238,13 +248,13 @@ def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats
 
 
 def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:
-    """Return the predicted increase of the log cost around walls: the best ones are next to a jump."""
+    """Return the predicted increase of the log cost around walls, because the best walls are next to a jump."""
     off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in NEIGHBOUR_OFFSETS]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 
 def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
-    """Return the expected improvement of the smallest log cost; before any cost, the optimistic log cost of a wall."""
+    """Return the expected improvement of the smallest log cost. Without any cost, return the optimistic log cost."""
     if not np.isfinite(record):
         return np.asarray(spread - mean)
     z = (record - mean) / spread
@@ -254,10 +264,10 @@ def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
 
 
 def _expected(seen: Floats, value: Floats, place: Floats, ahead: Floats, target: CostTarget) -> tuple[Floats, Floats]:
-    """Return the mean and standard deviation of the logarithm of the cost at given walls, given the observations."""
+    """Return mean and standard deviation of the logarithm of the cost at the given walls, given the observations."""
     if not len(value):
         return ahead, np.full(len(place), target.least_size)
-    # a small common offset is plausible; a larger deviation means a wrong device, not a wrong scale
+    # A small common offset is plausible. A larger deviation means a wrong device, not a wrong scale.
     most = np.inf if target.by is None else WRONG
     usual = float(np.clip(np.median(value), -most, most))
     size = max(float(np.sqrt(np.mean((value - usual) ** 2))), target.least_size)

@@ -1,4 +1,4 @@
-"""Stability limits of walls for a loop: those of its linear motion, and with friction or jitter those for a step."""
+"""Stability limits of walls for a loop: limits of its linear motion, and limits for a step with friction or jitter."""
 
 from __future__ import annotations
 
@@ -18,33 +18,38 @@ from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
 
 LONGEST = 2000
-"""Number of samples of a simulated log: a wall whose motion neither grows nor decays within them is at the limit,
-within the resolution of a log."""
+"""Number of samples of a simulated log.
+
+A wall whose motion neither grows nor decays within them is at the limit, within the resolution of a log.
+"""
 
 BEYOND = 1.5
-"""Search range of a limit for the step above the linear limit, relative to the largest linear limit: friction of a
-tenth of the step doubles a limit."""
+"""Search range of a limit for the step above the linear limit, relative to the largest linear limit.
+
+Friction of a tenth of the step doubles a limit.
+"""
 
 WALLS, ROUNDS = 17, 3
-"""Number of walls per round between a stable and an unstable one; three rounds resolve a limit to 1/2700 of the
-largest."""
+"""Number of walls in each round between a stable and an unstable wall. Three rounds resolve a limit to 1/2700 of the
+largest limit."""
 
 DIGITS = 9
-"""Significant digits of simulated walls, far more than the accuracy of a limit."""
+"""Significant digits of simulated walls. They are far more accurate than a limit."""
 
 DIRECTIONS = 24
-"""Random directions in which a wide range of devices is searched for its lowest limit, in addition to its axes."""
+"""Number of random directions, in addition to the axes, in which a range of devices is searched for its lowest
+limit."""
 
 NARROW = 0.2
 """Relative half width of a limit's interval below which the limit counts as linear in the parameters."""
 
 OUTLINE = 60
-"""Number of points of an outline to locate the damping of the stiffest wall: the limit is flat there."""
+"""Number of points of an outline that locates the damping of the stiffest wall. The limit is flat there."""
 
 
 @dataclass(frozen=True)
 class StepTrial:
-    """A usual trial.
+    """Usual conditions of a trial.
 
     Parameters
     ----------
@@ -53,7 +58,7 @@ class StepTrial:
     rows : int
         Number of rows from the step on.
     quantum : float
-        Of the sensor [m, rad].
+        Resolution of the sensor [m, rad].
     jitter : float
         Standard deviation of the delay [samples].
     """
@@ -65,7 +70,7 @@ class StepTrial:
 
 
 def linear_limits(loop: Loop, damping: Floats) -> Floats:
-    """Return the largest stable stiffness of the linear loop at each damping; 0 if no wall is stable.
+    """Return the largest stable stiffness of the linear loop at each damping, or 0 if no wall is stable.
 
     Parameters
     ----------
@@ -89,21 +94,21 @@ def linear_limits(loop: Loop, damping: Floats) -> Floats:
 
 
 def damping_of_stiffest(loop: Loop) -> float:
-    """Return the damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 if there is none."""
+    """Return the damping B [Ns/m, Nms/rad] of the stiffest stable wall, or 0 if there is none."""
     normalised = NormalisedLoop.of(loop)
     damping = max(0.0, boundary(normalised, OUTLINE).beta_at_alpha_max) if stabilises(normalised) else 0.0
     return damping * LoopUnits.of(loop).damping
 
 
 def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> Trials:
-    """Simulate trials of a loop with walls, without noise and travel limit; a repetition has another jitter."""
+    """Simulate trials of a loop with walls, without noise and travel limit. Each repetition has another jitter."""
     delays = delays_of(loop.delay_samples, trial.jitter)
     noiseless = replace(loop, sensor=Sensor(quantum=trial.quantum), jitter_samples=delays)
     return simulate(Setup(noiseless, trial.step, min(trial.rows, LONGEST), edge_row=1), K, B, repetition=repetition)
 
 
 def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) -> tuple[Floats, Floats]:
-    """Return the limit for a step at each damping, by simulation, and its uncertainty.
+    """Return the limit for a step at each damping, found by simulation, and its uncertainty.
 
     Parameters
     ----------
@@ -112,14 +117,14 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
         B [Ns/m, Nms/rad].
     trial : StepTrial
     softest : float64, shape (n,)
-        Softest walls of the search [N/m, Nm/rad]: very soft walls move so far that friction is negligible.
+        Softest walls of the search [N/m, Nm/rad]. Very soft walls move so far that friction is negligible.
 
     Returns
     -------
     limits, open : float64, shape (n,)
-        Centre of the range of walls that a log leaves undecided, and half its width [N/m, Nm/rad]. NaN if no wall is
-        unstable up to `BEYOND` times the largest linear limit above the linear one, or if the softest wall is already
-        unstable. Friction can only raise a limit; jitter moves it either way.
+        Centre and half width of the range of walls that logs leave undecided [N/m, Nm/rad]. They are NaN if no wall is
+        unstable up to the linear limit plus `BEYOND` times the largest linear limit, or if the softest wall is
+        unstable. Friction can only raise a limit. Jitter moves it in either direction.
     """
     if not len(damping):
         return np.empty(0), np.empty(0)
@@ -135,16 +140,17 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
             found = _bracket([trials[row * len(damping) + each] for row in range(WALLS)]) if ends[each] else None
             ends[each] = found is not None
             last, first = found or (0, 0)
-            # between the stiffest stable and the first unstable wall verdicts are undecided
+            # Verdicts are undecided between the stiffest stable and the first unstable wall.
             low[each], high[each] = low[each] + last * step[each], low[each] + (first + 1) * step[each]
     known = ends & (low > np.where(begin > least, begin, -1.0))
     return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
 
 
 def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
-    """Return the index after the last stable trial below the first unstable one, and that of the latter; None without.
+    """Return the index after the last stable trial below the first unstable one, and the index of this unstable trial.
 
-    Trials are of increasing stiffness; those above the first unstable one are not judged.
+    The result is None if there is no unstable trial. Trials must have increasing stiffness. Those above the first
+    unstable trial are not judged.
     """
     last = 0
     for place, trial in enumerate(trials):
@@ -159,7 +165,7 @@ def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
 def _rounded(stiffness: Floats) -> Floats:
     """Round stiffnesses to `DIGITS` digits.
 
-    The random numbers of a simulated log depend on the digits of its wall: rounding errors must not matter.
+    The random numbers of a simulated log depend on the digits of its wall, and rounding errors must not change them.
     """
     unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(stiffness), 1e-300))) + 1 - DIGITS)
     return np.asarray(np.round(stiffness / unit) * unit)
@@ -170,9 +176,9 @@ def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:
 
     Notes
     -----
-    The smallest limit on the ellipsoid of the parameters whose projections are their 95 % intervals. For a limit that
-    is linear in the parameters it is the lower end of the limit's interval. If the interval is wide, limits are
-    computed along the axes, along the steepest descent at each damping, and along random directions.
+    The result is the smallest limit on the ellipsoid of the parameters whose projections are their 95 % intervals. For
+    a limit that is linear in the parameters, it is the lower end of the limit's interval. If the interval is wide,
+    limits are computed along the axes, along the steepest descent at each damping, and along random directions.
     """
     limit = linear_limits(device.loop, damping)
     if not device.ends:
@@ -193,11 +199,11 @@ def lowest_limits(device: IdentifiedLoop, damping: Floats) -> Floats:
 def limits_of(
     device: IdentifiedLoop, damping: Floats, trial: StepTrial | None = None, softest: Floats | float = 0.0
 ) -> tuple[Floats, Floats]:
-    """Return the limits at dampings B, and their 95 % uncertainty; both (n,) [N/m, Nm/rad].
+    """Return the limits at dampings B, and their 95 % uncertainty, both (n,) [N/m, Nm/rad].
 
-    They are those of the linear loop; for a nonlinear device, those of its step (`step_limits`), whose uncertainty
-    includes a fraction of the increase by friction. Sensor resolution alone shifts no limit: the oscillation that it
-    sustains ends below it.
+    The limits are those of the linear loop. For a nonlinear device they are limits for its step (`step_limits`), and
+    the uncertainty includes a fraction of the increase due to friction. Sensor resolution alone does not shift a limit:
+    the oscillation that it sustains ends below the limit.
     """
     loop = device.loop
     limit = linear_limits(loop, damping)

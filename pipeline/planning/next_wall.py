@@ -1,4 +1,4 @@
-"""Goal `boundary`: walls to try until the limit at each damping is bracketed closely enough by two verdicts."""
+"""Search for the goal `boundary`: walls to try until two verdicts bracket the limit at each damping closely enough."""
 
 from __future__ import annotations
 
@@ -14,12 +14,17 @@ from pipeline.planning.requests import RigRange
 from pipeline.records.trials import Booleans, Floats
 
 VOTES = 3
-"""Number of trials of one wall for which a contradiction is not due to chance: the majority decides. The same number
-applies to undecided trials, costs of a wall, and trials of an end in place of a wall inside a bracket."""
+"""Number of trials of a wall after which contradictions are not due to chance and the majority decides.
+
+The same number limits undecided trials at a damping and repeated trials for a cost. It is also the number of times that
+a rig must set an end of a bracket instead of a wall inside, before it counts as unable to set a wall inside.
+"""
 
 MISFIT = 0.007
-"""Assumed error of predicted limits, relative to the largest, before any is measured: verdicts miss growth below the
-noise."""
+"""Assumed error of predicted limits, relative to the largest limit, before any is measured.
+
+Verdicts do not detect growth below the noise.
+"""
 
 SMOOTH = 0.15
 """Correlation length of the model error over damping, relative to the range of dampings."""
@@ -28,29 +33,39 @@ DOUBT = 0.08
 """Probability that the forecast is wrong, so that the limit lies anywhere in its bracket."""
 
 PRICE = 6.0
-"""Cost of an unstable trial in stable ones, if the rig is to be protected."""
+"""Number of stable trials that cost as much as an unstable one, if the rig is to be protected."""
 
 SAFE, BOLD = 1.5, 0.3
-"""For protection of the rig: margin of a wall below the expected limit in standard errors, and fraction of that limit
-that is the smallest wall, else nothing would be learnt, and also the stiffest first one."""
+"""Factors for protection of the rig.
+
+The first is the margin of a wall below the expected limit in standard errors. The second is the fraction of this limit
+below which no wall is tried, because it would give no information. It also limits the stiffest first wall.
+"""
 
 WEAK = 0.08
-"""Change of the amplitude over a log, as logarithm, below which a second verdict is requested: noise and friction may
-be the cause."""
+"""Logarithmic change of the amplitude over a log below which a second verdict is requested.
+
+Noise and friction may cause such a change.
+"""
 
 CLOSE = 1.8
-"""Width of a sufficiently narrow bracket in units of the wanted accuracy: slightly below 2, since a verdict next to the
-limit may be wrong, and the largest limit is not known exactly."""
+"""Width of a sufficiently narrow bracket in units of the wanted accuracy.
+
+It is slightly less than 2, because a verdict next to the limit may be wrong, and the largest limit is not known
+exactly.
+"""
 
 START = 0.5
-"""Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
+"""Stiffest first wall, relative to the limit that a device file predicts. A file may state half the true delay."""
 
 BOLDER, GENTLER = 2.0, 1.3
-"""Stiffest wall to try, relative to the stiffest stable one, while no device is identified reliably; and if the rig is
-to be protected."""
+"""Stiffest wall to try, relative to the stiffest stable wall.
+
+The first number applies while no device is identified reliably, the second if the rig is to be protected.
+"""
 
 APART = 0.7
-"""Stiffness of a wall requested below undecided ones, relative to the softest of these."""
+"""Stiffness of the next wall if walls are undecided, relative to the softest undecided wall."""
 
 SOFT = 0.1
 """Stiffness, relative to the stiffest stable wall, that counts as stable at any damping."""
@@ -59,12 +74,12 @@ SOFTEST = 1e-3
 """Stiffness, relative to the largest limit, that is tried if a file predicts no stable wall."""
 
 HIGHER = 1.3
-"""Largest stiffness of the search for a limit, relative to the largest known limit."""
+"""Largest stiffness in the search for a limit, relative to the largest known limit."""
 
 
 @dataclass(frozen=True, eq=False)
 class TriedWalls:
-    """Trials so far, one row per trial.
+    """Trials so far, one row for each trial.
 
     Parameters
     ----------
@@ -73,11 +88,11 @@ class TriedWalls:
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``, by `measured.signal.verdict.judge`.
     growth : float64, shape (n,)
-        Growth rate of the slowest visible mode [1/s], NaN if it is unknown.
+        Growth rate of the slowest visible mode [1/s], or NaN if it is unknown.
     force : float64, shape (n,)
-        Largest absolute command [N, Nm], NaN if not needed.
+        Largest absolute command [N, Nm], or NaN if not needed.
     cost : float64, shape (n,)
-        Cost by the criterion of the goal, NaN if there is none.
+        Cost by the criterion of the goal, or NaN if there is none.
     """
 
     stiffness: Floats
@@ -105,18 +120,18 @@ class TriedWalls:
 
 @dataclass(frozen=True)
 class Bracket:
-    """Range of the limit at one damping according to verdicts.
+    """Range of the limit at a damping, according to verdicts.
 
     Parameters
     ----------
     low, high : float or None
-        Stiffest stable and softest unstable wall that enclose it [N/m, Nm/rad]; None if none was tried.
+        Stiffest stable and softest unstable wall that enclose the limit [N/m, Nm/rad]. None if none was tried.
     again : tuple of float
         Stiffness of walls to try again because their verdicts contradict others, fewest trials first.
     even : tuple of float
-        Stiffness of the walls among these with as many stable as unstable trials.
+        Stiffness of those walls that have equal numbers of stable and unstable trials.
     lasting : bool
-        Whether stable walls remain above unstable ones although each was tried `VOTES` times.
+        Whether stable walls remain above unstable walls although each was tried `VOTES` times.
     trials : int
     """
 
@@ -129,31 +144,31 @@ class Bracket:
 
     @property
     def bottom(self) -> float:
-        """Lower end, 0 if no wall was stable: without stiffness there is no wall."""
+        """Lower end, or 0 if no wall was stable. Without stiffness there is no wall."""
         return 0.0 if self.low is None else self.low
 
     @property
     def top(self) -> float:
-        """Upper end, infinite if no wall was unstable."""
+        """Upper end, or infinity if no wall was unstable."""
         return inf if self.high is None else self.high
 
 
 def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Bracket:
-    """Return the bracket of the limit at one damping.
+    """Return the bracket of the limit at a damping.
 
     Parameters
     ----------
     stiffness : float64, shape (n,)
     verdict : array of str, shape (n,)
     width : float
-        Contradictions within this range of K [N/m, Nm/rad] are normal near the limit, and no reason to repeat.
+        Contradictions within this range of K [N/m, Nm/rad] are normal near the limit and not repeated.
 
     Notes
     -----
-    The majority of its trials decides on a wall; undecided trials do not count. With equal numbers of stable and
-    unstable trials it counts as neither, and low and high enclose it; after twice `VOTES` trials it counts as unstable.
-    If a stable wall lies above an unstable one, low and high enclose both, until each was tried `VOTES` times. If the
-    contradiction remains, there are several limits (a mode, friction), and the lowest counts.
+    The majority of its trials decides on a wall. Undecided trials do not count. A wall with equal numbers of stable and
+    unstable trials counts as neither, and low and high enclose it; after twice `VOTES` trials it counts as unstable. If
+    a stable wall lies above an unstable wall, low and high enclose both until each was tried `VOTES` times. If the
+    contradiction remains, there are several limits (due to a mode or friction), and the lowest is used.
 
     Examples
     --------
@@ -206,7 +221,7 @@ class PlanGoal:
     Parameters
     ----------
     dampings : tuple of float
-        B at which limits are wanted [Ns/m, Nms/rad], rising.
+        B at which limits are wanted [Ns/m, Nms/rad], in increasing order.
     accuracy : float
         Wanted largest error of a limit, relative to the largest limit.
     gentle : bool
@@ -214,14 +229,14 @@ class PlanGoal:
     lowest, highest : float
         Smallest and largest K that may be tried [N/m, Nm/rad].
     force : float
-        Largest permitted command [N, Nm]; if a trial exceeded it, no stiffer wall is tried at its damping.
+        Largest permitted command [N, Nm]. If a trial exceeded it, no stiffer wall is tried at its damping.
     bold : float
-        Stiffest wall to try, relative to the stiffest stable one; infinite if a device is identified reliably.
+        Stiffest wall to try, relative to the stiffest stable one. It is infinite if a device is identified reliably.
     few : bool
         Whether the logs are so few that all possibly unstable walls are avoided.
     foresees : bool
-        Whether the device may predict stability of walls stiffer than all stable ones: not with few logs, nor with logs
-        without a verdict, which cannot contradict it.
+        Whether the device may predict stability of walls stiffer than all stable ones. It may not with few logs, or
+        with logs without a verdict, which cannot contradict it.
     """
 
     dampings: tuple[float, ...]
@@ -244,9 +259,9 @@ class PlanGoal:
 class Forecast:
     """Limit at each damping before it is measured: value and standard error [N/m, Nm/rad], both of shape (n,).
 
-    NaN if it cannot be predicted. ``misfit`` is the error, relative to the largest limit, at measured limits. ``low``
-    is the lowest limit of all devices consistent with the logs; by default the limit itself. ``scale`` is the largest
-    limit at any damping, 0 if unknown.
+    A limit that cannot be predicted is NaN. ``misfit`` is the error at measured limits, relative to the largest limit.
+    ``low`` is the lowest limit of all devices consistent with the logs. By default, it equals the limit. ``scale`` is
+    the largest limit at any damping, or 0 if unknown.
     """
 
     limit: Floats
@@ -267,7 +282,7 @@ class Forecast:
 
 @dataclass(frozen=True)
 class NextTrial:
-    """Best wall to try: its index among the edges, probability of instability, and expected total of trials."""
+    """Best wall to try: its index among the edges, probability of instability, and expected total number of trials."""
 
     place: int
     unstable: float
@@ -276,10 +291,10 @@ class NextTrial:
 
 @dataclass(frozen=True)
 class DampingState:
-    """One damping: its limit by verdicts and forecast, and the wall to try; None if it is done.
+    """State of a damping: its limit by verdicts and forecast, and the wall to try (None if the damping is done).
 
-    ``estimate`` is None if unknown, ``split`` None if a wall is tried again. ``most`` is the stiffest wall that may be
-    tried now.
+    ``estimate`` is None if it is unknown. ``split`` is None if a wall is tried again. ``most`` is the stiffest wall
+    that may be tried now.
     """
 
     damping: float
@@ -298,7 +313,7 @@ class DampingState:
 
 @dataclass(frozen=True, eq=False)
 class PlanState:
-    """States of all dampings, the largest limit, and the underlying forecast."""
+    """States of all dampings, the largest limit, and the forecast on which they are based."""
 
     columns: tuple[DampingState, ...]
     largest: float
@@ -306,7 +321,7 @@ class PlanState:
 
     @property
     def done(self) -> bool:
-        """Whether no wall is left to try."""
+        """Whether no wall remains to be tried."""
         return all(column.wall is None for column in self.columns)
 
 
@@ -318,14 +333,15 @@ def plan_state(
     Parameters
     ----------
     tried : TriedWalls
-        Trials at any damping with K > 0.
+        Trials with K > 0 at any damping.
     goal : PlanGoal
     by : Forecast, optional
-        Limits predicted by the device of the logs, otherwise by its file; without one, verdicts are bisected.
+        Limits predicted by the device from the logs, or otherwise by its file. Without a forecast, verdicts are
+        bisected.
     trial_s : float
         Duration of a log after its step [s].
     rig : RigRange, optional
-        Walls that the rig sets in place of requested ones; by default the requested ones.
+        Walls that the rig sets in place of requested walls. By default, it sets the requested walls.
     """
     rows = [tried.select(tried.damping == b) for b in goal.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
@@ -334,7 +350,7 @@ def plan_state(
     known = len(tried) and (ends[:, 0].any() or np.isfinite(ends[:, 1]).any() or np.isfinite(ahead.limit).any())
     least = (goal.accuracy if known else 1.0) * float(tried.stiffness.max(initial=0.0))
     largest = _largest(ahead.limit, ends, least)
-    largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any value if nothing is stable
+    largest = largest or (by.scale if by is not None else 0.0) or 1.0  # any value is valid if nothing is stable
     width = CLOSE * goal.accuracy * largest
     columns, decided = [], bool((tried.verdict != "undecided").any())
     for i, own in enumerate(rows):
@@ -352,7 +368,7 @@ def plan_state(
             and task.limit <= task.half
             and (task.error <= width or goal.gentle)
         ):
-            # the limit is 0 within the accuracy: every wall above it would only be unstable
+            # The limit is 0 within the accuracy, so that every wall above it would be unstable.
             column = DampingState(goal.dampings[i], of, max(task.limit, 0.0), note="no stable wall")
         if rig is not None:
             column = _as_set(column, rig, goal)
@@ -383,10 +399,10 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
 
     Notes
     -----
-    A stable wall counts as stable with more damping. With less damping its stiffness is reduced in proportion, as the
-    stable region is convex next to K = B = 0, and `SOFT` of the stiffest counts at any damping. Stable walls above an
-    unstable one are ignored. Without a stable wall, half of the softest wall counts, or a quarter if that is unstable.
-    Infinite without trials.
+    A stable wall counts as stable with more damping. With less damping, its stiffness is reduced in proportion, because
+    the stable region is convex next to K = B = 0, and `SOFT` of the stiffest wall counts at any damping. Stable walls
+    above an unstable wall are ignored. Without a stable wall, half of the softest wall counts, or a quarter if it is
+    unstable. The result is infinite without trials.
 
     Examples
     --------
@@ -412,13 +428,13 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
 
 
 def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
-    """Return a forecast, corrected by its errors so far.
+    """Return a forecast that is corrected by its errors so far.
 
-    Its errors at dampings with both ends of a bracket, shape (n, 2), are interpolated by a Gaussian process over the
-    damping (kriging), with the misfit as standard deviation and `SMOOTH` of the range as length.
+    The errors at dampings with both ends of a bracket, shape (n, 2), are interpolated by a Gaussian process over
+    damping (kriging). Its standard deviation is the misfit, and its length is `SMOOTH` of the range.
     """
     low, high = ends.T
-    largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value if all are zero
+    largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value is valid if all are zero
     missed = (np.clip(by.limit, low, high) - by.limit) / largest
     tried, known = (low > 0) | np.isfinite(high), np.isfinite(high)
     misfit = float(np.hypot(MISFIT, np.sqrt(np.mean(missed[tried] ** 2)) if tried.any() else 0.0))
@@ -431,13 +447,14 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     gain = np.linalg.solve(toward[known] + np.diag(noise**2 + 1e-8), toward.T).T
     limit = np.maximum(by.limit + largest * (gain @ missed[known]), 0.0)
     error = largest * np.sqrt(np.maximum(size**2 - (gain * toward).sum(axis=1), 1e-6))
-    # verdicts at other dampings do not exclude the device of the lowest limit here
+    # Verdicts at other dampings do not exclude the device with the lowest limit here.
     low = np.clip(limit - (by.limit - by.low) * error / (largest * size), 0.0, by.low)
     return Forecast(limit, error, misfit, low)
 
 
 def _largest(limit: Floats, ends: Floats, least: float) -> float:
-    """Return the largest limit of tried dampings, slightly more if forecast at others; at least the smallest sought."""
+    """Return the largest limit of tried dampings, slightly more if forecast at others, and at least the smallest
+    sought."""
     low, high = ends.T
     expected = np.clip(np.where(np.isnan(limit), 0.5 * (low + np.where(np.isinf(high), low, high)), limit), low, high)
     tested = (low > 0) & np.isfinite(high)
@@ -448,8 +465,11 @@ def _largest(limit: Floats, ends: Floats, least: float) -> float:
 
 @dataclass(frozen=True)
 class PlanTask:
-    """Goal, largest limit, duration of a log [s], and expectation at one damping: limit, standard error, lowest
-    consistent limit, and stiffness that counts as stable [N/m, Nm/rad]; and whether any trial has a verdict."""
+    """Goal, largest limit, duration of a log [s], and the expectation at one damping.
+
+    The expectation has the limit, its standard error, the lowest consistent limit, and the stiffness that counts as
+    stable [N/m, Nm/rad]. ``decided`` states whether any trial has a verdict.
+    """
 
     goal: PlanGoal
     largest: float
@@ -462,7 +482,7 @@ class PlanTask:
 
     @property
     def half(self) -> float:
-        """Target accuracy of a limit: largest acceptable error [N/m, Nm/rad]."""
+        """Wanted accuracy of a limit, as the largest acceptable error [N/m, Nm/rad]."""
         return self.goal.accuracy * self.largest
 
     @property
@@ -492,7 +512,7 @@ def _wall_to_try(
             return DampingState(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
     if often and of.low is None and len(inside) < 2 * VOTES:
-        # undecided walls are near the limit: verdicts farther away enclose it
+        # Undecided walls are near the limit. Verdicts farther away enclose it.
         softer = APART * float(inside.stiffness.min())
         stiffer = blind and not goal.gentle and len(inside) == 2 * VOTES - 1
         lowest = task.low if task.low > goal.lowest else inf
@@ -517,10 +537,10 @@ def _wall_to_try(
         return _softer(damping, of, own, value)
     limit, error = task.limit, task.error
     if goal.gentle and of.high is not None and limit - SAFE * error > of.high:
-        # an unstable wall refutes the forecast, which would request neighbouring walls again and again
+        # An unstable wall refutes the forecast, which would request neighbouring walls again and again.
         limit = error = np.nan
     edges = walls(max(of.bottom, goal.lowest), far, value, error, width)
-    # no walls next to undecided ones
+    # No walls next to undecided walls are requested.
     kept = np.asarray((np.abs(edges[:, None] - inside.stiffness) > 0.25 * width).all(axis=1))
     kept[[0, -1]] = True
     edges = edges[kept]
@@ -551,10 +571,11 @@ def _wall_to_try(
 
 
 def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = False) -> float:
-    """Return the stiffest wall that may be tried now; at most the bracket's lower end if none may be.
+    """Return the stiffest wall that may be tried now, or at most the bracket's lower end if none may be tried.
 
-    It does not exceed the lowest limit consistent with the logs until a wall near that was stable, or undecided inside
-    the bracket, or ``repeated`` shows that the rig sets none there. Then only a stiffer wall can close the bracket.
+    It does not exceed the lowest limit consistent with the logs, until one of three things is known: a wall near this
+    limit was stable, such a wall was undecided inside the bracket, or ``repeated`` shows that the rig sets no wall
+    there. Then only a stiffer wall can close the bracket.
     """
     goal = task.goal
     most = goal.bold * task.stable
@@ -584,7 +605,7 @@ def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool)
     """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
 
     A second trial of the wall must confirm the verdict. If the rig is to be protected, no unstable wall is tried twice:
-    a stable wall judged unstable is on the safe side.
+    to judge a stable wall as unstable is safe.
     """
     ends = []
     for wall in (of.low,) if gentle else (of.low, of.high):
@@ -604,21 +625,25 @@ def answers(
     own : TriedWalls
         Trials at the damping.
     of : Bracket
-        Its bracket, whose ends are walls of these trials.
+        Bracket at this damping. Its ends are walls of these trials.
     everywhere : float64, shape (n,)
         Stiffness of the walls tried at all dampings [N/m, Nm/rad].
     gentle : bool
-        Whether walls stay below a limit, so that a rig that rounds them down sets a softer one than its stiffest.
+        Whether walls stay below a limit, so that a rig that rounds them down sets a wall softer than its stiffest one.
 
     Returns
     -------
     str
-        ``step of the rig`` if it sets no wall inside: an end was tried `VOTES` times more than the other walls, and
-        no two walls at any damping are closer than the bracket is wide; or twice as often. Without an unstable wall
-        the end must be the stiffest wall at all dampings, without a stable one the softest, and tried twice as often.
-        ``middle`` to request the middle of the bracket, if an end was repeated as often, but other walls inside may be
-        set. ``softer`` if all trials have the same wall, so that a softer one shows whether the rig sets requested
-        walls. Otherwise empty, such as for contradicting verdicts.
+        Empty, or one of three words. ``softer``: all trials have the same wall, so that a softer wall is requested to
+        show whether the rig sets requested walls. ``step of the rig``: the rig sets no wall inside the bracket.
+        ``middle``: an end was set repeatedly, but the rig may set other walls inside, so the middle is requested.
+
+    Notes
+    -----
+    The rig sets no wall inside if two conditions are true: an end has at least `VOTES` trials more than the median of
+    the other walls, and no two walls at any damping are closer than the width of the bracket. With 2 `VOTES` trials
+    more, the second condition is not required. If the bracket has only one end, 2 `VOTES` trials more are required, and
+    this end must be the stiffest (or softest) wall at all dampings.
     """
     own = own.select(own.verdict != "undecided")
     walls, place, count = np.unique(own.stiffness, return_inverse=True, return_counts=True)
@@ -645,7 +670,7 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
     near = [bottom + apart, far - apart, value - 0.5 * apart, value + 0.5 * apart]
     about = [value + error * np.linspace(-2.5, 2.5, 21), value + apart * np.arange(-4, 5) / 4]
     inner = np.unique(np.concatenate([np.linspace(bottom, far, 9)[1:-1], near, *(about if np.isfinite(error) else [])]))
-    # walls closer together than this give no new information
+    # Walls closer together than this give no new information.
     kept = [bottom]
     for wall in inner[(inner > bottom) & (inner < far)]:
         if wall - kept[-1] > 0.05 * width:
@@ -654,7 +679,7 @@ def walls(bottom: float, far: float, value: float, error: float, width: float) -
 
 
 def chances(edges: Floats, limit: float, error: float) -> Floats:
-    """Return the probability that the limit lies between edges: by the forecast, plus a uniform share `DOUBT`."""
+    """Return the probability that the limit lies between edges, from the forecast and a uniform share `DOUBT`."""
     from scipy.special import ndtr
 
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
@@ -670,26 +695,26 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
     Parameters
     ----------
     edges : float64, shape (n + 1,)
-        Candidate walls in increasing order; the first is known to be stable, the last to be unstable.
+        Candidate walls in increasing order. The first is known to be stable, the last to be unstable.
     chance : float64, shape (n,)
-        Chance that the limit lies between two edges; any positive scale.
+        Probability that the limit lies between two edges, on any positive scale.
     width : float
-        The search ends when the limit lies between walls at most this far apart.
+        Distance of two walls at which the search ends, if the limit lies between them.
     price : float
-        Cost of an unstable trial in stable ones: above 1 the limit is approached from below.
+        Number of stable trials that cost as much as an unstable one. Above 1, the limit is approached from below.
     most : float
-        Stiffest wall of this trial; later ones may be stiffer.
+        Stiffest wall of this trial. Later trials may be stiffer.
 
     Returns
     -------
     NextTrial or None
-        None if the search is finished.
+        The trial, or None if the search is finished.
 
     Notes
     -----
-    Least cost V(i, j) of a limit between edges i and j, weighted by its chance: 0 where they are within ``width``,
-    else the least over k of the trial's own price and V(i, k) + V(k, j). As optimal search trees (Knuth 1971), with
-    prices. About n^3/6 operations, in n steps of numpy.
+    V(i, j) is the lowest cost of finding a limit between edges i and j, weighted by its probability. It is 0 if they
+    are within ``width``. Otherwise, it is the minimum over k of the price of the trial plus V(i, k) + V(k, j). These
+    are optimal search trees (Knuth 1971) with prices. The recursion takes about n^3/6 operations, in n steps of numpy.
 
     Examples
     --------
@@ -714,7 +739,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
         place[i, j], cost[i, j] = k, options[np.arange(len(i)), best]
         trials[i, j] = trials[i, k] + trials[k, j] + total[j] - total[i]
     allowed = np.flatnonzero(edges[1:n] <= most) + 1
-    if not len(allowed):  # only two edges, too far apart, or no permitted wall
+    if not len(allowed):  # there are only two edges, too far apart, or no wall is permitted
         return None
     first = min(int(place[0, n]), int(allowed[-1]))
     needed = trials[0, first] + trials[first, n] + total[n]
@@ -724,9 +749,9 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
 def order(columns: tuple[DampingState, ...]) -> list[int]:
     """Return the indices of dampings that are not done, in the order in which to try them.
 
-    Contradictions first; then started dampings, the nearest to completion first; then those farthest from all tried
-    ones, which are most informative about the device. Undecided walls that need longer logs are last, unless no trial
-    has a verdict yet.
+    Contradictions come first, then started dampings (the nearest to completion first), then the dampings farthest from
+    all tried ones, which give most information about the device. Undecided walls that need longer logs are last, unless
+    no trial has a verdict yet.
     """
     left = [i for i, column in enumerate(columns) if column.wall is not None]
     begun = sorted(

@@ -1,4 +1,4 @@
-"""Requested and set walls of a rig: its steps, range or scale of K, and its dampings."""
+"""Requested walls and the walls that a rig sets: its steps, its range or scale of K, and its dampings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.records.trials import Floats
 from pipeline.store.storage import stage_folder
 
 ASKED = "asked"
-"""Stem of the file of requested walls, stored with the results of an experiment."""
+"""Stem of the file of requested walls, which is stored with the results of an experiment."""
 
 Wall = tuple[float, float]
 """K [N/m, Nm/rad] and B [Ns/m, Nms/rad]."""
@@ -28,32 +28,35 @@ OFF = 1e-4
 """Relative tolerance within which a wall equals the requested one."""
 
 FARTHEST = 3.0
-"""Largest ratio of requested and set stiffness, if there are more trials than requests."""
+"""Largest ratio of requested and set stiffness if there are more trials than requests."""
 
 EXACT = 1e-6
-"""Tolerance, relative to the largest stiffness, within which one is a multiple of another."""
+"""Tolerance, relative to the largest stiffness, within which a stiffness is a multiple of another."""
 
 MOST_PARTS = 40
-"""Largest integer divisor of the common divisor of all stiffnesses that gives a possible step of a rig."""
+"""Largest integer by which the common divisor of all stiffnesses is divided to obtain a possible step of a rig."""
 
 SCALE = 0.005
 """Tolerance of ratios within which a rig scales by a constant factor."""
 
 MIN_ANSWERS = 2
-"""Smallest number of answered walls that show how a rig sets its gains; also, number of times that the rig may set an
-end of a bracket instead of a wall inside, without a step that explains it, before no wall is left."""
+"""Smallest number of answered walls that show how a rig sets its gains.
+
+It is also the number of times that a rig may set an end of a bracket in place of a wall inside, without a step that
+explains this, before the search ends.
+"""
 
 STIFFER = 1.3
-"""Factor of the next request if the rig set its stiffest wall for stiffer requests, relative to these."""
+"""Factor of the next request relative to former ones, if the rig set its stiffest wall for stiffer requests."""
 
 COARSE = 1 / 3
-"""Step, relative to the stiffest set wall, above which that wall counts as the end of the rig's range instead."""
+"""Step, relative to the stiffest set wall, above which this wall counts as the end of the rig's range."""
 
 ROUNDINGS = ("nearest", "down", "up")
 
 
 class AnsweredWall(Record):
-    """A requested wall, and the one that the rig set."""
+    """A requested wall, and the wall that the rig set."""
 
     asked: Wall
     got: Wall
@@ -77,7 +80,7 @@ class Requests(Record):
     answers: tuple[AnsweredWall, ...] = ()
 
     def answered(self, tried: Iterable[Wall]) -> tuple[AnsweredWall, ...]:
-        """Return all answers, including those of later trials: each answers the nearest requested wall."""
+        """Return all answers, including those of later trials. Each trial answers the nearest requested wall."""
         new = Counter(tried)
         new.subtract({(K, B): count for K, B, count in self.trials})
         came, left = sorted((+new).elements()), list(self.walls)
@@ -94,7 +97,7 @@ class Requests(Record):
 
 
 def _apart(asked: Wall, got: Wall, far: float) -> float:
-    """Return the distance between a tried and a requested wall; infinite if it does not answer the request."""
+    """Return the distance between a tried and a requested wall, or infinity if it does not answer the request."""
     low, high = sorted((asked[0], got[0]))
     if not high <= far * low and far < inf:
         return inf
@@ -102,7 +105,7 @@ def _apart(asked: Wall, got: Wall, far: float) -> float:
 
 
 def stored_requests(processed: Path, device: str, experiment: str) -> Requests:
-    """Return the requests of an experiment; empty if none are stored, or if they are damaged."""
+    """Return the requests of an experiment. They are empty if none are stored or the file is damaged."""
     data = read_result(stage_folder(processed, device, experiment), ASKED, ".json")
     try:
         return Requests.model_validate_json(data or b"{}")
@@ -144,11 +147,11 @@ class GainGrid:
         return bool(((away >= -rest) & (away < self.step - rest)).all())
 
     def holds(self, wall: float) -> bool:
-        """Return whether a stiffness is one of its multiples."""
+        """Return whether a stiffness is a multiple of the step."""
         return abs(wall - round(wall / self.step) * self.step) <= EXACT * wall
 
     def nearest(self, wall: float, low: float, high: float) -> float | None:
-        """Return the multiple nearest to a wall, strictly between two others; None if there is none."""
+        """Return the multiple nearest to a wall and strictly between two others, or None if there is none."""
         slack = EXACT * max(abs(low), self.step)
         first = floor((low + slack) / self.step) + 1
         last = ceil((high - slack) / self.step) - 1 if high < inf else max(first, round(wall / self.step))
@@ -164,15 +167,15 @@ class RigRange:
     Parameters
     ----------
     asked, got : float64, shape (n,)
-        Stiffness of all answers [N/m, Nm/rad].
+        Requested and set stiffness of all answers [N/m, Nm/rad].
     grids : tuple of GainGrid
-        Grids that explain them, the finest first; empty if it does not round, or in another way.
+        Grids that explain the answers, the finest first. Empty if the rig does not round to a grid.
     factor : float
         Scale factor of the rig.
     lowest, highest : float
-        Smallest and largest stiffness that it sets [N/m, Nm/rad].
+        Smallest and largest stiffness that the rig sets [N/m, Nm/rad].
     exact : bool
-        Whether it sets requested walls exactly between ``lowest`` and ``highest``.
+        Whether the rig sets requested walls exactly between ``lowest`` and ``highest``.
     """
 
     asked: Floats
@@ -185,20 +188,20 @@ class RigRange:
 
     @property
     def several(self) -> bool:
-        """Whether walls of several stiffnesses were answered, so that the rig's step can be estimated."""
+        """Whether the rig answered requests of several stiffnesses, so that its step can be estimated."""
         return len(np.unique(self.asked)) >= MIN_ANSWERS
 
     def wall(self, wanted: float, low: float, high: float, most: float) -> float | None:
-        """Return the stiffness to request so that a wall between two others is set; None if the rig sets none.
+        """Return the stiffness to request so that a wall between two others is set, or None if the rig sets none.
 
         Parameters
         ----------
         wanted : float
             Most informative stiffness.
         low, high : float
-            Ends of the bracket; 0 and infinite if there is no wall.
+            Ends of the bracket: 0 and infinity if there is no wall.
         most : float
-            Stiffest permitted wall. If the rig sets no softer one inside, a stable one is repeated once.
+            Stiffest permitted wall. If the rig sets no softer wall inside, a stable wall is repeated once.
         """
         if self.exact:
             return wanted
@@ -207,7 +210,7 @@ class RigRange:
         if not self.grids or not self.several:
             return self._between(wanted, low, high)
         top, most = min(high, self.highest * (1 + 2 * EXACT)), most * (1 + 2 * EXACT)
-        # a request answered by the end of the range would be so again
+        # A request that was answered by the end of the range would be answered in the same way again.
         ends = [float(self.asked[self.got == self.highest].min())] if low * (1 + EXACT) < self.highest < high else []
         if not ends and all(grid.nearest(wanted, low, top) is None for grid in self.grids):
             return None
@@ -218,7 +221,7 @@ class RigRange:
         return next((wall for wall in allowed if wall is not None), ends[0] if ends and self.highest <= most else once)
 
     def repeated(self, wall: float) -> float:
-        """Return the stiffness to request so that a wall is set again."""
+        """Return the stiffness to request so that the rig sets the same wall again."""
         asked = self.asked[np.abs(self.got - wall) <= EXACT * wall]
         return float(asked[-1]) if len(asked) and not self.grids else wall / self.factor
 
@@ -238,14 +241,14 @@ class RigRange:
         return below * min(max(wanted / low, 1.0), STIFFER) if low > 0 else wanted
 
     def _repeats(self, low: float, high: float) -> int:
-        """Return how often the same end was set instead of a wall inside a bracket."""
+        """Return how often the same end was set in place of a wall inside a bracket."""
         inside = (self.asked > low * (1 + OFF)) & (self.asked < high * (1 - OFF))
         ends = [np.abs(self.got - end) <= EXACT * end for end in (low, high) if end < inf]
         return max((int((inside & at).sum()) for at in ends), default=0)
 
 
 def range_of(answers: Sequence[AnsweredWall]) -> RigRange | None:
-    """Return the response of a rig to requested stiffnesses; None if it sets them exactly.
+    """Return the response of a rig to requested stiffnesses, or None if it sets them exactly.
 
     Examples
     --------
@@ -275,7 +278,7 @@ def range_of(answers: Sequence[AnsweredWall]) -> RigRange | None:
 
 
 def _limited(asked: Floats, got: Floats) -> RigRange | None:
-    """Return the range of a rig that clips requests to its ends; None if clipping does not explain the answers."""
+    """Return the range of a rig that clips requests to its ends, or None if clipping does not explain the answers."""
     top, bottom = float(got.max()), float(got.min())
     above, below = (got == top) & (asked > top * (1 + OFF)), (got == bottom) & (asked < bottom * (1 - OFF))
     for out in (above, below, above | below):
@@ -293,7 +296,7 @@ def _limited(asked: Floats, got: Floats) -> RigRange | None:
 def grids_of(asked: Floats, got: Floats) -> tuple[GainGrid, ...]:
     """Return the grids that explain answers, the finest first.
 
-    Their steps are the largest common divisor of all set stiffnesses, or an integer part of it.
+    Their steps are the largest common divisor of all set stiffnesses, divided by an integer.
     """
     step, rest = 0.0, EXACT * float(got.max(initial=0.0))
     for value in got.tolist():

@@ -1,1 +1,1 @@
-"""Profiles: what a lab declares about its files: columns, units and the conditions that the files do not state."""
+"""Profiles, in which a lab declares the columns and units of its files, and conditions that the files do not state."""

@@ -1,7 +1,7 @@
-"""A column with its unit, or a constant with its unit, as one text: the way a command line describes logs.
+"""Texts of the command line that give a column with its unit, or a constant with its unit.
 
 ``t:ms`` is the column ``t`` in ms, ``-x:mm`` the column ``x`` in mm with the opposite sign, ``4 N`` a constant. A name
-that contains a quotation mark, or a colon before a unit, is put in double quotes: ``"F:N":mN``.
+that contains a quotation mark, or a colon before a unit, is written in double quotes: ``"F:N":mN``.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from pipeline.base.errors import UsageError
 from pipeline.base.units import find_unit, split_quantity
 
 LISTED_COLUMNS = 40
-"""Largest number of columns that a message lists; a bag has hundreds."""
+"""Largest number of columns listed in a message. A bag has hundreds."""
 
 _QUOTED = re.compile(r'"((?:[^"]|"")*)"(?::(.*))?')
 
 
 @dataclass(frozen=True)
 class ColumnText:
-    """A column or a constant as the user wrote it.
+    """A column or a constant, as the user wrote it.
 
     Parameters
     ----------
     column : str or None
-        Name of the column; None for a constant.
+        Name of the column, or None for a constant.
     value : float or None
-        The constant.
+        The constant, or None for a column.
     unit : str
-        Empty if none was written.
+        Unit as written. It is empty if no unit was written.
     sign : {1, -1} or None
-        Sign before the name of the column; None if there is none.
+        Sign before the name of the column, or None if there is none.
     """
 
     column: str | None
@@ -44,7 +44,7 @@ class ColumnText:
 
     @classmethod
     def constant(cls, text: str) -> Self | None:
-        """Read a constant; return None if the text is not a number, with or without a unit.
+        """Read a constant. Return None if the text is not a number, with or without a unit.
 
         >>> ColumnText.constant("4 N")
         ColumnText(column=None, value=4.0, unit='N', sign=None)
@@ -54,21 +54,21 @@ class ColumnText:
 
     @classmethod
     def among(cls, option: str, text: str, names: Collection[str]) -> Self:
-        """Read one of the available columns.
+        """Read the name of a column in the file, with its unit.
 
         Parameters
         ----------
         option : str
-            Such as ``--time``, for messages.
+            Name of the option for messages, such as ``--time``.
         text : str
-            Name of the column; optionally with a sign ``-`` or ``+`` before it, and a colon and its unit after it.
+            Name of the column. A sign ``-`` or ``+`` may precede it, and a colon and the unit may follow it.
         names : collection of str
-            Available columns.
+            Names of the columns in the file.
 
         Raises
         ------
         UsageError
-            If no column has the name, or the unit is not known.
+            If no column has the name, or the unit is unknown.
 
         Examples
         --------
@@ -86,12 +86,12 @@ class ColumnText:
             raise UsageError(f"{option} {text}: {_lacking(text, names)}")
         column, unit = found
         if unit and find_unit(unit) is None:
-            raise UsageError(f"{option} {text}: unit {unit!r} is not known. Write a unit such as N, V, mm, rad or ms.")
+            raise UsageError(f"{option} {text}: unit {unit!r} is unknown. Write a unit such as N, V, mm, rad or ms.")
         return cls(column, None, unit, sign)  # type: ignore[arg-type]
 
 
 def _named(text: str, names: Collection[str]) -> tuple[str, str] | None:
-    """Return the column that a text names, and its unit; None if it names no column."""
+    """Return the column that a text names, and its unit. Return None if the text names no column."""
     if (quoted := _QUOTED.fullmatch(text)) and (name := quoted[1].replace('""', '"')) in names:
         return name, (quoted[2] or "").strip()
     name, colon, unit = text.rpartition(":")
@@ -103,10 +103,10 @@ def _named(text: str, names: Collection[str]) -> tuple[str, str] | None:
 
 
 def _lacking(text: str, names: Collection[str]) -> str:
-    """Return a message that no column has this name, with the available ones."""
+    """Return the message for a column that does not exist, with the columns of the file."""
     name = text.lstrip("+-")
     stem = name.rpartition(":")[0] or name
     near = get_close_matches(stem, names, 3) or [n for n in names if n.casefold() == stem.casefold()]
     listing = ", ".join(list(names)[:LISTED_COLUMNS]) + (", ..." if len(names) > LISTED_COLUMNS else "")
     nearest = f" Nearest: {', '.join(near)}." if near else ""
-    return f"no column {stem!r}.{nearest} The file has: {listing or 'none'}. Write the name, a colon and the unit."
+    return f"no column {stem!r}.{nearest} Columns of the file: {listing or 'none'}. Write name, colon and unit."

@@ -1,9 +1,9 @@
-"""Log profiles: how the files of one lab map to SI columns, described in TOML and checked when read.
+"""Files of log profiles. A profile describes in TOML how the files of a lab map to SI columns.
 
-Shipped profiles are in ``schemas/profiles``; a user's profile is given by file name. A profile names the files
-it claims, the partner file where one log is two files, the columns with their units and signs, and the
-conditions that the files themselves do not state. `pipeline.profiles.profile_model` describes the keys. A mistake is
-reported with the line of the TOML text, the key, and the most similar known key.
+Shipped profiles are in ``schemas/profiles``. A user selects another profile by its file name. A profile lists the file
+names that it claims, the partner file if a log consists of two files, the columns with their units and signs, and the
+conditions that the files do not state. `pipeline.profiles.profile_model` describes the keys. The message about a
+mistake contains the line of the TOML text, the key, and the most similar valid key.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pipeline.profiles.profile_model import PROBLEMS, Profile
 Place = tuple[str | int, ...]
 
 QUESTION = "# QUESTION:"
-"""Beginning of the lines of a draft that ask for a value that must not be guessed."""
+"""Prefix of the lines of a draft that ask for a value which must not be guessed."""
 
 _WORDS = {
     "tuple_type": "Input should be a list in brackets",
@@ -35,31 +35,31 @@ _WORDS = {
     "dict_type": "Input should be a table of keys",
     "string_pattern_mismatch": "must be part of a file name in the same folder",
 }
-"""Value types under their TOML names, not their Python names."""
+"""Messages that use the TOML names of value types instead of the Python names."""
 
 _STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
-"""Head of a table, or a key."""
+"""Pattern of the head of a table, or of a key."""
 
 
 def read_profile(path: Path) -> Profile:
-    """Read and check a profile.
+    """Read and check the file of a profile.
 
     Raises
     ------
     ProfileError
-        If the file cannot be read, is no TOML, has wrong, missing or unknown keys, or has open questions of a draft.
-        Lists all problems, each with file, line and key.
+        If the file cannot be read, is not TOML, has wrong, missing or unknown keys, or has open questions of a draft.
+        The message lists all problems, each with file, line and key.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
         values = tomllib.loads(text)
     except OSError as error:
-        raise ProfileError(f"{path}: profile cannot be read: {error.strerror}.") from error
+        raise ProfileError(f"{path}: the profile cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ProfileError(f"{path}: profile is no valid TOML (UTF-8): {error}.") from error
+        raise ProfileError(f"{path}: the profile is not valid TOML (UTF-8): {error}.") from error
     questions = find_questions(text)
     asked = {question.place for question in questions}
-    # a key with an open question is not also reported as missing
+    # A key with an open question is not also reported as missing.
     wrong = [mistake for mistake in find_mistakes(values, text) if mistake.place not in asked]
     found = sorted((*questions, *wrong), key=lambda mistake: mistake.line)
     if found:
@@ -71,17 +71,17 @@ def read_profile(path: Path) -> Profile:
 
 @cache
 def shipped_profiles() -> tuple[Profile, ...]:
-    """Return the profiles that come with the package, sorted by name."""
+    """Return the shipped profiles, sorted by name."""
     return tuple(read_profile(path) for path in sorted((schema_folder() / "profiles").glob("*.toml")))
 
 
 def load_profile(profile: str | Path | Profile) -> Profile:
-    """Return a shipped profile by name, or one from a TOML file; a loaded profile is returned unchanged.
+    """Return a shipped profile by name, or the profile of a TOML file. A loaded profile is returned unchanged.
 
     Raises
     ------
     ProfileError
-        If there is no such name or file, or the file is wrong.
+        If there is no such name or file, or the file is invalid.
     """
     if isinstance(profile, Profile):
         return profile
@@ -102,18 +102,18 @@ def load_profile(profile: str | Path | Profile) -> Profile:
 
 
 def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
-    """Return the profile that claims a log by its file name; a specific profile has priority over the native one.
+    """Return the profile that claims a log by its file name. Other profiles have priority over the native profile.
 
     Raises
     ------
     ProfileError
-        If two non-native profiles claim it.
+        If two non-native profiles claim the file.
     """
     specific = [p for p in profiles if p.format != "native" and p.claims(name)]
     if len(specific) > 1:
         raise ProfileError(
-            f"{name}: claimed by the profiles {[p.name for p in specific]}; expected one. "
-            "Choose with --profile, or narrow the `files` patterns."
+            f"{name}: claimed by the profiles {[p.name for p in specific]}; expected a single one. "
+            "Choose a profile with --profile, or narrow the `files` patterns."
         )
     if specific:
         return specific[0]
@@ -122,7 +122,7 @@ def claim(name: str, profiles: tuple[Profile, ...]) -> Profile | None:
 
 @dataclass(frozen=True)
 class Mistake:
-    """An error in a profile: line counted from 1, key, and message."""
+    """An error in a profile, with its line (counted from 1), key, and message."""
 
     line: int
     place: Place
@@ -130,16 +130,16 @@ class Mistake:
 
 
 def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
-    """Return the errors of a profile, in order of line; empty if there are none.
+    """Return the errors of a profile in order of lines. The list is empty if there are none.
 
-    Contradictions between keys are checked only if each key by itself is valid.
+    Contradictions between keys are checked only if each single key is valid.
 
     Parameters
     ----------
     values : dict
         The parsed TOML.
     text : str
-        The text of the profile, for line numbers.
+        Text of the profile, which gives the line numbers.
     """
     try:
         Profile.model_validate(values)
@@ -153,7 +153,10 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
 
 
 def find_questions(text: str) -> list[Mistake]:
-    """Return the open questions of a draft: ``# QUESTION: key: words`` above a key that is commented out."""
+    """Return the open questions of a draft, ``# QUESTION: key: words``.
+
+    Each is above its key, which is commented out.
+    """
     found, lines = [], text.splitlines()
     for number, line in enumerate(lines, start=1):
         answered = number < len(lines) and not lines[number].lstrip().startswith("#")
@@ -166,7 +169,7 @@ def find_questions(text: str) -> list[Mistake]:
 
 
 def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
-    """Yield the location and the message of each error."""
+    """Yield the location and message of each error."""
     if error["type"] == PROBLEMS:
         yield from ((tuple(place), f"{_key(place)}: {what}.") for place, what in error["ctx"]["problems"])
         return
@@ -174,9 +177,7 @@ def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
     if error["type"] == "extra_forbidden":
         known = sorted(_keys_at(place[:-1]))
         near = get_close_matches(str(place[-1]), known, 1)
-        what = (
-            f"not known; {f'did you mean {near[0]!r}? Correct or remove it.' if near else f'expected one of {known}.'}"
-        )
+        what = f"unknown; {f'did you mean {near[0]!r}? Correct or remove it.' if near else f'expected one of {known}.'}"
     elif error["type"] == "missing":
         what = "missing. Add it."
     else:
@@ -190,7 +191,7 @@ def _key(place: Place) -> str:
 
 
 def _keys_at(place: Place) -> set[str]:
-    """Return the valid keys at a place in a profile."""
+    """Return the valid keys at a place in the profile."""
     model: type[BaseModel] | None = Profile
     for part in place:
         if isinstance(part, int) or model is None:
@@ -207,9 +208,9 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def key_lines(text: str) -> dict[Place, int]:
-    """Return the line, counted from 1, on which each key and each table of a TOML text begins.
+    """Return the line, counted from 1, at which each key and each table of a TOML text begins.
 
-    Keys of an inline table have the line of that table.
+    Keys of an inline table have the line of this table.
     """
     lines: dict[Place, int] = {(): 1}
     table: Place = ()
@@ -231,14 +232,14 @@ def key_lines(text: str) -> dict[Place, int]:
             entries[(*placed(above), last.strip(" \"'"))] += 1
         table = placed(name) if brackets else table
         place = table if brackets else (*table, *(part.strip(" \"'") for part in name.split(".")))
-        # a table that occurs only in dotted names begins with its first part
+        # A table that only occurs in dotted names begins with its first key.
         for length in range(1, len(place) + 1):
             lines.setdefault(place[:length], number)
     return lines
 
 
 def _line(lines: Mapping[Place, int], place: Place) -> int:
-    """Return the line of a key, or of the table in which it is missing."""
+    """Return the line of a key. If the key is missing, return the line of the table that should contain it."""
     while place not in lines:
         place = place[:-1]
     return lines[place]

@@ -1,6 +1,6 @@
-"""The record of a log profile: its files, format, columns, conditions and windows of rows.
+"""The record of a log profile: files, format, columns, conditions and windows of rows.
 
-All contradictions are found at once: `Profile` raises one error that lists every problem with its place.
+If keys contradict each other, `Profile` raises one error that lists every problem with its place.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pipeline.records.findings import Grip, Motion, Name, Record
 from pipeline.records.native import FREE
 
 Kind = Literal["translation", "rotation"]
-"""Type of motion of a device, independent of its command quantity."""
+"""Type of motion of a device. It does not depend on the quantity of the command."""
 
 QUANTITIES: dict[str, dict[Kind, str]] = {
     "time": {"translation": "time", "rotation": "time"},
@@ -37,12 +37,15 @@ QUANTITIES: dict[str, dict[Kind, str]] = {
     "force": {"translation": "force", "rotation": "torque"},
     "velocity": {"translation": "velocity", "rotation": "angular velocity"},
 }
-"""Physical quantity of each column by type of motion, if the command is a force or torque."""
+"""Physical quantity of each column by type of motion, for a command that is a force or torque."""
 
 Excitation = Literal["step", "release", "hit", "free", "staircase"]
-"""What moves the device in a trial: a step of the command against a wall; the release from a position inside a wall, or
-a hit, both without a step; any command without a wall; a command without a wall that is constant between a few
-steps."""
+"""Cause of the motion in a trial.
+
+"step": a step of the command at a wall. "release": the release from a position inside a wall, without a step. "hit": a
+hit at a wall, without a step. "free": any command without a wall. "staircase": a command without a wall that is
+constant between a few steps.
+"""
 
 IMPLIED: dict[Excitation, tuple[str, ...]] = {
     "step": (),
@@ -51,7 +54,7 @@ IMPLIED: dict[Excitation, tuple[str, ...]] = {
     "free": FREE,
     "staircase": FREE,
 }
-"""Conditions that are 0 in a trial of each kind."""
+"""Conditions that are 0 in each kind of trial."""
 
 _DIMENSIONS: dict[str, Dimension] = {
     "time": "time",
@@ -72,7 +75,7 @@ def quantity(key: str, motion: Motion) -> str:
     >>> quantity("stiffness", "rotation"), quantity("command", "rotation in V"), quantity("force", "rotation in V")
     ('rotational stiffness', 'voltage', 'torque')
     """
-    if key == "force":  # a sensor measures a force, independent of the command quantity
+    if key == "force":  # a sensor measures a force, whatever the quantity of the command
         return QUANTITIES[key]["rotation" if is_rotation(motion) else "translation"]
     unit = find_unit(unit_of(_DIMENSIONS[key], motion))
     assert unit is not None, "the units of all dimensions are known"
@@ -83,25 +86,25 @@ BLANKS = "blanks"
 """Delimiter of tables whose columns are separated by runs of blanks and tabs."""
 
 Number = Annotated[float, Field(strict=True)]
-"""A strict number: "300" in quotation marks and true are errors, not 300 and 1."""
+"""A strict number. "300" in quotation marks and true are errors, not 300 and 1."""
 
 Count = Annotated[int, Field(ge=0, strict=True)]
 """A nonnegative integer."""
 
 Problem = tuple[tuple[str | int, ...], str]
-"""Place of a key in a profile, and the error there."""
+"""Location of an error in a profile, and the message."""
 
 
 NoTruth = BeforeValidator(lambda value: "true" if value is True else value)
-"""Validator that prevents true from being read as 1."""
+"""Validator that refuses true, which would otherwise be read as 1."""
 
 _NEGATED = {
     "command": "a positive number pushes towards smaller positions",
-    "position": "its numbers fall as the device moves in the direction that counts as positive",
-    "force": "it counts against the command",
-    "velocity": "it counts against the position",
+    "position": "its numbers decrease when the device moves in the positive direction",
+    "force": "its direction is opposite to that of the command",
+    "velocity": "its direction is opposite to that of the position",
 }
-"""Meaning of the sign -1 for each column."""
+"""Meaning of the sign -1 for each column. It completes the words "if -1 is given: ..." of a message."""
 
 
 NUMBERS_IN_NAMES = frozenset({"stiffness", "damping", "step", "sampling_period_s", "added_delay_samples"})
@@ -116,32 +119,33 @@ _THOUSANDS = "{} may separate thousands. Write the number without them, with one
 
 @cache
 def _compiled(pattern: str) -> Any:
-    # Python's regular expressions backtrack exponentially: ^(a+)+$ takes years for a file name of sixty letters
+    # Python's regular expressions backtrack exponentially: ^(a+)+$ takes years for a file name of sixty letters.
     options = re2.Options()
-    options.log_errors = False  # errors are raised anyway
+    options.log_errors = False  # errors are raised as exceptions
     return re2.compile(pattern, options)
 
 
 def find_groups(pattern: str, text: str) -> dict[str, str] | None:
     """Return the named groups of the first match of a pattern, or None if there is no match.
 
-    Groups that did not match are omitted. Lone surrogates are not accepted: pass the output of `file_names.storable`.
+    Groups that did not match are omitted. The text must not contain lone surrogates; `file_names.storable` removes
+    them.
     """
     match = _compiled(pattern).search(text)
     return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
 
 
 def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
-    """Return the conditions that a pattern extracts from a file name, or None if it does not match.
+    """Return the conditions that a pattern reads from a file name, or None if it does not match.
 
-    If there is no match, commas between digits are replaced by points for a second attempt. A number is returned
-    complete: if the pattern ends it at a comma between digits, the remaining digits are added. A comma that the pattern
-    itself requires is a separator.
+    If there is no match, the pattern is tried again with points in place of commas between digits. A number is always
+    returned complete: if the pattern ends it at a comma between digits, the remaining digits are appended. A comma that
+    the pattern requires is a separator.
 
     Raises
     ------
     ParameterError
-        If the pattern begins a number after a comma that it does not require.
+        If the number that the pattern reads begins after a comma that the pattern does not require.
 
     Examples
     --------
@@ -166,20 +170,21 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
         if key not in NUMBERS_IN_NAMES:
             continue
         before = _CUT_BEFORE.search(name[:begin]) if found[key][:1].isdigit() else None
-        if before is not None and not _asks_for(pattern, text, begin - 1, group):
+        if before is not None and not _requires_comma(pattern, text, begin - 1, group):
             raise ParameterError(
-                f"name_pattern takes {found[key]!r} as the {key} and leaves out {before[0]!r} before it. Is the comma "
-                "a decimal sign? Put it into the group, or in front of it"
+                f"name_pattern takes {found[key]!r} as the {key} and omits {before[0]!r} before it. If the comma is "
+                "a decimal sign, include it in the group; otherwise write it before the group"
             )
         behind = _CUT_BEHIND.match(name[end:]) if found[key][-1:].isdigit() else None
-        if behind is not None and not _asks_for(pattern, text, end, group):
+        if behind is not None and not _requires_comma(pattern, text, end, group):
             found[key] += behind[0]
         found[key] = found[key].strip().rstrip(".,")
     return found
 
 
-def _asks_for(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return whether a pattern requires a comma of a text: with another character in its place the group changes."""
+def _requires_comma(pattern: str, text: str, comma: int, group: int) -> bool:
+    """Return whether a pattern requires a comma: with another character in its place, the match of the group
+    changes."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
         match = _compiled(pattern).search(tried)
@@ -188,21 +193,21 @@ def _asks_for(pattern: str, text: str, comma: int, group: int) -> bool:
 
 
 def number_in_name(text: str, decimal: str = ".") -> float:
-    """Return a number from a file name, with a point or a comma as decimal sign.
+    """Return a number from a file name, with a point or a comma as the decimal sign.
 
     Parameters
     ----------
     text : str
     decimal : {".", ","}
-        Decimal sign of the profile. A number in which three digits follow the other sign is refused: that sign may
-        separate thousands.
+        Decimal sign of the profile. A number in which three digits follow the other sign is refused, because that sign
+        may separate thousands.
 
     Raises
     ------
     ParameterError
-        If a point or comma might separate thousands.
+        If a point or comma may separate thousands.
     ValueError
-        If it is no number.
+        If the text is not a number.
 
     Examples
     --------
@@ -223,49 +228,50 @@ def group_names(pattern: str) -> frozenset[str]:
 
 
 def pattern_problem(pattern: str | None) -> str | None:
-    """Return why a text is not a valid pattern and what to do, or None if it is valid."""
+    """Return why a pattern is invalid, with the remedy, or None if it is valid."""
     try:
         _compiled(pattern or "")
     except re2.error as error:
         found = error.args[0].decode() if isinstance(error.args[0], bytes) else error.args[0]
         return (
-            f"no regular expression: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
-            "backreference. Write out the text at that place, or state the condition in [[file]]"
+            f"no regular expression: {found}. Lookahead, lookbehind and backreferences are not supported. Write out "
+            "the text at that place, or state the condition in [[file]]"
         )
     return None
 
 
 class TextLayout(Record):
-    """Layout of a delimited text file, plain or compressed (gzip or zstd, detected from the first bytes).
+    """Layout of a delimited text file. It may be compressed with gzip or zstd, as its first bytes show.
 
     Parameters
     ----------
     delimiter : str
         One character, or ``"blanks"`` for runs of blanks and tabs.
     decimal : {".", ","}
-        Required: "1,234" is ambiguous (1.234 or 1234), so there is no default.
+        Decimal sign. It must be given because "1,234" may mean 1.234 or 1234.
     encoding : {"utf-8", "utf-16", "latin-1", "cp1252"}
-        A byte order mark is allowed in UTF-8 and UTF-16.
+        Encoding. A byte order mark is allowed in UTF-8 and UTF-16.
     skip_rows : int
-        Number of lines above the table, or above the search for its beginning.
+        Number of lines above the table, or above the first line that is compared with `header_at`.
     header : bool
-        Whether the table begins with a line of column names; if not, columns are taken by position (``column = 3``).
+        Whether the table begins with a line of column names. Otherwise, columns are selected by position (``column =
+        3``).
     header_at : str, optional
-        Regular expression: the table begins at the first matching line, such as after a banner.
+        Regular expression. The table begins at the first matching line, for example after a banner.
     unit_line : bool
-        Whether the line below the names contains units. Checks show them; they are never used.
+        Whether the line below the names contains units. Checks display these units but never apply them.
     comment : str, optional
-        Lines that begin with it are skipped.
+        Prefix of lines that are skipped.
     labels : str, optional
         Separator between label and value in lines such as ``Gain: 32``, above the table or between its rows.
     trailing_delimiter : bool
-        Whether rows end with one more delimiter.
+        Whether rows end with an additional delimiter.
     row_end : str, optional
-        Another character at the end of rows, such as ``;`` if cells are separated by commas.
+        Other character at the end of rows, such as ``;`` if commas separate the cells.
     blank_lines : {"refuse", "skip"}
-        Treatment of blank lines between rows; those at the end of a file are always ignored.
+        Treatment of blank lines between rows. Blank lines at the end of a file are always ignored.
     missing : tuple of str
-        Cells that mean "no value", like a blank cell.
+        Cells that mean "no value", in addition to blank cells.
     """
 
     delimiter: Annotated[str, Field(min_length=1)] = ","
@@ -284,7 +290,7 @@ class TextLayout(Record):
 
     @property
     def decimal_sign(self) -> str:
-        """Decimal sign of numbers in texts; by default a point in binary formats."""
+        """Decimal sign of numbers in texts. In binary formats, the default is a point."""
         return self.decimal or "."
 
     def layout_problems(self) -> Iterator[Problem]:
@@ -292,35 +298,35 @@ class TextLayout(Record):
         if len(self.delimiter) != 1 and self.delimiter != BLANKS:
             yield ("delimiter",), f"expected one character or {BLANKS!r}, found {self.delimiter!r}"
         if self.decimal is None:
-            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it"""
+            yield ("decimal",), """missing; add the line decimal = "." or decimal = ",", as used in the file"""
         if self.delimiter == self.decimal:
-            yield ("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"
+            yield ("decimal",), f"{self.decimal!r} is also the delimiter; expected different characters"
         if problem := pattern_problem(self.header_at):
             yield ("header_at",), problem
 
 
 class Source(Record):
-    """A column of a file, with the unit of its numbers.
+    """A column of a file with the unit of its numbers.
 
     Parameters
     ----------
     name : str, optional
         Name of the column in the file.
     column : int, optional
-        Its position in delimited text, counted from 1; either name or position is required.
+        Position of the column in delimited text, counted from 1. Either name or position is required.
     file : {"source", "partner"}
-        File of a pair that contains it.
+        File of a pair that contains the column.
     unit : str
-        Unit of the numbers; there is no default, because a unit is never guessed.
+        Unit of the numbers. There is no default, because a unit is never guessed.
     counts_per_unit : float, optional
-        Number of counts per unit, if the numbers are counts (4096 and ``rev`` for an encoder).
+        Number of counts per unit, if the numbers are counts (for example, 4096 and ``rev`` for an encoder).
     sentinels : tuple of float
         Numbers that mean "no value".
     blanks : {"refuse", "hold", "skip"}
-        Treatment of a row in which the cell is blank or a sentinel: refuse the log, repeat the previous value, or omit
-        the row.
+        Treatment of a row whose cell is blank or a sentinel: refuse the log, repeat the previous value, or omit the
+        row.
     provenance : str
-        Origin of the values ("motor current", "numerical derivative"); stored with each trial.
+        Origin of the values ("motor current", "numerical derivative"), which is stored with each trial.
     """
 
     name: str | None = None
@@ -334,7 +340,7 @@ class Source(Record):
 
     @property
     def in_file(self) -> bool:
-        """Whether the file has such a column."""
+        """Whether a column of the file is given."""
         return self.name is not None or self.column is not None
 
     @property
@@ -344,16 +350,16 @@ class Source(Record):
 
 
 class ColumnSource(Source):
-    """Source of command, position, force or velocity.
+    """Column for command, position, force or velocity.
 
     Parameters
     ----------
     sign : {1, -1}
-        -1 if the axis of the column points in the opposite direction; there is no default, because a sign is never
+        -1 if the axis of the column points in the opposite direction. There is no default, because a sign is never
         guessed.
     stands_for : str, optional
-        SI-like unit that replaces `unit` in logs of another kind: a heater's ``%`` as ``N``. It is stored with each
-        trial.
+        Unit that replaces `unit` in logs of other systems, for example ``N`` for the ``%`` of a heater. It is stored
+        with each trial.
     """
 
     sign: Annotated[Literal[1, -1], NoTruth] | None = None
@@ -361,15 +367,15 @@ class ColumnSource(Source):
 
 
 class CommandSource(ColumnSource):
-    """Source of the command, or its value if the file has no column for it.
+    """Column of the command, or its value if the file has no such column.
 
     Parameters
     ----------
     value : float, optional
-        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, same origin as the stamps); 0
-        before.
+        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, same origin as the time stamps) on.
+        Before, the command is 0.
     from_row, from_s : optional
-        Where it begins; give one of the two.
+        Start of the command. Give one of the two.
     """
 
     value: Number | None = None
@@ -378,18 +384,19 @@ class CommandSource(ColumnSource):
 
 
 class PositionSource(ColumnSource):
-    """Source of the position, or of a velocity that is integrated to the position.
+    """Column of the position, or of a velocity whose integral is the position.
 
     Parameters
     ----------
     integrate : {"difference", "trapezoid"}, optional
-        The column is a velocity [m/s, rad/s], and the position its integral over the stamps, from 0 in the first row.
-        ``"difference"``: each velocity is the displacement since the previous row divided by the time since then, as
-        drives compute it from an encoder; the integral is exactly the encoder reading. ``"trapezoid"``: it is the
-        instantaneous velocity of its row, such as that of a tachometer, and changes linearly between rows.
+        Rule if the column is a velocity [m/s, rad/s]. The position is its integral over time, from 0 in the first row.
+        ``"difference"``: each velocity is the displacement since the previous row divided by the elapsed time, as
+        drives compute it from an encoder. The integral is exactly the encoder reading. ``"trapezoid"``: each velocity
+        is the instantaneous velocity, for example of a tachometer, and changes linearly between rows.
     unwrap : bool or float, optional
-        Whether an angle that wraps after a turn is unwrapped: for a rotation with clear wraps (default), always if
-        jumps show a modulus (true), never (false); or the modulus, in the unit of the column.
+        Whether an angle that wraps after a turn is unwrapped. By default, only a rotation with clear wraps is
+        unwrapped; true unwraps whenever jumps show a modulus; false never unwraps. A number is the modulus in the unit
+        of the column.
     """
 
     integrate: Literal["difference", "trapezoid"] | None = None
@@ -397,31 +404,32 @@ class PositionSource(ColumnSource):
 
 
 class Fraction(Record):
-    """Second part of a time stamp, such as nanoseconds in addition to seconds; both are whole numbers."""
+    """Second part of a time stamp, such as nanoseconds in addition to seconds. Both parts are integers."""
 
     name: Name
     unit: Literal["s", "ms", "us", "ns"]
 
 
 class TimeSource(Source):
-    """Source of the time stamps.
+    """Column of the time stamps.
 
     Parameters
     ----------
     kind : {"absolute", "steps", "counter", "sampled"}
-        Stamps as they are; time since the previous row (the first row is 0); a counter (time is counted from the first
-        row); no stamps, one row per sampling period (a named column is kept as raw time and must agree).
+        Meaning of the stamps. "absolute": time. "steps": time since the previous row, 0 in the first row. "counter": a
+        counter; time is counted from the first row. "sampled": one row per sampling period, without stamps; the stamps
+        of a given column are kept as raw time and must agree with it.
     wrap : float, optional
-        Number of counts at which a counter restarts from 0 (2^32 = 4294967296).
+        Number of counts after which a counter restarts from 0 (2^32 = 4294967296).
     fraction : Fraction, optional
-        Column with the rest of the stamp.
+        Column with the fractional part of the stamp.
     order : {"file", "sort"}
-        ``"sort"`` sorts the rows by time stamp; without it, decreasing time stamps are refused.
+        ``"sort"`` sorts the rows by time stamp. With ``"file"``, decreasing time stamps are refused.
     duplicates : {"refuse", "keep first", "keep last"}
         Treatment of rows with equal stamps.
     """
 
-    blanks: Literal["refuse", "skip"] = "refuse"  # a repeated time stamp makes no sense
+    blanks: Literal["refuse", "skip"] = "refuse"  # a time stamp must not be repeated
     kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
     wrap: Annotated[Number, Field(gt=0)] | None = None
     fraction: Fraction | None = None
@@ -430,7 +438,7 @@ class TimeSource(Source):
 
 
 class Columns(Record):
-    """The three required columns of a log, and two optional ones: measured force, logged velocity."""
+    """The three required columns of a log, and two optional columns: measured force and logged velocity."""
 
     time: TimeSource | None = None
     command: CommandSource | None = None
@@ -439,7 +447,7 @@ class Columns(Record):
     velocity: ColumnSource | None = None
 
     def sources(self) -> dict[str, Source]:
-        """Return the described columns by SI name."""
+        """Return the columns that are given, by SI name."""
         found = {key: getattr(self, key) for key in Columns.model_fields}
         return {key: source for key, source in found.items() if source is not None}
 
@@ -454,13 +462,13 @@ def si_unit(quantity: str) -> str:
 
 
 def quantity_of(key: str, source: Source, motion: Motion) -> str:
-    """Return the physical quantity of a column of the file; a velocity for a position that is integrated."""
+    """Return the physical quantity of a column. For a position that is integrated, it is a velocity."""
     integrated = isinstance(source, PositionSource) and source.integrate is not None
     return quantity("velocity" if integrated else key, motion)
 
 
 def drive_in(source: Source | None) -> str:
-    """Return the quantity of a command that is neither force nor torque, such as voltage; otherwise an empty text."""
+    """Return the quantity of a command that is neither force nor torque, such as voltage. Otherwise, return ""."""
     unit = find_unit(getattr(source, "stands_for", None) or source.unit or "") if source else None
     return unit.quantity if unit is not None and unit.quantity in DRIVES else ""
 
@@ -472,7 +480,7 @@ class Gain:
     Parameters
     ----------
     factor : float
-        Force or torque per internal unit of the drive (`base.units.DRIVES`): V, A, counts, %.
+        Force or torque per internal unit of the drive (`base.units.DRIVES`): V, A, counts or %.
     drive : str
         Quantity of the drive, such as voltage.
     """
@@ -487,7 +495,7 @@ class Gain:
         Raises
         ------
         ParameterError
-            If it is not a positive number with a unit of force (torque for a rotation) per unit of a drive.
+            If the text is not a positive number with a unit of force (torque for a rotation) per unit of a drive.
         """
         force, found = QUANTITIES["command"][kind], split_quantity(text)
         units = {f"{force} per {drive}": drive for drive in DRIVES}
@@ -499,16 +507,16 @@ class Gain:
 
 
 def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -> float:
-    """Return the signed factor from a column's numbers to SI, or to the unit of a drive.
+    """Return the signed factor from the numbers of a column to SI, or to the unit of a drive.
 
     Raises
     ------
     ParameterError
-        If the unit is not known or does not fit the column.
+        If the unit is unknown or does not match the column.
     """
     sign, unit = 1, source.unit
     if isinstance(source, ColumnSource):
-        # a missing sign is reported separately; this checks the unit
+        # A missing sign is reported separately. This only checks the unit.
         sign, unit = source.sign or 1, source.stands_for or source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
@@ -518,7 +526,7 @@ def factor(key: str, source: Source, motion: Motion, gain: Gain | None = None) -
 
 
 def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> Iterator[Problem]:
-    """Yield missing or wrong keys of the columns; units must fit the motion of the device."""
+    """Yield missing or wrong keys of the columns. Units must match the motion of the device."""
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
             yield ("columns", key), f"missing. Add [columns.{key}] with name and unit"
@@ -527,26 +535,26 @@ def problems_of(columns: Columns, motion: Motion, gain: Gain | None = None) -> I
         yield from ((("columns", key, part), words) for part, words in _source_problems(key, source, motion, gain))
         other = taken.setdefault((source.file, source.key), key) if source.in_file else key
         if other != key:
-            text = f"{source.key!r} is columns.{other}, too; expected another column"
+            text = f"{source.key!r} is also columns.{other}; expected another column"
             if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
-                text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this one"
+                text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this"
             yield ("columns", key, "column" if source.name is None else "name"), text
 
 
 def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None) -> Iterator[tuple[str, str]]:
-    """Yield key and message for each missing or wrong key of one column."""
+    """Yield key and message for each missing or wrong key of a column."""
     sampled = isinstance(source, TimeSource) and source.kind == "sampled"
     stated = isinstance(source, CommandSource) and source.value is not None
     if isinstance(source, ColumnSource) and source.sign is None:
-        yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
+        yield "sign", f"missing; add the line sign = 1 or sign = -1 (-1 if {_NEGATED[key]})"
     if source.name is not None and source.column is not None:
-        yield "column", "given together with name; expected one of them"
+        yield "column", "given together with name; expected only one of them"
     if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
-        yield "value", "give value and one of from_row, from_s, or none of them"
+        yield "value", "give value with either from_row or from_s, or give none of them"
     if stated and source.in_file:
-        yield "value", "given together with the column; expected one of them"
+        yield "value", "given together with the column; expected only one of them"
     if not source.in_file and not sampled and not stated:
-        more = " (without such a column: value and from_row, or from_s)" if key == "command" else ""
+        more = " (or, without such a column, value with from_row or from_s)" if key == "command" else ""
         yield "name", f'missing. Add name = "<column in the file>" or column = <position>{more}'
     if sampled and not source.in_file:
         return
@@ -561,9 +569,9 @@ def _source_problems(key: str, source: Source, motion: Motion, gain: Gain | None
         hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
         unit = find_unit(source.unit)
         if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
-            hint = '; a velocity becomes a position with integrate = "difference" (of an encoder) or "trapezoid"'
+            hint = '; a velocity is integrated with integrate = "difference" (encoder) or "trapezoid"'
         if key == "command" and not drive_in(source):
-            hint = f"{hint}; of a drive one of {[symbol for units in DRIVES.values() for symbol in units]}"
+            hint = f"{hint}; for a drive, use one of {[symbol for units in DRIVES.values() for symbol in units]}"
         at = "stands_for" if getattr(source, "stands_for", None) else "unit"
         yield at, f"{error} (motion is {motion}){hint}"
 
@@ -589,14 +597,14 @@ CONDITION_QUANTITIES = ("stiffness", "damping", "step", "sampling_period_s")
 
 
 class Partner(Record):
-    """Second file of a log, in the folder of the first: its name is that of the first with a text replaced."""
+    """Second file of a log, in the same folder. Its name is that of the first file with a text replaced."""
 
     replace: Name
     by: Annotated[Name, Field(pattern=r"^[^/\\\x00]+$")]
 
 
 class Conditions(Record):
-    """Conditions of a log, in SI or in the units of [units]; None if they are given elsewhere."""
+    """Conditions of a log, in SI or in the units of [units]. A condition is None if it is given elsewhere."""
 
     device: Name | None = None
     experiment: Name | None = None
@@ -613,15 +621,15 @@ class Conditions(Record):
 
 
 class Constants(Conditions):
-    """Conditions of all files of a profile, and the type of motion (default: from the unit of the position)."""
+    """Conditions of all files of a profile, and the type of motion. By default, the position's unit determines it."""
 
     motion: Kind | None = None
 
 
 class ConditionUnits(Record):
-    """Units of conditions, for all their sources; SI by default.
+    """Units of conditions from all sources. The default is SI.
 
-    ``gain`` is the force per unit of a drive, such as ``"2.3 N/V"``: it converts a command in V, A, counts or %, and
+    ``gain`` is the force per unit of a drive, such as ``"2.3 N/V"``. It converts a command in V, A, counts or %, and
     conditions in these units, to force.
     """
 
@@ -633,7 +641,7 @@ class ConditionUnits(Record):
 
 
 class Window(Record):
-    """Part of the rows, both ends included: by time [s] or by row, counted from 0 as read from the file."""
+    """Range of rows, including both ends: by time [s], or by row, counted from 0 as read from the file."""
 
     from_s: Number | None = None
     to_s: Number | None = None
@@ -642,7 +650,7 @@ class Window(Record):
 
 
 class StepTime(Record):
-    """When the step happens: found in the command, or declared by row (from 0), by time [s], or the first row."""
+    """Time of the step: found in the command, declared by row (from 0) or time [s], or at the first row."""
 
     step_row: Count | None = None
     step_time_s: Number | None = None
@@ -650,7 +658,7 @@ class StepTime(Record):
 
     @property
     def declared(self) -> list[str]:
-        """The given keys that describe the step; exactly one is expected."""
+        """The keys for the step that are given. Exactly one is expected."""
         return [key for key in StepTime.model_fields if getattr(self, key) is not None]
 
 
@@ -668,16 +676,16 @@ class FileEntry(Conditions, StepTime):
 
 
 class Sheet(Record):
-    """A table of conditions with one row per log: CSV, XLSX or ODS.
+    """A table of conditions with one row per log, in CSV, XLSX or ODS.
 
     Parameters
     ----------
     file : str
-        Its path, relative to the folder of the profile.
+        Path of the table, relative to the folder of the profile.
     name : str, optional
-        Column that names the logs; by default found by its content.
+        Column that names the logs. By default, it is found by its content.
     columns : tuple of str
-        Columns that give conditions, as ``"K:stiffness:N/mm"``; others are identified by their names.
+        Columns that give conditions, such as ``"K:stiffness:N/mm"``. Other columns are identified by their names.
     """
 
     file: Name
@@ -686,25 +694,25 @@ class Sheet(Record):
 
 
 class StepEntry(Conditions, StepTime, Window):
-    """One of several steps in a file: its rows, and the conditions that differ from those of the file."""
+    """One of several steps in a file, with its rows and the conditions that differ from those of the file."""
 
     label: Name
 
 
 class Profile(TextLayout, StepTime):
-    """Description of the files of one lab, including the keys of text files (`TextLayout`).
+    """Description of the files of a lab, including the keys of text files (`TextLayout`).
 
     Parameters
     ----------
     name, title : str
     format : str
-        Reader; a native log already contains columns and conditions.
+        File format. A native log already contains columns and conditions.
     files : tuple of str
-        Patterns of the claimed file names (``*``, ``?``, ``[...]``; case does not matter).
+        Patterns of the claimed file names (``*``, ``?``, ``[...]``; case is ignored).
     kind : {"step", "release", "hit", "free", "staircase"}
-        What moves the device. "release" (from a position inside a wall) and "hit" have no step: they are detected from
-        the command. "free" has no wall; "staircase" has no wall and a command that is constant between a few steps,
-        each of which is a trial.
+        Cause of the motion. "release" (from a position inside a wall) and "hit" have no step; their start is found in
+        the command. "free" has no wall. "staircase" has no wall and a command that is constant between a few steps,
+        each of which becomes a trial.
     records : str, optional
         Key of the list of records inside a JSON file, with dots if it is nested.
     partner : Partner, optional
@@ -712,30 +720,31 @@ class Profile(TextLayout, StepTime):
     constants : Constants
     units : ConditionUnits
     name_pattern : str, optional
-        Regular expression with named groups that reads conditions out of the file name, such as
+        Regular expression with named groups that reads conditions from the file name, such as
         ``B(?P<damping>[-0-9.]+)_K(?P<stiffness>[0-9.]+)``.
     attributes, condition_columns : dict
-        Condition -> attribute of the file (a label of text lines, an HDF5 attribute) or column that gives it.
+        Mapping of a condition to the attribute of the file (a label of text lines, an HDF5 attribute) or the column
+        with its value.
     file : tuple of FileEntry
-        Settings for single files; at most one entry may match a file.
+        Settings for single files. At most one entry may match a file.
     sheet : Sheet, optional
-        Its rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
+        Table whose rows become such entries when the profile is used (`pipeline.readers.sheets.with_sheet`).
     trial_column : str, optional
-        Long form: rows with the same value in this column are one trial.
+        Column of labels, for a file with several trials one after the other. Rows with the same label are one trial.
     trials : {"each group"}, optional
-        Each group of the file (of HDF5, TDMS or MDF), element of a struct array or record that has all columns is a
-        trial; their names and attributes are those inside the group.
+        Whether each group of the file (HDF5, TDMS or MDF), or each element of a struct array or record, is a trial if
+        it has all columns. Names of columns and attributes are then those inside the group.
     steps : tuple of StepEntry
         Several steps in one file, each a separate trial.
     window : Window, optional
-        Rows outside are not stored.
+        Range of rows that are stored.
     step_row, step_time_s, step_at
-        See `StepTime`. One of them is required, here or in every entry of file or steps, unless the step is the
-        constant 0.
+        See `StepTime`. One of them is required, either here or in every entry of ``file`` or ``steps``, unless the
+        constant ``step`` is 0.
 
     Notes
     -----
-    A condition is taken from the most specific place that gives it: steps, file, condition_columns, attributes,
+    A condition is taken from the most specific source that gives it: steps, file, condition_columns, attributes,
     name_pattern, constants.
     """
 
@@ -768,20 +777,20 @@ class Profile(TextLayout, StepTime):
         return self
 
     def __hash__(self) -> int:
-        # tables by condition are not hashable; equal profiles have equal names and files
+        # Tables by condition are not hashable. Equal profiles have equal names and files.
         return hash((self.name, self.files))
 
     def _problems(self) -> Iterator[Problem]:
         if self.format == "native":
             if foreign := self.model_fields_set - {"name", "title", "format", "files"}:
-                yield ("format",), f"a native log brings all of {sorted(foreign)}. Remove them, or correct the format"
+                yield ("format",), f"a native log contains {sorted(foreign)}. Remove the keys, or correct the format"
             return
         given = {key for key in self.model_fields_set if getattr(self, key) is not None}
         for form, keys in (("delimited", set(TextLayout.model_fields)), ("json", {"records"})):
             for key in sorted(keys & given) if form != self.format else ():
-                yield (key,), f"for format {form}, found {self.format}. Remove it"
+                yield (key,), f"only for format {form}, found {self.format}. Remove it"
         if self.trials is not None and self.format not in GROUPED:
-            yield ("trials",), f"for formats with groups ({', '.join(GROUPED)}), found {self.format}. Remove it"
+            yield ("trials",), f"for formats ({', '.join(GROUPED)}), found {self.format}. Remove it"
         if self.format == "delimited":
             yield from self.layout_problems()
         if self.columns is None:
@@ -791,14 +800,14 @@ class Profile(TextLayout, StepTime):
             yield from problems_of(self.columns, self.motion, self._gain_or_none())
         partners = [key for key, source in self.column_sources().items() if source.file == "partner"]
         if self.partner is None and partners:
-            yield ("partner",), f"missing, but columns.{partners[0]} is of the partner. Add [partner] with replace, by"
+            yield ("partner",), f"missing, but columns.{partners[0]} is in the partner. Add [partner] with replace, by"
         if self.partner and (self.partner.replace in self.partner.by or self.partner.by in self.partner.replace):
             yield ("partner", "by"), "'replace' and 'by' must not contain each other"
         yield from self._step_problems()
         yield from self._condition_problems()
 
     def _step_problems(self) -> Iterator[Problem]:
-        """Yield errors in [[steps]], and files without the time of the step."""
+        """Yield errors in [[steps]], and missing times of the step."""
         entries = {(key, i): e for key in ("steps", "file") for i, e in enumerate(getattr(self, key))}
         places: list[tuple[tuple[str | int, ...], StepTime]] = [((), self), *entries.items()]
         for place, entry in places:
@@ -807,7 +816,7 @@ class Profile(TextLayout, StepTime):
         labels = [step.label for step in self.steps]
         for index, step in enumerate(self.steps):
             if step.sampling_period_s is not None:
-                words = "one for the whole file is expected. Move it to [constants]"
+                words = "expected one value for the file. Move it to [constants]"
                 yield ("steps", index, "sampling_period_s"), words
             if labels.index(step.label) != index:
                 yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a unique name"
@@ -817,9 +826,9 @@ class Profile(TextLayout, StepTime):
         constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
         constant = 0.0 if self.kind != "step" else constant
         if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
-            yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no step that is stated. Remove it"
+            yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no declared step. Remove it"
         steps = [constant, *(entry.step for entry in entries.values() if entry.step is not None)]
-        # an entry without a step, next to one with a step, is refused when its files are read
+        # An entry without a step, next to entries with a step, is refused when its files are read.
         if (
             self.sheet is None
             and not any(entry.declared for entry in (self, *entries.values()))
@@ -838,7 +847,7 @@ class Profile(TextLayout, StepTime):
         for key in IMPLIED[self.kind]:
             stated = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
             if stated or key in varying:
-                text = f"a trial of kind {self.kind!r} has none. Remove it, or correct `kind`"
+                text = f"a trial of kind {self.kind!r} has no such condition. Remove it, or correct `kind`"
                 yield ("constants" if stated else "kind", *((key,) if stated else ())), f"{key}: {text}"
 
     def _condition_problems(self) -> Iterator[Problem]:
@@ -850,15 +859,15 @@ class Profile(TextLayout, StepTime):
                 yield ("units", key), f"{error} (motion is {self.motion}){self._needs_gain(key)}"
         problem = pattern_problem(self.name_pattern)
         if problem is None and self.name_pattern is not None and not self.name_groups():
-            problem = "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
+            problem = "has no named group, and therefore gives no condition. Write (?P<stiffness>[0-9.]+) for (...)"
         if unknown := sorted(self.name_groups() - set(CONDITIONS)):
             problem = f"unknown groups {unknown}; expected names from {list(CONDITIONS)}"
         if problem:
             yield ("name_pattern",), problem
         given = self.conditions()
-        # the conditions of a sheet are known only when it is read
+        # The conditions of a sheet are unknown until it is read.
         for key in REQUIRED_CONDITIONS if self.sheet is None else ():
-            # a log of motion without wall and step needs none of their conditions
+            # A log of free motion, without wall and step, needs none of their conditions.
             if key not in given and not (key in FREE and given.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or state it in name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
@@ -866,7 +875,7 @@ class Profile(TextLayout, StepTime):
 
     @property
     def reads_names(self) -> bool:
-        """Whether the content read from a file depends on its name: a renamed file may be another log."""
+        """Whether the result of reading a file depends on its name. Then a renamed file may be another log."""
         return self.name_pattern is not None or bool(self.file)
 
     def entries_for(self, name: str) -> list[FileEntry]:
@@ -878,7 +887,10 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def _entries(self) -> tuple[dict[str, list[FileEntry]], list[FileEntry]]:
-        """Entries of single files by their names, and those of patterns: a sheet may have thousands of rows."""
+        """Entries for exact file names, by name, and entries for patterns.
+
+        A sheet may have thousands of exact names.
+        """
         exact, patterns = dict[str, list[FileEntry]](), list[FileEntry]()
         for entry in self.file:
             name = re.sub(r"\[([*?[])\]", r"\1", entry.match.lower())
@@ -893,11 +905,12 @@ class Profile(TextLayout, StepTime):
         return frozenset() if pattern_problem(self.name_pattern) else group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
-        """Return the columns by SI name: time, command, position, and optional ones."""
+        """Return the columns by SI name: time, command, position, and the optional columns."""
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
-        """Return the columns that a profile needs from a file: key of the profile -> name in `FileColumns`."""
+        """Return the columns that the profile needs from a file, as a mapping of profile keys to names in
+        `FileColumns`."""
         found = {
             f"columns.{key}": source.key
             for key, source in self.column_sources().items()
@@ -913,14 +926,14 @@ class Profile(TextLayout, StepTime):
         return found
 
     def factors(self) -> dict[str, float]:
-        """Return the signed factor to SI of each column that has a unit."""
+        """Return the signed factor to SI for each column with a unit."""
         sources = self.column_sources().items()
         units = ((key, source) for key, source in sources if source.unit is not None)
         return {key: factor(key, source, self.motion, self.gain) for key, source in units}
 
     @property
     def motion_kind(self) -> Kind:
-        """Type of motion of the device: as stated, otherwise from the unit of its position."""
+        """Type of motion of the device, as stated or otherwise from the unit of the position."""
         if self.constants.motion is not None:
             return self.constants.motion
         source = self.columns.position if self.columns else None
@@ -930,29 +943,29 @@ class Profile(TextLayout, StepTime):
 
     @property
     def drive(self) -> str:
-        """Quantity of the command if it is neither force nor torque, such as voltage; otherwise empty."""
+        """Quantity of a command that is neither force nor torque, such as voltage. Otherwise empty."""
         return drive_in(self.columns.command if self.columns else None)
 
     @property
     def gain(self) -> Gain | None:
-        """Gain from the command of a drive to force; None if the command is a force, or is kept in units of the drive.
+        """Gain from the command of a drive to force, or None if the command is a force or stays in units of the drive.
 
         Raises
         ------
         ParameterError
-            If it is not a valid gain.
+            If the gain is invalid.
         """
         return None if self.units.gain is None else Gain.read(self.units.gain, self.motion_kind)
 
     def _gain_or_none(self) -> Gain | None:
-        """Return a valid gain or None; an invalid one is reported separately."""
+        """Return the gain, or None if there is none or it is invalid. An invalid gain is reported separately."""
         with suppress(ParameterError):
             return self.gain if self.drive else None
         return None
 
     @property
     def motion(self) -> Motion:
-        """Type of motion with the unit of the command: that of the drive if no gain converts it to force."""
+        """Type of motion with the unit of the command. Without a gain, the unit is that of the drive."""
         if not self.drive or self.units.gain is not None:
             return self.motion_kind
         return cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
@@ -978,8 +991,8 @@ class Profile(TextLayout, StepTime):
         return 1.0 if unit is None else self.unit_factor(key, unit)
 
     def _gain_problems(self) -> Iterator[Problem]:
-        """Yield missing or wrong keys if the command is in units of a drive: it must not be mistaken for force."""
-        assert self.columns is not None, "it has columns where this is asked"
+        """Yield missing or wrong keys for a command in units of a drive, which must not be mistaken for a force."""
+        assert self.columns is not None, "this is only called for a profile with columns"
         unit = self.columns.command.unit if self.columns.command else None
         for key in FREE if self.drive else ():
             constants = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None}
@@ -987,7 +1000,7 @@ class Profile(TextLayout, StepTime):
             if getattr(self.units, key) is None and (varies or constants - {0.0}):
                 drive = cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
                 wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.motion_kind))
-                text = f"missing; the command is in {unit}, so that a number alone may be either. Add {key} = {wanted}"
+                text = f"missing; the command is in {unit}, so a plain number is ambiguous. Add {key} = {wanted}"
                 yield ("units", key), text
         if self.units.gain is None:
             return
@@ -1003,24 +1016,24 @@ class Profile(TextLayout, StepTime):
             yield ("units", "gain"), f"{self.units.gain!r} is per {gain.drive}, but the command is in {unit}"
 
     def _needs_gain(self, key: str) -> str:
-        """Return the remedy for a condition in units of force if the command is in units of a drive."""
+        """Return the remedy for a condition in units of force, if the command is in units of a drive."""
         if not self.drive or self.units.gain is not None or key not in FREE:
             return ""
         unit = next(iter(DRIVES[self.drive]))
-        return f'. The command is in {unit}: give the condition in {unit}, too, or [units] gain = "<number> N/{unit}"'
+        return f'. The command is in {unit}: give the condition in {unit} too, or [units] gain = "<number> N/{unit}"'
 
     def claims(self, name: str) -> bool:
         """Return whether a file name belongs to a log (not to a partner) of this profile."""
         return _name_pattern(self.files).match(name.lower()) is not None
 
     def partner_of(self, path: Path) -> Path | None:
-        """Return the partner file of a log, or None if a log is one file."""
+        """Return the partner file of a log, or None if a log is a single file."""
         if self.partner is None:
             return None
         return path.with_name(path.name.replace(self.partner.replace, self.partner.by))
 
     def log_of_partner(self, path: Path) -> Path | None:
-        """Return the log whose partner a file would be, or None if it is no partner."""
+        """Return the log whose partner is the given file, or None if the file is not a partner."""
         if self.partner is None or self.partner.by not in path.name:
             return None
         name = path.name.replace(self.partner.by, self.partner.replace)
@@ -1028,9 +1041,9 @@ class Profile(TextLayout, StepTime):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that affects how a file is read, without layout and title of the TOML.
+        """SHA-256 of all settings that affect how a file is read. Layout and title of the TOML text have no influence.
 
-        Keys at their default are left out, so that a new key does not change the hashes of profiles without it.
+        Keys with their default are omitted, so that a new key does not change the hashes of profiles without it.
         """
         values = self.model_dump(mode="json", exclude={"title"}, exclude_defaults=True)
         return sha256(json.dumps(values, sort_keys=True).encode())
@@ -1038,5 +1051,5 @@ class Profile(TextLayout, StepTime):
 
 @cache
 def _name_pattern(files: tuple[str, ...]) -> re.Pattern[str]:
-    """Return one pattern for all of `Profile.files`: thousands of names are matched against each profile."""
+    """Return one pattern for all of `Profile.files`, because thousands of names are matched with each profile."""
     return re.compile("|".join(translate(pattern.lower()) for pattern in files))

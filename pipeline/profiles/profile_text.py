@@ -1,4 +1,4 @@
-"""A profile as TOML text, which `read_profile` reads back as the same record."""
+"""Conversion of a profile to TOML text, from which `read_profile` reads the same record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PLAIN_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def toml_value(value: object) -> str:
-    """Return a value as TOML; a control character is escaped.
+    """Return a value as TOML. Control characters are escaped.
 
     >>> toml_value('F "soll"'), toml_value(0.001), toml_value({"name": "ns", "unit": "ns"})
     ('"F \\\\"soll\\\\""', '0.001', '{ name = "ns", unit = "ns" }')
@@ -36,7 +36,7 @@ def profile_toml(profile: Profile, remarks: Sequence[str] = ()) -> str:
     ----------
     profile : Profile
     remarks : sequence of str
-        Comment lines above it, such as evidence from the data.
+        Comment lines above the keys, such as evidence from the data.
     """
     dumped = profile.model_dump(mode="json", exclude_defaults=True)
     values = {key: dumped[key] for key in ("name", "title", "format", "files") if key in dumped} | dumped
@@ -58,7 +58,7 @@ def _table(values: Mapping[str, Any], above: tuple[str, ...]) -> Iterator[str]:
 
 
 def _is_table(value: object, above: tuple[str, ...]) -> bool:
-    """Return whether a value is written as a table. ``columns`` is; its entries are written as inline tables."""
+    """Return whether a value is written as a table. ``columns`` is a table; its entries are inline tables."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(part, Mapping) for part in value)
     return isinstance(value, Mapping) and len(above) < 1 + (above[:1] == ("columns",))

@@ -1,7 +1,7 @@
-"""Readers: one small module per file format, and one that converts their columns to SI.
+"""Readers of log files. Each file format has a module, and one module converts columns to SI.
 
-A format module turns bytes into `FileColumns` (`pipeline.readers.file_columns`), `pipeline.readers.mapping` turns these
-columns into logs. The native log has a separate reader, which parses many files at once.
+A format module converts bytes to `FileColumns` (`pipeline.readers.file_columns`), and `pipeline.readers.mapping`
+converts these columns to logs. Native logs have a separate reader, which parses many files together.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from pipeline.readers.log import Log, RawLog, check_samples, find_together
 __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "find_together", "reader_of"]
 
 Outcome = tuple[Log, ...] | LogError
-"""The logs in a raw log (one or several), or the reason why it is refused."""
+"""The logs in a raw log, or the error with which it is refused."""
 
 Reader = Callable[[Profile, Sequence[RawLog]], list[Outcome]]
-"""Function ``read(profile, raws)`` that gives one outcome for each raw log, in the order given."""
+"""Function ``read(profile, raws)`` that returns one outcome for each raw log, in the same order."""
 
 
 def reader_of(profile: Profile) -> Reader:
-    """Return the reader of a profile's format."""
+    """Return the reader for the format of a profile."""
     module: Any = import_module(f"pipeline.readers.{'formats.native' if profile.format == 'native' else 'mapping'}")
     read: Reader = module.read
     return read

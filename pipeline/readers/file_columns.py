@@ -1,7 +1,7 @@
-"""Columns of a file by name, as a format reader finds them: without units, signs or guesses.
+"""Columns of a file by name, as read by a format module. Units and signs are not applied and nothing is guessed.
 
-A format is a function ``read(path, settings, contents)`` that adds the arrays of a file to a `FileColumns`. Its method
-`frame` takes the columns that a profile names; `mapping` turns them into logs.
+A format module has a function ``read(path, settings, contents)`` that adds the arrays of a file to a `FileColumns`.
+The method `frame` selects the columns that a profile names, and `mapping` converts them to logs.
 """
 
 from __future__ import annotations
@@ -21,31 +21,35 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.records.trials import Integers
 
 LARGEST_LOG = 256 << 20
-"""Largest size [byte] of a file that is read, compressed or not: a larger file is no log."""
+"""Largest size [byte] of a file that is read, compressed or not. A larger file is not a log."""
 
 MOST_VALUES = 1 << 26
-"""Largest number of values in a file: 10^7 rows of six columns, about as many as fit into the memory of a worker."""
+"""Largest number of values in a file: 10^7 rows of six columns. It is limited by the memory of a worker."""
 
 SMALL_FILE = 64 << 20
-"""Unpacked size [byte] allowed for any file: 10^6 rows of eight columns; a constant column is compressed by 1000 or
-more."""
+"""Unpacked size [byte] that is allowed for any file: 10^6 rows of eight columns.
+
+A constant column may be compressed by a factor of 1000 or more.
+"""
 
 EXPANSION = 30
-"""Largest ratio of unpacked to packed size of a larger file; recorded samples are compressed by 1 to 20."""
+"""Largest ratio of unpacked to packed size of a larger file. Recorded samples are compressed by a factor of 1 to 20."""
 
 LONGEST_HEADER = 1 << 16
-"""Number of bytes searched for the column line; a header has a few hundred, a file without one may be huge."""
+"""Number of bytes in which the column line is searched. A header has a few hundred; other files may be huge."""
 
 KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE = 100, 10_000
-"""Largest number of file attributes stored with each trial, and largest length of each [characters]: a workspace dump
-may have thousands of attributes, and one of them may be a whole file."""
+"""Largest number of file attributes stored with each trial, and their largest length [characters].
+
+A workspace dump may have thousands of attributes, and an attribute may contain a complete file.
+"""
 
 LISTED_ELEMENTS, LISTED_NAMES = 64, 40
-"""Largest number of listed elements of one vector, and of names in a message: a robot has fewer, an image has more."""
+"""Largest number of listed elements of a vector, and of names in a message. An image has more, a robot fewer."""
 
 
 def allowed_bytes(size: int) -> int:
-    """Return how many bytes a file of this size [byte] may unpack to."""
+    """Return the number of bytes to which a file of this size [byte] may unpack."""
     return min(4 * LARGEST_LOG, max(SMALL_FILE, EXPANSION * size))
 
 
@@ -53,7 +57,7 @@ Scalar = str | float | int
 Array = NDArray[Any]
 
 ARRAY = 800
-"""Number of values that each array counts at least: a damaged file may declare millions of empty arrays."""
+"""Number of values that each array counts as, at least. A damaged file may declare millions of empty arrays."""
 
 
 @dataclass
@@ -63,34 +67,35 @@ class FileColumns:
     Parameters
     ----------
     name : str
-        The file, for messages.
+        Name of the file, for messages.
     wanted : tuple of str
-        Names that a profile asks for; others are left out. Empty means all.
+        Names that a profile needs; other columns are skipped. If it is empty, all columns are read.
     most : int
         Largest number of values that the file may contain.
     row_name : str
-        What a row is called there: "line", "record", "sample", "message".
+        Word for a row of the file: "line", "record", "sample" or "message".
     columns : dict of str to array, shape (rows,)
-        float64, integers (a counter keeps its integers) or str (a text column, such as the label of a trial), by the
-        name in the file: ``"1"``, ``"2"``, ... in a file without names; a path with dots where it is nested
-        (``"state.q"``), elements of a matrix in brackets, counted from 0 (``"state.q[3]"``). NaN (an empty text in a
-        text column) is a missing cell, as in sparse files of several rates. Nothing is interpolated.
+        float64, integers (a counter stays an integer) or str (a text column, such as the label of a trial) by the name
+        in the file. In a file without names, the names are ``"1"``, ``"2"``, .... A nested name has dots
+        (``"state.q"``). Elements of a matrix have an index in brackets, counted from 0 (``"state.q[3]"``). A missing
+        cell, for example in a file with several sampling rates, is NaN, or an empty text in a text column. Nothing is
+        interpolated.
     hints : dict of str to str
-        Units and descriptions, only for display.
+        Units and descriptions. They are only displayed.
     units : dict of str to str
-        Time units that are fixed by the data type in the file, such as ns of a ROS stamp; a profile that contradicts
-        them is refused. Units in names, headers and attributes are not included here: they are only shown.
+        Time units that the data type in the file determines, such as ns of a ROS stamp. A profile that contradicts them
+        is refused. Units in names, headers and attributes are not included, because they are only displayed.
     attributes : dict of str to str, float or int
-        Scalars and texts found in the file, such as HDF5 attributes or lines "label: value"; a profile may take
-        conditions from them.
+        Scalars and texts in the file, such as HDF5 attributes or lines "label: value". A profile may read conditions
+        from them.
     refused : dict of str to str
-        Parts of the file that cannot be read, and the reason.
+        Parts of the file that cannot be read, with the reasons.
     warnings : tuple of str
         Irregularities that were accepted, such as an incomplete last row.
     row : int64, shape (rows,)
-        Position of each row in the file, counted from 1; empty while unknown.
+        Position of each row in the file, counted from 1. It is empty while unknown.
     keys : dict of str to str
-        Keys of a profile that this file needs, as TOML.
+        Keys that a profile needs for this file, as TOML.
     """
 
     name: str
@@ -107,24 +112,22 @@ class FileColumns:
     keys: dict[str, str] = field(default_factory=dict)
     values: int = 0
 
-    def asks(self, path: str) -> bool:
-        """Return whether a column, or an element of it, is wanted; the first slash of a path may be left out."""
+    def wants(self, path: str) -> bool:
+        """Return whether a column, or an element of it, is wanted. The first slash of a path may be omitted."""
         return not self.wanted or any(_is_part(key, path) for key in self.wanted)
 
     def add(
         self, path: str, values: Array | Callable[[], Any], hint: str = "", unit: str = "", axis: int | None = None
     ) -> None:
-        """Add an array, or the reason why it cannot be read, so that the other arrays remain available.
-
-        Parameters
+        """Add an array, or the reason why it cannot be read. Other arrays remain available.
         ----------
         path : str
         values : array, or callable that loads one
-            An array with one axis longer than 1 is one column; a matrix gives one column per element: ``path[0]``, ...
+            An array with one axis longer than 1 is a column. A matrix has a column for each element: ``path[0]``, ...
         hint, unit : str
-            Description in the file, and the time unit that is fixed by its data type.
+            Description in the file, and the time unit that its data type determines.
         axis : int, optional
-            Time axis; by default the longest one.
+            Time axis. The default is the longest axis.
 
         Raises
         ------
@@ -136,9 +139,9 @@ class FileColumns:
             unit = "ns" if array.dtype.kind in "mM" else unit
             array = plain_column(array)
         except (LogError, MemoryError, OSError, TypeError, ValueError) as error:
-            if self.wanted and self.asks(path) and not isinstance(error, TypeError | ValueError):
+            if self.wanted and self.wants(path) and not isinstance(error, TypeError | ValueError):
                 raise
-            large = "claims more values than this file may unpack to"
+            large = "has more values than a file of this size may contain"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
         self.values += array.size + ARRAY
@@ -151,13 +154,13 @@ class FileColumns:
             self.units |= {name: unit} if unit else {}
 
     def claim(self, values: int) -> None:
-        """Refuse a file that claims more values than allowed, if possible before they are unpacked."""
+        """Refuse a file with more values than allowed, if possible before they are unpacked."""
         if values > self.most:
-            text = f"claims more than {self.most} values"
+            text = f"has more than {self.most} values"
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
 
     def note(self, key: str, value: Any) -> None:
-        """Store a single value as an attribute if it is a number or a text."""
+        """Store a single value as an attribute if it is a number or text."""
         if isinstance(value, np.ndarray) and value.size == 1:
             value = value.reshape(-1)[0]
         value = value.item() if isinstance(value, np.generic) else value
@@ -166,17 +169,20 @@ class FileColumns:
             self.attributes[key] = value[:LONGEST_ATTRIBUTE] if isinstance(value, str) else value
 
     def cut_row(self, text: str, row: int) -> None:
-        """Report that the last row is incomplete and omitted, and keep its text."""
+        """Report that the last row is incomplete and omitted, and store its text."""
         self.note("cut_last_row", text)
-        self.warnings += (f"last row is cut: {text[:200]!r} (line {row}) was left out and is kept verbatim",)
+        self.warnings += (f"the last row (line {row}) is incomplete and was omitted: {text[:200]!r}",)
 
     def find(self, wanted: str) -> str | None:
-        """Return the name of a wanted column, or None; first slash and index of a single element are optional."""
+        """Return the name of a wanted column, or None.
+
+        A first slash, and the index of a single element, may be omitted.
+        """
         names = (wanted, re.sub(r"(\[0\])+$", "", wanted))
         return next((known for name in names for known in (name, f"/{name}") if known in self.columns), None)
 
     def of_group(self, group: str, wanted: tuple[str, ...] = ()) -> Self:
-        """Return the contents of a group, by the names in it, with its attributes and those of the whole file."""
+        """Return the contents of a group by the names inside it, with its attributes and those of the file."""
 
         def inside(name: str) -> str:
             rest = name.removeprefix(group)
@@ -195,17 +201,17 @@ class FileColumns:
         )
 
     def lacks(self) -> bool:
-        """Return whether a wanted column is missing without being listed as unreadable."""
+        """Return whether a wanted column is missing although it is not listed as unreadable."""
         refused = [key for key in self.wanted if any(_is_part(key, path) for path in self.refused)]
         return any(self.find(key) is None and key not in refused for key in self.wanted)
 
     def frame(self) -> Self:
-        """Return only the wanted columns, by these names; without any, all columns that are not single values.
+        """Return only the wanted columns under these names. By default, return all columns with several rows.
 
         Raises
         ------
         LogError
-            If a column is missing or unreadable, or if lengths differ.
+            If a column is missing or unreadable, or the lengths differ.
         """
         vectors = {name: column for name, column in self.columns.items() if len(column) != 1} or self.columns
         columns = {key: self._column(key) for key in self.wanted} or vectors
@@ -215,7 +221,7 @@ class FileColumns:
         if len(set(rows.values())) > 1:
             listing = ", ".join(f"{key!r}: {count}" for key, count in list(rows.items())[:LISTED_NAMES])
             text = f"columns have different lengths ({listing})"
-            line = '[columns.time]\nkind = "sampled" # one row each sampling period, without the column of time'
+            line = '[columns.time]\nkind = "sampled" # one row per sampling period, without a column of time'
             raise refusal("lengths-differ", self.name, text, "one length", row=min(rows.values()) + 1, line=line)
         units, hints = (
             {key: source[name] for key in columns if (name := self.find(key)) in source}
@@ -239,25 +245,25 @@ class FileColumns:
         if elements := [name for name in known if name.removeprefix("/").startswith(f"{stem}[")]:
             nearest = f" Name one element in columns.*.name: {elements[0]} to {elements[-1]}."
         listing = ", ".join(known[:LISTED_NAMES]) + (", ..." if len(known) > LISTED_NAMES else "") or "none"
-        text = f"no column {wanted!r}.{nearest} It has: {listing}.{self._reasons()}"
+        text = f"no column {wanted!r}.{nearest} Columns of the file: {listing}.{self._reasons()}"
         raise refusal("column-missing", self.name, text)
 
     def _reasons(self) -> str:
-        """Return which parts of the file cannot be read, and why the first of them."""
+        """Return which parts of the file cannot be read, with the reason for the first part."""
         names = ", ".join(map(repr, list(self.refused)[:LISTED_NAMES]))
         return f" Not readable: {names}; {next(iter(self.refused.values()))}" if names else ""
 
 
 _INSIDE = ("/", ".", "@")
-"""Characters between a group and its members: columns, fields, attributes."""
+"""Characters between a group and its members (columns, fields, attributes)."""
 
 
 _ELEMENT = re.compile(r"\[\d+\]$")
-"""Element index of a matrix whose elements are the columns of a trial."""
+"""Element index of a matrix, if its elements are the columns of a trial."""
 
 
 def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
-    """Return the groups that have all wanted columns, in the order in which they are found.
+    """Return the groups that have all wanted columns, in the order of the file.
 
     >>> groups_of(["/a/t", "/a/x", "/b/t", "/b/x", "/c/t"], ["t", "x"])
     ['/a', '/b']
@@ -275,18 +281,18 @@ def groups_of(names: Collection[str], wanted: Collection[str]) -> list[str]:
 
 
 def _ends(name: str) -> tuple[str, ...]:
-    """Return the possible endings of a full column name, given the name inside its group."""
+    """Return the possible endings of a full column name, for the name inside its group."""
     return (name,) if _ELEMENT.fullmatch(name) else tuple(f"{sign}{name}" for sign in _INSIDE[:2])
 
 
 _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|filtered", re.IGNORECASE)
-"""Names of groups that are not trials: reference signals, or a second recording of the same motion."""
+"""Names of groups that are not trials, such as reference signals or a second recording of the same motion."""
 
 
 def trial_groups(contents: FileColumns) -> list[str]:
-    """Return groups that look like trials of one kind: the same columns, each with several rows.
+    """Return groups that seem to be trials, because they have the same columns with several rows each.
 
-    Their names are numbered, their recording times differ, or a constant column has a different value in each.
+    In addition, their names are numbered, their recording times differ, or a constant column differs between them.
 
     >>> names = ("run1.t", "run1.x", "run2.t", "run2.x", "setup.t")
     >>> trial_groups(FileColumns("a", columns=dict.fromkeys(names, np.zeros(9))))
@@ -308,14 +314,14 @@ def trial_groups(contents: FileColumns) -> list[str]:
 
 
 def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
-    """Return the columns with several rows in each group by their names in it: fields, or the elements of a matrix."""
+    """Return the columns with several rows in each group, by their names in it: fields, or elements of a matrix."""
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
         element = None if whole else _ELEMENT.search(name)
         at = max(name.rfind(sign) for sign in _INSIDE[:2]) if element is None else element.start()
         if at > 0 and len(values) > 2 and values.dtype.kind != "U" and (whole or element):
             leaves.setdefault(name[:at], []).append(name[at + (element is None) :])
-    # a matrix with a time column is a trial; without one it is a vector signal
+    # A matrix with a time column is a trial. A matrix without one is a vector signal.
     timed = (
         group for group, inside in leaves.items() if whole or any(_rises(contents.columns[group + e]) for e in inside)
     )
@@ -323,7 +329,7 @@ def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
 
 
 def _are_trials(contents: FileColumns, groups: Sequence[str], inside: Sequence[str]) -> bool:
-    """Return whether groups with the same columns are trials, not several devices recorded at the same time."""
+    """Return whether groups with the same columns are trials. They may also be devices recorded at the same time."""
     clocks_differ = []
     for name in inside:
         places = (f"{group}{end}" for group in groups for end in _ends(name))
@@ -340,13 +346,13 @@ def _rises(values: Array) -> bool:
 
 
 def _is_part(column: str, path: str) -> bool:
-    """Return whether a column is at a path or below it; the first slash may be omitted."""
+    """Return whether a column is at a path or below it. The first slash may be omitted."""
     column, path = column.removeprefix("/"), path.removeprefix("/")
     return column == path or column.startswith((f"{path}[", f"{path}."))
 
 
 def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array by name: one for a vector of any orientation, or one per element of a matrix."""
+    """Yield the columns of an array by name: one for a vector of any orientation, one for each element of a matrix."""
     shape = array.shape
     if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):
         yield path, array.reshape(-1)
@@ -357,21 +363,21 @@ def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, 
 
 
 def plain_column(values: Array) -> Array:
-    """Convert values to a column type: float64, 64-bit integers or str.
+    """Convert values to the type of a column: float64, 64-bit integers or str.
 
     Raises
     ------
     TypeError
-        If they cannot be converted.
+        If the values cannot be converted.
     """
     kind = values.dtype.kind
     if kind == "f":
         return values.astype(np.float64, copy=False)
     if kind in "biu":
-        # a 64-bit counter may exceed the largest signed integer
+        # A 64-bit counter may exceed the largest signed integer.
         return values.astype(np.uint64 if kind == "u" and values.dtype.itemsize == 8 else np.int64, copy=False)
     if kind == "c":
-        raise TypeError("contains complex numbers; save real and imaginary part: re = real(x); im = imag(x)")
+        raise TypeError("contains complex numbers; save real and imaginary parts: re = real(x); im = imag(x)")
     if kind in "mM":
         return values.astype(f"{kind}8[ns]").astype(np.int64)
     if kind in "UT" or (kind in "SO" and all(isinstance(value, str | bytes) for value in values.flat)):
@@ -380,7 +386,7 @@ def plain_column(values: Array) -> Array:
 
 
 def with_gaps(values: Array, place: Sequence[int] | Integers, rows: int) -> Array:
-    """Return a column of the given number of rows with values at their places, and NaN or an empty text elsewhere."""
+    """Return a column of ``rows`` rows with values at the given places, and NaN or an empty text elsewhere."""
     full = len(values) == rows or values.dtype.kind == "U"
     result: Array = np.zeros(rows, values.dtype) if full else np.full(rows, np.nan)
     result[place] = values
@@ -393,7 +399,7 @@ def library(module: str, extra: str) -> Any:
     Raises
     ------
     LogError
-        If it is not installed; the message explains how to install it.
+        If the library is not installed. The message explains how to install it.
     """
     try:
         return import_module(module)

@@ -1,9 +1,9 @@
-"""Check whether the command of a log obeys the gains in its header. If not: the gains it obeys, and the line to
-correct.
+"""Check whether the command of a log follows the gains in its header.
 
-The wall law is u_k = F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Other gains are reported
-only if the wall law with these gains explains the command. A velocity filter, a clipped or one-sided wall, or a coarse
-sensor may leave the question open.
+If it does not, the module finds the gains that it follows, and the line to correct. The wall law is u_k = F_0 - K (x_k
+- x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. Other gains are reported only if the wall law with these
+gains explains the command. With a velocity filter, a clipped or one-sided wall, or a coarse sensor, the question may
+remain open.
 """
 
 from __future__ import annotations
@@ -19,38 +19,43 @@ from pipeline.readers.log import Log
 from pipeline.records.trials import Booleans, Floats
 
 EXACT = 0.02
-"""Largest unexplained share of the command for which each gain is identifiable separately; the residual of a velocity
-filter or a coarse sensor is larger."""
+"""Largest unexplained share of the command at which each gain is identifiable separately.
+
+The residual due to a velocity filter or a coarse sensor is larger.
+"""
 
 EXPLAINED = 0.02
-"""Largest residual with other gains, relative to that of the stated wall law: a velocity filter shifts gains by a few
-percent and leaves a quarter of the residual."""
+"""Largest residual with other gains, relative to the residual of the stated wall law.
+
+A velocity filter shifts gains by a few percent and leaves a quarter of the residual.
+"""
 
 NEARLY = 0.3
-"""The same limit if gains are wrong by a power of ten or a unit and the velocity is filtered."""
+"""The same limit if gains are wrong by a power of ten or a unit, and the velocity is filtered."""
 
 FACTOR = 8.0
-"""Smallest factor by which K and B together must be wrong to be reported if the velocity is filtered: units differ by
-at least 10, and a clipped one-sided wall looks like one with a quarter of its gains."""
+"""Smallest factor by which both K and B must be wrong to be reported, if the velocity is filtered.
+
+Units differ by at least 10, and a clipped one-sided wall looks like a wall with a quarter of its gains.
+"""
 
 UNIT_TOLERANCE = 0.2
-"""Relative tolerance of the factor between two units in a log whose velocity is filtered."""
+"""Relative tolerance of the factor between two units in a log with filtered velocity."""
 
 SURE = 6.0
-"""Smallest deviation of a gain, in standard errors, that counts as a deviation. It is large because sensor noise is not
-white."""
+"""Smallest deviation of a gain, in standard errors, that counts. It is large because sensor noise is not white."""
 
 TOLERANCE = 0.1
-"""Smallest relative deviation of a gain that is reported, and largest one between two factors that count as equal."""
+"""Smallest relative deviation of a gain that is reported, and tolerance between two factors that count as equal."""
 
 SHIFTED_ROWS = 2.0
-"""Largest offset, in rows, between command and position of a log."""
+"""Largest offset between command and position of a log [rows]."""
 
 SHARE = 0.05
-"""Smallest share of the largest command that a gain must contribute to be estimated."""
+"""Smallest share of the largest command that a gain must contribute so that it is estimated."""
 
 LIMIT_ROWS = 3
-"""Smallest number of rows at the largest or smallest command for which it counts as clipped."""
+"""Smallest number of rows at the largest or smallest command at which the command counts as clipped."""
 
 LEAST_ROWS = 12
 
@@ -58,39 +63,42 @@ PULSE_PARTS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Fractions of a log at which the pulse of a hit may have ended."""
 
 MOST_EDGES = 4
-"""Largest number of jumps tried as the step: noise and sensor resolution cause one or two large jumps before it."""
+"""Largest number of jumps tried as the step. Noise and sensor resolution cause one or two large jumps before it."""
 
 STANDS_OUT, SMALL_JUMP = 8.0, 1e-6
-"""Factor by which the jump of a step exceeds all earlier jumps, which are noise and sensor quantization; and size
-relative to the largest jump below which a jump is rounding error."""
+"""Factor by which the jump of a step exceeds all earlier jumps, which are noise and quantization; and size relative to
+the largest jump below which a jump is a rounding error."""
 
 
 @dataclass(frozen=True)
 class FollowedGains:
-    """Gains that the command obeys [SI] and that differ from the header, by name; and the values in the header."""
+    """Gains [SI] that the command follows and that differ from the header, by name, and the values in the header."""
 
     found: dict[str, float]
     stated: dict[str, float]
 
     @property
     def sentence(self) -> str:
-        """What differs, with the factor."""
+        """The differences, each with its factor."""
         times = {
             name: f" (factor {factor:.4g})" if np.isfinite(factor) else "" for name, factor in self.factors.items()
         }
         return "; ".join(
-            f"the command obeys {name} {value:.4g}, the header says {self.stated[name]:.4g}{times[name]}"
+            f"the command follows {name} {value:.4g}, the header states {self.stated[name]:.4g}{times[name]}"
             for name, value in self.found.items()
         )
 
     @property
     def factors(self) -> dict[str, float]:
-        """Ratio of each gain to the stated one; infinite if 0 is stated."""
+        """Ratio of each gain to the stated gain. It is infinite if the stated gain is 0."""
         return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
 
 
 def followed_gains(log: Log) -> FollowedGains | None:
-    """Return the gains that the command obeys if they differ from the stated ones; None if equal or unidentifiable."""
+    """Return the gains that the command follows if they differ from the stated gains.
+
+    The result is None if they agree or are not identifiable.
+    """
     header, command = log.header, log.command
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     gains, size = np.array([*stated.values()]), _size(command)
@@ -108,7 +116,7 @@ def followed_gains(log: Log) -> FollowedGains | None:
     if left <= min(EXACT * size, EXPLAINED * _size(off[free])):
         visible = np.abs(terms[:, free]).max(axis=1) * np.maximum(np.abs(values), np.abs(gains)) > SHARE * largest
         least = np.maximum(TOLERANCE * np.abs(gains), SURE * error)
-        # a position that is logged a row or two before or after its command looks like B + K T
+        # A position that is logged a row or two before or after its command looks like B + K T.
         least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
         other = visible & (np.abs(values - gains) > least)
         return (
@@ -125,13 +133,13 @@ def followed_gains(log: Log) -> FollowedGains | None:
 
 
 def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | None:
-    """Return the differing gains that the command of a released or hit device obeys, like `followed_gains`."""
+    """Return the differing gains that the command of a released or hit device follows, like `followed_gains`."""
     gains = (log.header.stiffness, log.header.damping)
     fitted = _free_fit(log.time, log.command, log.position) if any(gains) else None
     if fitted is None or not fitted[0].stiffness:
         return None
     law, error = fitted
-    # a position that is logged a row or two before or after its command looks like B + K T
+    # A position that is logged a row or two before or after its command looks like B + K T.
     slack = (0.0, SHIFTED_ROWS * abs(law.stiffness) * log.header.sampling_period_s)
     found = {
         name: value
@@ -142,7 +150,7 @@ def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | N
 
 
 class WallGains(NamedTuple):
-    """Stiffness, damping and step that explain a command, in units of command and position columns and seconds.
+    """Stiffness, damping and step that explain a command, in the units of its columns and in seconds.
 
     A gain without a visible contribution to the command is 0.
     """
@@ -155,22 +163,22 @@ class WallGains(NamedTuple):
 def wall_gains(time: Floats, command: Floats, position: Floats) -> WallGains | None:
     """Return the gains that a command follows, or None if no wall law explains it.
 
-    A force step is a step or a release, a force pulse a hit. If no wall law explains all rows, the gains are estimated
-    from the rows after the pulse.
+    The motion may begin with a step of the force or a release, or with a hit (a force pulse). If no wall law explains
+    all rows, the gains are estimated from the rows after the pulse.
 
     Parameters
     ----------
     time : float64, shape (rows,)
-        Seconds.
+        Time [s].
     command, position : float64, shape (rows,)
-        In any unit.
+        Command and position, each in any unit.
     """
     fitted = _free_fit(time, command, position)
     return None if fitted is None else fitted[0]
 
 
 def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the wall law of a released or hit device and the standard errors of its gains; None if none fits."""
+    """Return the wall law of a released or hit device and the standard errors of its gains, or None if none fits."""
     if not _may_follow(time, command, position):
         return None
     peak = float(np.abs(command).max())
@@ -180,7 +188,7 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
         rows = (time[behind], command[behind], position[behind])
         if not _may_follow(*rows) or float(np.abs(command[behind]).max()) < SHARE * peak:
             return None
-        # the displacement before these rows is a constant part of the command
+        # The displacement before these rows is a constant part of the command.
         fitted = _fitted(_terms(*rows, 0), command[behind])
         if fitted is not None:
             return fitted[0]._replace(step=0.0), fitted[1]
@@ -188,14 +196,14 @@ def _free_fit(time: Floats, command: Floats, position: Floats) -> tuple[WallGain
 
 
 def _may_follow(time: Floats, command: Floats, position: Floats) -> bool:
-    """Return whether a wall law can be identified from these rows."""
+    """Return whether a wall law can be identified from the given rows."""
     if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all():
         return False
     return bool(np.ptp(command) and np.ptp(position))
 
 
 def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
-    """Return the wall law that explains a command, and the standard errors of its gains; None if none does."""
+    """Return the wall law that explains a command, and the standard errors of its gains, or None if none does."""
     free = _free(command)
     if free.sum() < LEAST_ROWS:
         return None
@@ -207,9 +215,9 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
 
 
 def _edges(command: Floats) -> list[int]:
-    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier ones.
+    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier jumps.
 
-    The command of an unstable wall later jumps by more than its step.
+    Later jumps of the command at an unstable wall may exceed the step.
     """
     jump = np.abs(command[1:] - command[:-1])
     largest = int(jump.argmax()) + 1
@@ -221,7 +229,7 @@ def _edges(command: Floats) -> list[int]:
 
 
 def _best_terms(time: Floats, command: Floats, position: Floats, declared: str | None = None) -> Floats:
-    """Return the terms of the wall law with the step row of smallest residual, shape (3, rows)."""
+    """Return the terms of the wall law, shape (3, rows), with the step row that has the smallest residual."""
     edges = [int(declared)] if declared is not None else _edges(command)
     every = [_terms(time, command, position, edge) for edge in edges]
     return min(every, key=lambda terms: _fit(terms, command)[2]) if len(every) > 1 else every[0]
@@ -237,12 +245,12 @@ def _terms(time: Floats, command: Floats, position: Floats, edge: int) -> Floats
 
 
 def _size(values: Floats) -> float:
-    """Return the root of the mean square."""
+    """Return the root mean square."""
     return float(np.hypot.reduce(values) / np.sqrt(len(values)))  # squares of damaged numbers may overflow
 
 
 def _free(command: Floats) -> Booleans:
-    """Return the rows in which the command is not clipped; no rows if they are less than half."""
+    """Return the rows in which the command is not clipped. Return no rows if they are less than half."""
     free = np.ones(len(command), dtype=np.bool_)
     for limit in (command.max(), command.min()):
         at = command == limit
@@ -263,16 +271,17 @@ def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
 
 
 def gain_mismatch(profile: Profile, log: Log) -> str | None:
-    """Return the gains that the command obeys if they differ from the stated ones, and the line that corrects them."""
+    """Return the gains that the command follows if they differ from the stated gains, and the line that corrects
+    them."""
     found = followed_gains(log)
     if found is None:
         return None
     cure = _native_remedy(found, log) if profile.format == "native" else _remedy(profile, found)
-    return f"{found.sentence}. To cure it: {cure}"
+    return f"{found.sentence}. Remedy: {cure}"
 
 
 def _native_remedy(found: FollowedGains, log: Log) -> str:
-    """Return the factor that converts a column to SI, or header lines that agree with the command."""
+    """Return the factor that converts a column to SI, or the header lines that agree with the command."""
     header = "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
     pace = float(np.median(np.diff(log.time))) / log.header.sampling_period_s
     column, factor = _column(found)
@@ -282,7 +291,10 @@ def _native_remedy(found: FollowedGains, log: Log) -> str:
 
 
 def _column(found: FollowedGains) -> tuple[str, float]:
-    """Return the column whose wrong unit alone explains the gains, and the factor of the unit; empty if none."""
+    """Return the column whose wrong unit explains all gains, and the factor of the unit.
+
+    The name is empty if none does.
+    """
     factors = found.factors
     first = next(iter(factors.values()))
     if not first or not all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()):
@@ -301,14 +313,14 @@ def _remedy(profile: Profile, found: FollowedGains) -> str:
     if len(units) == len(found.factors):
         lines.append(f"[units] {', '.join(units)}")
     values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
-    whole = " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
-    # if several gains differ together, the unit or the sign of a column is wrong
+    whole = " or ".join(lines) or f"give {values} [SI], or correct the units and signs in the profile"
+    # If several gains differ together, the unit or the sign of a column is wrong.
     alone = _alone(profile, found) if len(found.found) == 1 else ""
     return f"{whole}.{ALONE} {alone}" if alone else whole
 
 
-ALONE = " If this log alone is at fault:"
-"""Beginning of the part of a remedy that applies to a single log; many faulty logs have a common cause."""
+ALONE = " If only this log is wrong:"
+"""Beginning of the part of a remedy that applies to a single log. Many faulty logs have a common cause."""
 
 
 def common_remedy(cure: str) -> str:
@@ -317,7 +329,7 @@ def common_remedy(cure: str) -> str:
 
 
 def _alone(profile: Profile, found: FollowedGains) -> str:
-    """Return where a log states the contradicted value, and the correct one; empty if all logs share it."""
+    """Return where a log states the contradicted value, with the correct value. Return "" if all logs share it."""
     by_file = {key for entry in profile.file for key in entry.given()}
     places = dict.fromkeys(by_file, "its row of the sheet, or [[file]]") | dict.fromkeys(
         profile.name_groups(), "its name"
@@ -344,7 +356,7 @@ def _lines(key: str, source: Source, factor: float) -> list[str]:
 
 
 def _unit(profile: Profile, name: str, factor: float) -> str | None:
-    """Return the unit in which a condition seems to be given."""
+    """Return the unit in which a condition seems to be given, or None."""
     stated = getattr(profile.units, name, None) or si_unit(quantity(name, profile.motion))
     unit = unit_between(stated, factor, UNIT_TOLERANCE)
-    return "N/mm" if unit == "kN/m" else unit  # the same unit, in the spelling that labs use
+    return "N/mm" if unit == "kN/m" else unit  # both are the same unit; labs use this spelling

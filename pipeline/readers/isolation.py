@@ -1,8 +1,8 @@
 """Reading of files in a separate process with limited time and memory, for all formats.
 
-A log comes from another computer: it may be truncated, corrupted, or larger than it looks. libhdf5 loops forever on
-some corrupted bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
-exception can be caught then. A worker reads many files; if it crashes, only the current file is lost.
+A log comes from another computer. It may be truncated, corrupted, or larger than it looks. libhdf5 loops forever on
+some corrupted bytes, and the operating system kills the Arrow IPC reader on others (h5py 3.16, pyarrow 26.0). In these
+cases, no exception can be caught. A worker reads many files. If it crashes, only the current file is lost.
 """
 
 from __future__ import annotations
@@ -22,29 +22,32 @@ from pipeline.readers.formats import FORMATS
 
 COPIES, SLACK = 3, 32 << 20
 """Number of copies of the unpacked file that may be in memory (as read, as numbers, as columns), and additional memory
-for a library's caches, buffers and allocator [byte]."""
+for caches, buffers and the allocator of a library [byte]."""
 
 CPU_SECONDS, CPU_SECONDS_PER_BYTE = 0.6, 4e-6
-"""Processor time [s] for any file, and per byte: libraries take 3e-9 s, ten times that for compressed files, and other
-machines are six times slower. Messages and text objects are decoded one by one: about 20 us for 60 bytes."""
+"""Processor time [s] for any file, and for each byte.
+
+Libraries take 3e-9 s per byte, ten times that for compressed files, and other machines are six times slower. Messages
+and text objects are decoded one by one, which takes about 20 us for 60 bytes.
+"""
 
 WALL_FACTOR = 30
-"""Longest wait as a multiple of the processor time, for busy machines."""
+"""Longest waiting time as a multiple of the processor time, for busy machines."""
 
 
 def read_file(
     settings: Profile, names: Sequence[str], data: Sequence[bytes], wanted: Sequence[str] = ()
 ) -> FileColumns:
-    """Return the contents of a file, read in a worker process.
+    """Return the contents of a file after reading it in a worker process.
 
     Parameters
     ----------
     settings : Profile
-        ``format``, and the keys of that format.
+        Profile with the ``format`` and the keys of this format.
     names, data : sequence of str and bytes
-        The file; a split bag has several.
+        Names and contents of the files of a log. A split bag has several files.
     wanted : sequence of str
-        Wanted columns; empty means all.
+        Columns to read. If it is empty, all columns are read.
 
     Raises
     ------
@@ -59,7 +62,7 @@ def read_file(
 
 
 def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tuple[str, ...]) -> FileColumns:
-    """Do what `read_file` does, in the worker process."""
+    """Read a file in the worker process, on behalf of `read_file`."""
     form = FORMATS[settings.format]
     read = getattr(library(form.place, form.extra), form.function)
     most = min(MOST_VALUES, allowed_bytes(sum(map(len, files.values()))) // 8)
@@ -70,7 +73,7 @@ def read_here(name: str, files: dict[str, bytes], settings: Profile, wanted: tup
         contents = FileColumns(name, wanted, most)
         read(paths[0], settings, contents)
         if contents.lacks():
-            # the error message lists the columns of the file
+            # The error message lists the columns of the file.
             contents = FileColumns(name, most=most)
             read(paths[0], settings, contents)
             contents.wanted = wanted
@@ -83,27 +86,27 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     Parameters
     ----------
     place : str
-        The function, as ``module:function``; it is called with ``name, *more``.
+        The function as ``module:function``. It is called with ``name, *more``.
     kind : str
-        What the file was expected to be, such as "an HDF5 file".
+        Expected kind of file, such as "an HDF5 file".
     size : int
-        Of the file [byte].
+        Size of the file [byte].
     name : str
-        The file.
+        Name of the file.
     *more
-        Further arguments, such as its content.
+        Further arguments, such as the content.
     imports : str
-        Modules that the function imports, separated by blanks; the import time does not count.
+        Modules that the function imports, separated by blanks. Their import time does not count.
 
     Returns
     -------
     object
-        Whatever it returns; arguments and result are pickled.
+        Result of the function. Arguments and result are pickled.
 
     Raises
     ------
     LogError
-        If the function raises one, if the file crashes the library, or if reading exceeds the time limit.
+        If the function raises a `LogError`, the file crashes the library, or reading exceeds the time limit.
     """
     seconds, module = CPU_SECONDS + CPU_SECONDS_PER_BYTE * size, place.partition(":")[0]
     try:
@@ -118,12 +121,12 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
             imports=f"{module} {imports}",
         )
     except IsolationError as error:
-        found = f"cannot be read as {kind}: the library that reads it {error}. The file is damaged"
+        found = f"cannot be read as {kind}: its library {error}. The file is damaged"
         raise refusal("damaged", name, found, cure="Copy or export it again.") from error
 
 
 def call(place: str, kind: str, arguments: tuple[Any, ...]) -> Any:
-    """Do what `isolated` does, in the worker process."""
+    """Call the function in the worker process, on behalf of `isolated`."""
     module, _, function = place.partition(":")
     with reading(arguments[0], kind):
         return getattr(import_module(module), function)(*arguments)
@@ -136,21 +139,21 @@ def reading(name: str, kind: str) -> Iterator[None]:
     Parameters
     ----------
     name : str
-        The file.
+        Name of the file.
     kind : str
-        What it was expected to be, such as "an HDF5 file".
+        Expected kind of file, such as "an HDF5 file".
 
     Raises
     ------
     LogError
-        For every exception inside; a `LogError` is raised again with the file name prepended.
+        For every exception inside the block. A `LogError` is raised again with the file name in front.
     """
     try:
         yield
     except LogError as error:
         raise error if error.reason.startswith(name) else error.reworded(f"{name}: {error.reason}") from error
     except MemoryError as error:
-        raise refusal("unpacks-too-large", name, "takes more memory than a file of its size may") from error
+        raise refusal("unpacks-too-large", name, "needs more memory than a file of its size may use") from error
     except Exception as error:  # libraries do not document all exceptions that damaged files cause
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error

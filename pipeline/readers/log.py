@@ -1,4 +1,4 @@
-"""The output of every reader: a checked log in SI, and the regularity of its time stamps."""
+"""The output of all readers, a checked log in SI, and the regularity of its time stamps."""
 
 from __future__ import annotations
 
@@ -19,41 +19,53 @@ from pipeline.records.native import NativeHeader
 from pipeline.records.trials import Booleans, Floats, Integers
 
 GAP = 30.0
-"""Threshold above which a reading is an outlier: its distance from the centre of its log, relative to the largest
-smaller distance and to the range of those readings. An unstable loop that grows tenfold a sample gives 10."""
+"""Threshold above which a reading is an outlier.
+
+The distance of the reading from the centre of its log is compared with the largest smaller distance and with the range
+of these readings. An unstable loop that grows tenfold in each sample has a ratio of 10.
+"""
 
 LARGEST = {"time": 1e12, "command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
-"""Largest magnitude of a reading [SI]: values above 100 km or 16,000 turns, 1,000 t and 1,000 km/s are codes of missing
-values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the results of a whole device."""
+"""Largest magnitude of a reading [SI].
+
+Values above 100 km or 16,000 turns, 1,000 t and 1,000 km/s are codes for missing values (1e20, 3.4e38), or numbers in
+another unit. A single such cell would corrupt all results of a device.
+"""
 
 LARGEST_CONDITION = 1e12
-"""Largest stiffness, damping and step [SI]: a metre of steel has 1e11 N/m."""
+"""Largest stiffness, damping and step [SI]. A metre of steel has 1e11 N/m."""
 
 SMALLEST_CONDITION = 1e-30
-"""Smallest nonzero stiffness, damping and step [SI]: far below any real one, and its square does not underflow."""
+"""Smallest nonzero stiffness, damping and step [SI].
+
+It is far below any real value, and its square does not underflow.
+"""
 
 PERIODS = (1e-9, 1e6)
-"""Shortest and longest sampling period [s]: a gigahertz, and ten days."""
+"""Shortest and longest sampling period [s], which correspond to 1 GHz and ten days."""
 
-_LARGE = "Does it mean a missing value (then declare it by `sentinels`), or is the unit another? Else repair the row."
+_LARGE = "If it means a missing value, declare it by `sentinels`. Otherwise, correct the unit or repair the row."
 
 OUTSIDE = 20
-"""Reciprocal of the fraction of readings trimmed at either end (1/20) for their range, so that a few outliers do not
-change it."""
+"""Reciprocal of the fraction of readings (1/20) that are trimmed at either end before their range is computed.
+
+Thus a few outliers do not change the range.
+"""
 
 LONGEST_PAUSE = 1e6
-"""Ratio of the longest time between two rows to the sampling period, or the reverse: a response at 1 kHz has no pause
-of minutes, and rows 1 ms apart have no period of minutes."""
+"""Largest ratio of the longest time between two rows to the sampling period, and of the period to that time.
+
+A response at 1 kHz has no pause of minutes, and rows at 1 ms have no sampling period of minutes.
+"""
 
 
 MISSING = 1.5
-"""Threshold of the step between samples, in sampling periods, above which samples are missing: it rounds to 2 or
-more."""
+"""Step between samples, in sampling periods, above which samples are missing, because it rounds to 2 or more."""
 
 
 @dataclass(frozen=True)
 class RawLog:
-    """The bytes of a log: of one file, or of both files of a pair."""
+    """The bytes of a log, which is a file or a pair of files."""
 
     names: tuple[str, ...]
     data: tuple[bytes, ...]
@@ -61,22 +73,22 @@ class RawLog:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,).
+    """A step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,).
 
     Parameters
     ----------
     header : NativeHeader
     time, command, position : float64, shape (rows,)
     force, velocity : float64, shape (rows,), optional
-        Measured force [N, Nm] and logged velocity [m/s, rad/s], where the log has them.
+        Measured force [N, Nm] and logged velocity [m/s, rad/s], if the log has them.
     raw_time : float64 or int64, shape (rows,), optional
-        Time stamps as in the file; None if they equal ``time``.
+        Time stamps as in the file, or None if they equal ``time``.
     counts : mapping of str to int
-        Number of repairs of the rows by kind: counter wraps, rows out of order, ...
+        Number of repaired rows by kind: counter wraps, rows out of order, and others.
     warnings : tuple of str
         Irregularities that were accepted.
     label : str, optional
-        Name of the trial in its file, where the file has several.
+        Name of the trial in its file, if the file has several.
     noted : tuple of Finding
         Findings from reading: repairs of the samples, and other files with the same samples.
     """
@@ -95,21 +107,21 @@ class Log:
 
     @cached_property
     def samples_sha256(self) -> str:
-        """Hash of commands and positions only, independent of header and time stamps."""
+        """Hash of commands and positions, which does not depend on header and time stamps."""
         joined = sha256()
         for values in (self.command, self.position):
             joined.update(np.ascontiguousarray(values).data)
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header of the same conditions and one more warning; keep its findings."""
+        """Return the log with another header of the same conditions and an additional warning. Findings are kept."""
         log = replace(self, header=header, warnings=(*self.warnings, warning))
         log.__dict__["findings"] = self.findings
         return log
 
     @property
     def recording(self) -> Samples:
-        """Its samples, with the conditions that checks need."""
+        """The samples of the log, with the conditions that checks need."""
         header = self.header
         row = header.extra.get("step_row")
         return Samples(
@@ -119,12 +131,12 @@ class Log:
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """Faults of the recording: those found while reading, and those found in its samples."""
+        """Faults of the recording, found while reading or in the samples."""
         return (*self.noted, *check_recording(self.recording))
 
 
 def find_together(logs: Sequence[Log]) -> None:
-    """Find the faults of many logs at once, and store them in each log.
+    """Find the faults of many logs together, and store them in each log.
 
     Parameters
     ----------
@@ -144,25 +156,25 @@ def check_samples(
     velocity: Floats | None = None,
     unwrap: bool | float | None = None,
 ) -> Log:
-    """Return the log if its samples can be a step response.
+    """Return a log after checking that its samples can be a step response.
 
     Parameters
     ----------
     header : NativeHeader
     time, command, position : float64, shape (rows,)
     row : int or int64, shape (rows,)
-        Position of each sample in the file, counted from 1; a single number is the line of the first sample, with one
-        sample per line.
+        Position of each sample in the file, counted from 1. A single number is the line of the first sample in a file
+        with one sample per line.
     force, velocity : float64, shape (rows,), optional
     unwrap : bool or float, optional
-        As `recording.wrapping.unwrapped` takes it [m, rad]; by default only a rotation is unwrapped.
+        As in `recording.wrapping.unwrapped` [m, rad]. By default, only a rotation is unwrapped.
 
     Raises
     ------
     LogError
-        If there are fewer than two samples, a row is declared for a step of 0, a condition or the sampling period is
-        out of its range, a value is not finite or outside the range of readings (`LARGEST`, `stray`), or time does
-        not increase strictly or pauses for `LONGEST_PAUSE`.
+        If there are fewer than two samples, a step row is declared for a step of 0, a condition or the sampling period
+        is out of range, a value is not finite or is outside the range of readings (`LARGEST`, `stray`), or time does
+        not increase strictly or has a pause beyond `LONGEST_PAUSE`.
     """
 
     def refused(code: str, at: int, found: str, expected: str = "", cure: str = "") -> LogError:
@@ -174,10 +186,10 @@ def check_samples(
     step_row = int(header.extra.get("step_row", 0))
     if step_row >= len(time):
         found = f"step_row is {step_row}, but the log has {len(time)} samples"
-        raise refused("condition-wrong", 0, found, cure="Count from 0; correct header or profile.")
+        raise refused("condition-wrong", 0, found, cure="Rows are counted from 0. Correct the header or the profile.")
     if header.step == 0 and "step_row" in header.extra:
         found = f"step is 0 (none was commanded), but the step is declared in row {step_row}"
-        raise refusal("condition-wrong", "", found, "", "Give the size of the step, or declare no row.")
+        raise refusal("condition-wrong", "", found, "", "Give the size of the step, or remove the declared row.")
     for name in ("stiffness", "damping", "step"):
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
             expected = f"at most {LARGEST_CONDITION:g} [SI]"
@@ -190,26 +202,26 @@ def check_samples(
     for name, values in columns.items():
         if values is None:
             continue
-        if not (-LARGEST[name] <= values.min() and values.max() <= LARGEST[name]):  # NaN fails both comparisons
+        if not (-LARGEST[name] <= values.min() and values.max() <= LARGEST[name]):  # a NaN also fails these comparisons
             finite, beyond = np.isfinite(values), np.abs(values) > LARGEST[name]
             if not finite.all():
                 at = int(np.argmin(finite))
                 raise refused("not-finite", at, f"{name} is {values[at]}", "a finite number")
-            at, expected = int(np.argmax(beyond)), f"at most {LARGEST[name]:g} [SI], no reading is larger"
+            at, expected = int(np.argmax(beyond)), f"at most {LARGEST[name]:g} [SI]"
             raise refused("out-of-range", at, f"{name} is {values[at]:.6g}", expected, _LARGE)
         scale = {"position": travel, "velocity": 0.0}.get(name)
         if scale is not None and (off := stray(values, scale)) is not None:
-            found = f"{name} is {values[off]:.6g}, the others lie about {np.median(values):.6g}: a gap that no motion "
-            raise refused("out-of-range", off, f"{found}leaves")
+            found = f"{name} is {values[off]:.6g}, the others are about {np.median(values):.6g}: no motion has such "
+            raise refused("out-of-range", off, f"{found}a gap")
     steps, period = time[1:] - time[:-1], header.sampling_period_s
     at = int(np.argmin(steps > 0)) + 1
     if steps[at - 1] <= 0:
         found = f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s"
-        raise refused("time-backwards", at, found, "it to increase row by row")
+        raise refused("time-backwards", at, found, "time to increase in each row")
     at = int(np.argmax(steps)) + 1
     if not period / LONGEST_PAUSE <= steps[at - 1] <= period * LONGEST_PAUSE:
-        found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, and sampling_period_s {period:.9g} s"
-        raise refused("time-wrong", at, f"{found}: no response is sampled so")
+        found = f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, but sampling_period_s is {period:.9g} s"
+        raise refused("time-wrong", at, f"{found}: these are incompatible")
     if not PERIODS[0] <= header.sampling_period_s <= PERIODS[1]:
         found, expected = f"sampling_period_s is {header.sampling_period_s:.6g}", "{:g} to {:g} s".format(*PERIODS)
         raise refusal("out-of-range", "", found, expected, "Correct its number or unit.")
@@ -219,13 +231,13 @@ def check_samples(
 
 
 def stray(readings: Floats, scale: float) -> int | None:
-    """Return the first row that is an outlier beyond any motion: a lost bit, a counter overflow, a missing value.
+    """Return the first row that is an outlier beyond any motion: a lost bit, a counter overflow, or a missing value.
 
     Parameters
     ----------
     readings : float64, shape (rows,)
     scale : float
-        Smallest expected change of the readings, in their unit; 0 if unknown.
+        Smallest expected change of the readings, in their unit, or 0 if unknown.
     """
     if readings.max() - readings.min() <= GAP * scale:
         return None
@@ -247,7 +259,7 @@ def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, f
     Parameters
     ----------
     time : float64, shape (m,)
-        Strictly increasing time stamps [s] of trial after trial.
+        Strictly increasing time stamps [s] of all trials, one trial after the other.
     rows : int64, shape (n,)
         Number of samples of each trial, at least 2.
     period : float64, shape (n,)
@@ -256,9 +268,10 @@ def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, f
     Returns
     -------
     list of dict, length n
-        ``gaps``: steps longer than `MISSING` periods; ``dropped``: samples missing in them, to the nearest one;
-        ``dropped_fraction``: share of all expected samples; ``longest_step_s``; ``mean_step_s``, ``jitter_rms_s`` and
-        ``jitter_max_s``: mean of the other steps, and their deviation from T; None if all are gaps.
+        ``gaps``: number of steps longer than `MISSING` periods. ``dropped``: number of samples missing in them,
+        rounded. ``dropped_fraction``: their share of all expected samples. ``longest_step_s``. ``mean_step_s``,
+        ``jitter_rms_s`` and ``jitter_max_s``: mean of the other steps, and their deviation from T, or None if all steps
+        are gaps.
     """
     inside = np.ones(max(len(time) - 1, 0), dtype=np.bool_)
     inside[np.cumsum(rows)[:-1] - 1] = False

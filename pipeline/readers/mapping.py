@@ -1,7 +1,7 @@
-"""Converts the columns of a foreign log to logs in SI: columns, trials, windows, step, conditions.
+"""Conversion of the columns of a foreign log to logs in SI: columns, trials, windows, step, conditions.
 
-The order is: rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows. Nothing is
-interpolated.
+The order of operations is: rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows.
+Nothing is interpolated.
 """
 
 from __future__ import annotations
@@ -48,21 +48,22 @@ from pipeline.records.native import FREE, NativeHeader, parse_header
 from pipeline.records.trials import Floats, Integers
 
 Part = tuple[FileEntry | None, StepEntry | None]
-"""Entries of a profile for a file, and for a step in it."""
+"""Entries of a profile for a file, and for a step in this file."""
 
 WINDOW_TOLERANCE = 1e-6
-"""Tolerance, in sampling periods, of a stamp outside a window or before the declared time of the step: rounding alone
-makes 3 x 0.1 s exceed 0.3 s, and 501 x 1e-6 s fall below 0.000501 s."""
+"""Tolerance, in sampling periods, for a stamp outside a window or before the declared time of the step.
+
+Due to rounding, 3 x 0.1 s exceeds 0.3 s, and 501 x 1e-6 s is less than 0.000501 s.
+"""
 
 MOST_STEPS = 24
-"""Largest number of command changes that count as separate steps: relays and random sequences have hundreds."""
+"""Largest number of changes of the command that count as separate steps. Random sequences have hundreds."""
 
 SHORTEST_STEP = 12
-"""Smallest number of rows between two changes for a usable step response."""
+"""Smallest number of rows between two changes of the command for a usable step response."""
 
 LONGEST_STEP = 1.5
-"""Threshold of the time between rows, in sampling periods, above which a row is missing: the velocity there is
-unknown."""
+"""Time between rows, in sampling periods, above which a row is missing. The velocity in such a gap is unknown."""
 
 
 def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | LogError]:
@@ -77,7 +78,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     Returns
     -------
     list of tuple of Log, or LogError
-        In the order given; if one trial is refused, its file is refused.
+        In the same order. If a trial is refused, its file is refused.
     """
     outcomes: list[tuple[Log, ...] | LogError] = []
     for raw in raws:
@@ -86,18 +87,18 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
         except LogError as error:
             outcomes.append(error)
         except ProfileError as error:
-            # an unsuitable file must not stop the others
+            # A file that cannot be read must not stop the others.
             outcomes.append(LogError(str(error), code="profile-wrong"))
     return outcomes
 
 
 def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
-    """Return the logs of a file: one per group if its groups are trials.
+    """Return the logs of a file. If its groups are trials, there is a log for each group.
 
     Raises
     ------
     LogError
-        If one is refused, or no group has the columns.
+        If a log is refused, or no group has the columns.
     """
     if profile.trials is None:
         return logs_of(profile, raw.names, read_frames(profile, raw))
@@ -110,7 +111,7 @@ def _logs_of_file(profile: Profile, raw: RawLog) -> list[Log]:
     if not groups:
         found = f"no group has the columns {', '.join(map(repr, wanted))}"
         listing = ", ".join(list(whole.columns)[:LISTED_NAMES]) or "none"
-        raise refusal("column-missing", name, f"{found}. It has: {listing}")
+        raise refusal("column-missing", name, f"{found}. Columns of the file: {listing}")
     for group in groups:
         frame = whole.of_group(group, wanted).frame()
         _check_units(profile, name, "source", frame)
@@ -129,11 +130,11 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
     Raises
     ------
     LogError
-        If a file cannot be read, is of another kind, lacks a column, or has a time unit that contradicts the profile.
+        If a file cannot be read, has another format, lacks a column, or has a time unit that contradicts the profile.
     """
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
-    # if there is no partner, several files belong to a split bag
+    # Without a partner, several files belong to a split bag.
     pairs = [(raw.names, raw.data)]
     if profile.partner is not None:
         pairs = [((name,), (data,)) for name, data in zip(raw.names, raw.data, strict=False)]
@@ -148,23 +149,23 @@ def read_frames(profile: Profile, raw: RawLog) -> list[FileColumns]:
 
 
 def _check_units(profile: Profile, name: str, role: str, frame: FileColumns) -> None:
-    """Refuse a unit that contradicts the type of its column; warn if it contradicts a unit in the file."""
+    """Refuse a unit that contradicts the type of its column. Warn if it contradicts a unit in the file."""
     for key, source in profile.column_sources().items():
         if source.unit is None or source.file != role:
             continue
         typed = frame.units.get(source.key)
         heading = unit_in_heading(source.key, (*QUANTITIES[key].values(), *(DRIVES if key == "command" else ())))[1]
-        said = typed or next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), None)
-        if said is None or find_unit(said) == find_unit(source.unit):
+        in_file = typed or next((text for text in (frame.hints.get(source.key, ""), heading) if find_unit(text)), None)
+        if in_file is None or find_unit(in_file) == find_unit(source.unit):
             continue
-        found = f"columns.{key}.unit is {source.unit!r}, but the file says {said!r}"
+        found = f"columns.{key}.unit is {source.unit!r}, but the file states {in_file!r}"
         if typed:
             raise refusal("profile-wrong", name, found, line=f'[columns.{key}]\nunit = "{typed}"')
-        frame.warnings += (f"{found}: which is right?",)
+        frame.warnings += (f"{found}. Check which is right",)
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns]) -> list[Log]:
-    """Return the logs in the file, or pair of files, of one recording.
+    """Return the logs of a recording, which is a file or a pair of files.
 
     Parameters
     ----------
@@ -177,14 +178,14 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     Raises
     ------
     LogError
-        If the file contradicts the profile; the message has the row and the line of the profile that would help.
+        If the file contradicts the profile. The message has the row, and the line of the profile that would help.
     """
     frame, name = frames[0], names[0]
     for other, other_name in zip(frames[1:], names[1:], strict=False):
         if len(other) != len(frame):
             longer, end = max(frame, other, key=len), min(len(frame), len(other))
             found = f"the files have different numbers of rows ({len(frame)} in {name}, {len(other)} in {other_name})"
-            cure = "Were they recorded together?"
+            cure = "Check that they were recorded together."
             raise refusal("lengths-differ", "", found, cure=cure, row=int(longer.row[end]))
     entry = entry_of(profile, name)
     step: StepTime = entry if entry is not None and entry.declared else profile
@@ -192,7 +193,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
     logs = []
     for label, index in _trials(profile, name, frame):
         where = name if label is None else f"{name}, trial {label!r}"
-        # conditions that differ between steps are requested for each step
+        # Conditions that differ between steps are required for each step.
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
         given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
         period = float(given["sampling_period_s"])
@@ -212,18 +213,18 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[FileColumns
 
 
 def _steps_of(log: Log) -> list[Log]:
-    """Split a log into its steps if its command is constant between a few changes and no wall is rendered."""
+    """Split a log into its steps if the command is constant between a few changes and there is no wall."""
     header, changes = log.header, changes_of(log.command)
     if header.stiffness or header.damping or (header.step and len(changes) < 2):
         return [log]
     if not is_staircase(log.command):
-        text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
+        text = f"the command changes {len(changes)} times; the log is kept undivided, for `pipeline identify`"
         return [replace(log, warnings=(*log.warnings, text))]
     return _parts_of(log)
 
 
 def changes_of(command: Floats) -> Integers:
-    """Return the rows in which a command has another value than in the row before."""
+    """Return the rows in which a command differs from the row before."""
     return np.flatnonzero(np.diff(command)) + 1
 
 
@@ -234,16 +235,16 @@ def is_staircase(command: Floats) -> bool:
 
 
 def _parts_of(log: Log) -> list[Log]:
-    """Return the part of a log around each change of its command, each with its step.
+    """Return the part of a log around each change of the command, each with its step.
 
-    A part begins with the change before and ends with the next one.
+    A part begins at the previous change and ends at the next change.
     """
     header, command, changes = log.header, log.command, changes_of(log.command)
     ends = [0, *changes.tolist(), len(command)]
     parts = []
     for number, (first, row, end) in enumerate(zip(ends, ends[1:], ends[2:], strict=False), start=1):
         size = float(command[row] - command[row - 1])
-        text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {row}"
+        text = f"step {number} of {len(changes)} found in the command: {size:.4g} in row {row}"
         own = replace(header, step=size, extra={**header.extra, "step_row": str(row - first)})
         cut: Any = {key: values[first:end] for key, values in vars(log).items() if isinstance(values, np.ndarray)}
         label = str(number) if log.label is None else f"{log.label}.{number}"
@@ -252,7 +253,7 @@ def _parts_of(log: Log) -> list[Log]:
 
 
 def _trials(profile: Profile, name: str, frame: FileColumns) -> Iterator[tuple[str | None, Integers]]:
-    """Yield label and rows of each trial, in the order in which they begin."""
+    """Yield label and rows of each trial, in the order in which the trials begin."""
     if profile.trial_column is None:
         yield None, np.arange(len(frame))
         return
@@ -279,8 +280,8 @@ def _log(
     """Return the part of a trial inside a window as a log."""
     profile, frame, whole, counts = source
     if not step.declared and given["step"] != 0:
-        found = f"profile {profile.name} does not say when the step of this file happens"
-        cure = f"At the top, or in the [[file]] or [[steps]] that fits: {STEP_MISSING}."
+        found = f"profile {profile.name} does not state the time of the step for this file"
+        cure = f"At the top, or in the matching [[file]] or [[steps]]: {STEP_MISSING}."
         raise refusal("condition-missing", where, found, cure=cure, line='step_at = "command edge"')
     period = float(given["sampling_period_s"])
     table = whole if window is None else _inside(window, whole, period)
@@ -316,12 +317,15 @@ def _log(
 
 
 def _integral(where: str, rule: str, table: Table, velocity: Floats, period: float) -> Floats:
-    """Return the position [m, rad] by the rule of a profile: the integral of a velocity, 0 in the first row."""
+    """Return the position [m, rad] as the integral of a velocity by the rule of the profile.
+
+    It is 0 in the first row.
+    """
     steps = np.diff(table["time"])
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
-        found = f"rows are missing before {table['time'][at]:.9g} s, so that the integral of the velocity is not known"
-        cure = "Cut the log by a window, or leave it out."
+        found = f"rows are missing before {table['time'][at]:.9g} s, so that the integral of the velocity is unknown"
+        cure = "Exclude them by a window, or omit the log."
         raise refusal("time-wrong", where, found, cure=cure, row=int(table["row"][at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
     return np.concatenate([[0.0], np.cumsum(mean * steps)])
@@ -332,7 +336,7 @@ def _span(time: Floats) -> str:
 
 
 def _inside(window: Window, table: Table, period: float) -> Table:
-    """Return the rows inside a window, both ends included."""
+    """Return the rows inside a window, including both ends."""
     inside = np.ones(len(table["time"]), dtype=np.bool_)
     by_time, by_row = (window.from_s, window.to_s), (window.from_row, window.to_row)
     for key, (low, high), slack in (("time", by_time, WINDOW_TOLERANCE * period), ("number", by_row, 0.0)):
@@ -342,7 +346,7 @@ def _inside(window: Window, table: Table, period: float) -> Table:
 
 
 def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | None:
-    """Return the declared row of the step among the stored ones, or None if it must be found in the command."""
+    """Return the declared row of the step among the stored rows, or None if it must be found in the command."""
     time, number, slack = table["time"], table["number"], WINDOW_TOLERANCE * period
     if step.step_at is not None or not step.declared:
         return 0 if step.step_at == "first row" else None
@@ -358,7 +362,7 @@ def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | 
 
 
 def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[str, str]:
-    """Return the additional texts of a trial: declared step, sources of columns, attributes of the file, warnings."""
+    """Return the additional texts of a trial: declared step, origin of columns, attributes of the file, warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():
         if source.provenance:
@@ -369,35 +373,36 @@ def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[s
     extra |= {f"file.{key}": str(value)[:LONGEST_ATTRIBUTE] for key, value in attributes[:KEPT_ATTRIBUTES]}
     if frame.warnings:
         extra["warnings"] = "; ".join(frame.warnings)
-    # texts of some formats cannot be encoded in UTF-8
+    # Texts of some formats cannot be encoded in UTF-8.
     return {storable(key): storable(value) for key, value in extra.items()}
 
 
 def entry_of(profile: Profile, name: str) -> FileEntry | None:
-    """Return the entry of the profile for a single file, or None.
+    """Return the entry of the profile for a file, or None.
 
     Raises
     ------
     LogError
-        If two entries fit the file.
+        If two entries match the file.
     """
     entries = profile.entries_for(name)
     if len(entries) > 1:
-        found = f"fits {len(entries)} entries [[file]] of profile {profile.name}, match = {[e.match for e in entries]}"
-        raise refusal("profile-wrong", name, found, "one")
+        found = f"matches {len(entries)} [[file]] entries of {profile.name}, match = {[e.match for e in entries]}"
+        raise refusal("profile-wrong", name, found, "one entry")
     return entries[0] if entries else None
 
 
 def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, Any]]:
-    """Return the profile key that gives each condition of a trial, and its value; None if the file contains it.
+    """Return the profile key that gives each condition of a trial, and its value, or None if the file contains the
+    value.
 
-    The most specific key has priority: that of the step, of the file, then columns, attributes, the file name,
+    The most specific key has priority: that of the step, then of the file, columns, attributes, the file name, and the
     constants.
 
     Raises
     ------
     LogError
-        If the file name does not fit the profile.
+        If the file name does not match the pattern of the profile.
     """
     entry, step = part
     found: dict[str, tuple[str, Any]] = dict.fromkeys(IMPLIED[profile.kind], (f"kind = {profile.kind!r}", 0.0))
@@ -407,7 +412,7 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
     except ParameterError as error:
         raise refusal("condition-wrong", "", f"file name {name!r}: {error}") from error
     if from_name is None:
-        text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
+        text = f"file name {name!r} does not match name_pattern {profile.name_pattern!r} of {profile.name}"
         raise refusal("profile-wrong", "", text)
     found |= {key: ("name_pattern", value) for key, value in from_name.items()}
     found |= {key: (f"attributes: {attribute!r}", None) for key, attribute in profile.attributes.items()}
@@ -433,10 +438,10 @@ def conditions_of(
     ----------
     profile : Profile
     names : tuple of str
-        File name, and file name with trial for messages.
+        File name, and the name with the trial for messages.
     frame : FileColumns
     rows : int64
-        Rows of the trial, for conditions in a column.
+        Rows of the trial, for conditions that a column gives.
     part : FileEntry or None, StepEntry or None
         Entries of the profile for the file and for the step.
     required : sequence of str
@@ -445,7 +450,7 @@ def conditions_of(
     Raises
     ------
     LogError
-        If the file name, an attribute or a column does not give what the profile takes from it, or a condition is
+        If the file name, an attribute or a column lacks a condition that the profile reads from it, or a condition is
         missing.
     """
     name, where = names
@@ -456,35 +461,37 @@ def conditions_of(
         if inside and key in columns:
             value = _of_column(where, frame, rows, key, columns[key])
         elif inside and (value := frame.attributes.get(attributes[key])) is None:
-            found = f"has no attribute {attributes[key]!r} (the {key}); found {sorted(frame.attributes)[:40]}"
+            found = f"has no attribute {attributes[key]!r} for the {key}; found {sorted(frame.attributes)[:40]}"
             raise refusal("condition-missing", where, found)
         given[key] = _in_si(profile, where, key, value, inside)
-    # if other files of the profile have walls, a file without conditions may have one, too
+    # If other files of the profile have walls, a file without conditions may also have a wall.
     if given.keys().isdisjoint(FREE) and profile.conditions().isdisjoint(FREE):
         given |= dict.fromkeys(FREE, 0.0)
     if missing := next((key for key in required if key not in given), None):
         line = f'[[file]]\nmatch = "{name}"\n{missing} = <value>'
         found = f"profile {profile.name} does not give the {missing} of this file"
         if profile.file and not profile.entries_for(name):
-            found += ", and no entry [[file]] and no row of its sheet names it"
+            found += ", and no [[file]] entry or row of its sheet names it"
         raise refusal("condition-missing", where, found, line=line)
     return given
 
 
 def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dict[str, str]) -> NativeHeader:
-    """Return the conditions as a header: as lines of a native log, so that those of every format pass the same checks.
+    """Return the conditions as a header.
+
+    They are parsed as lines of a native log, so that the conditions of every format pass the same checks.
 
     Raises
     ------
     LogError
-        If a condition is not legal.
+        If a condition is invalid.
     """
     lines = (f"# {key}: {value}" for key, value in {**given, "motion": profile.motion}.items())
     try:
         header = parse_header(lines)
     except LogError as error:
-        reason = f"{where}: by the conditions that profile {profile.name} gives, {error.reason}"
-        # the row belongs to the lines made here, which do not exist in the file
+        reason = f"{where}: with the conditions of profile {profile.name}, {error.reason}"
+        # The row belongs to the lines made here, which do not exist in the file.
         raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
         found = f"device {given['device']!r} or experiment {given['experiment']!r} has a part in brackets"
@@ -506,20 +513,20 @@ def _of_column(where: str, frame: FileColumns, rows: Integers, key: str, column:
 
 
 def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool = False) -> Scalar:
-    """Return a condition in SI; a unit after the value in the file has priority.
+    """Return a condition in SI. A unit after the value in the file has priority.
 
-    ``inside`` means that the value is in the file: with a decimal comma, a point may separate thousands.
+    ``inside`` means that the value is in the file. With a decimal comma, a point may then separate thousands.
     """
     if key not in CONDITION_QUANTITIES:
-        # 1.0 in a column of floats means the experiment "1"
+        # 1.0 in a column of floats means the experiment "1".
         return int(value) if isinstance(value, float) and value.is_integer() else value
     factor = profile.condition_factor(key)
     if not isinstance(value, str):
         return value * factor
-    text, said = value.strip(), f"the {key} is {value.strip()[:200]!r}"
+    text, shown = value.strip(), f"the {key} is {value.strip()[:200]!r}"
     number, _, unit = text.replace("[", " ").replace("(", " ").rstrip(")]").partition(" ")
     if inside and profile.decimal_sign == "," and "." in number:
-        found = f"{said}, but the decimal sign is ',': the point may part thousands"
+        found = f"{shown}, but the decimal sign is ',', so the point may separate thousands"
         raise refusal("condition-wrong", where, found)
     try:
         if inside:
@@ -529,11 +536,11 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
         unit = unit.strip()
         stated = profile.unit_factor(key, unit) if unit else factor
     except ParameterError as error:
-        raise refusal("condition-wrong", where, f"{said}: {error}") from error
+        raise refusal("condition-wrong", where, f"{shown}: {error}") from error
     except ValueError:
         expected = f"a number (decimal sign {profile.decimal_sign!r}), with or without its unit"
-        raise refusal("condition-wrong", where, said, expected) from None
+        raise refusal("condition-wrong", where, shown, expected) from None
     if stated != factor and getattr(profile.units, key) is not None:
-        found = f"{said}, but units.{key} is {getattr(profile.units, key)!r}"
+        found = f"{shown}, but units.{key} is {getattr(profile.units, key)!r}"
         raise refusal("condition-wrong", where, found)
     return magnitude * stated

@@ -1,7 +1,6 @@
-"""Rows of one trial of a foreign file: numbers, missing cells, stamps in seconds, order of time, according to the
-profile.
+"""Rows of a trial in a foreign file, as the profile describes them: numbers, missing cells, time in seconds and order.
 
-Nothing is interpolated. Rows are omitted only if the profile requests it, and each kind is counted.
+Nothing is interpolated. Rows are omitted only if the profile requests it, and omitted rows are counted by kind.
 """
 
 from __future__ import annotations
@@ -21,27 +20,34 @@ from pipeline.readers.file_columns import FileColumns
 from pipeline.records.trials import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
-"""Relative tolerance within which a number equals the sentinel: single precision rounds by 6e-8, the next sensor
-reading lies farther away (a count of 16 bits by 1.5e-5)."""
+"""Relative tolerance within which a number equals a sentinel.
+
+Single precision rounds by 6e-8. The next sensor reading is farther away (1.5e-5 for a count of 16 bits).
+"""
 
 DATE_S = 2.0**28
-"""Threshold [s] (8.5 years) above which a stamp is a date: no machine runs that long, and the origins in use
-(1904, 1970, 1980, 2000) are farther away. Below it, seconds in double precision are accurate to 30 ns."""
+"""Threshold [s] (8.5 years) above which a stamp is a date.
+
+No machine runs that long, and the usual origins (1904, 1970, 1980, 2000) are farther away. Below the threshold, seconds
+in double precision are accurate to 30 ns.
+"""
 
 ROUNDING = 1e-3
-"""Tolerance, in sampling periods, of the difference of two stamps one period apart: dates in floats, the coarsest
-stamps, are wrong by 2.4e-7 s."""
+"""Tolerance, in sampling periods, of the difference between two stamps that are one period apart.
+
+Dates stored as floats, the coarsest stamps, have errors of 2.4e-7 s.
+"""
 
 _CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d")
-"""Pattern that occurs in dates and times of day, but not in numbers."""
+"""Pattern that occurs in dates and times of day but not in numbers."""
 
 _BACKWARDS = (
-    'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter starts again, order = "sort" if rows are '
-    "out of order; or give trial_column or [[steps]] if several trials follow each other."
+    'Add to [columns.time] kind = "counter" and wrap = <counts> if a counter restarts, or order = "sort" if rows are '
+    "out of order. Give trial_column or [[steps]] if several trials follow each other."
 )
 _STANDS = (
-    'Add to [columns.time] kind = "sampled" (one row each sampling period) if stamps are printed coarsely, '
-    'duplicates = "keep first" or "keep last" if rows are doubled.'
+    'Add to [columns.time] kind = "sampled" (one row per sampling period) if stamps are printed coarsely, or '
+    'duplicates = "keep first" or "keep last" if rows are duplicated.'
 )
 
 Table = dict[str, NDArray[Any]]
@@ -56,10 +62,10 @@ def rows_of(
     Parameters
     ----------
     profile : Profile
-    where : str
+    File and trial, for messages.
         File and trial, for messages.
     names, frames : sequence of str and FileColumns
-        Files of the log and their columns.
+        Files of the log, with their columns.
     index : int64, shape (rows,)
         Rows of the trial in the frames.
     period : float
@@ -68,21 +74,21 @@ def rows_of(
     Returns
     -------
     tuple of dict and dict
-        ``time`` [s], ``raw_time`` (stamps as in the file, where there are some; with a fraction, both parts in its
-        unit), the other columns as numbers of the file, ``number`` (row of the trial as read, from 0), ``row`` (of the
-        file, from 1); and counts by name, without those that are zero.
+        Table with ``time`` [s], ``raw_time`` (stamps as in the file, if any; with a fraction, both parts in its unit),
+        the other columns in the units of the file, ``number`` (row of the trial as read, from 0), and ``row`` (row of
+        the file, from 1). Nonzero counts by name.
 
     Raises
     ------
     LogError
-        If a cell is no number or has no value, or time contradicts the profile.
+        If a cell is not a number or has no value, or the time contradicts the profile.
     """
     sources, gaps = profile.column_sources(), dict[str, Booleans]()
     table: Table = {"number": np.arange(len(index)), "row": frames[0].row[index]}
     keep, counts = np.ones(len(index), dtype=np.bool_), dict[str, int]()
     homes = dict(zip(("source", "partner"), zip((where, *names[1:]), frames, strict=False), strict=False))
     for key, source in sources.items():
-        if source.in_file:  # otherwise rows are counted, or the value is stated
+        if source.in_file:  # otherwise rows are counted, or the profile states the value
             table[key], gaps[key] = _numbers(profile, *homes[source.file], index, key)
     for key, missing in gaps.items():
         if sources[key].blanks == "skip":
@@ -93,13 +99,13 @@ def rows_of(
             raise _no_value(key, sources[key], *homes[sources[key].file], table, int(np.argmax(missing & keep)))
 
     time = sources["time"]
-    assert isinstance(time, TimeSource), "the record says so"
+    assert isinstance(time, TimeSource), "columns.time is a TimeSource"
     place = f"{where}, column {time.key!r} (columns.time)"
     gaps[""] = ~keep
     if time.in_file:
         if time.fraction is not None:
             table["fraction"] = homes[time.file][1].columns[time.fraction.name][index]
-        # a row without a time stamp cannot be used; other omitted rows still give the last valid value
+        # A row without a time stamp cannot be used. Other omitted rows still provide the last valid value.
         table, gaps = _taken(table, ~gaps["time"]), _taken(gaps, ~gaps["time"])
     counts |= add_seconds(time, table, period, place)
     order, counts["out_of_order"] = in_order(time, table, place)
@@ -107,7 +113,7 @@ def rows_of(
     keep = ~gaps.pop("")
     for key, missing in gaps.items():
         if sources[key].blanks == "hold" and missing.any():
-            # replace each missing value by the last valid one
+            # Replace each missing value by the last valid value.
             last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
             table[key], known = table[key][np.maximum(last, 0)], last >= 0
             counts |= {f"held_{key}": int((missing & known).sum()), f"before_first_{key}": int((~known & keep).sum())}
@@ -130,7 +136,7 @@ def _numbers(
     values = frame.columns[source.key][index]
     if values.dtype.kind not in "iufb":
         raise _no_number(profile, place, frame, values, index, key, source)
-    # unsigned 64-bit integers may exceed the range of signed ones
+    # Unsigned 64-bit integers may exceed the range of signed integers.
     beyond = values.dtype.kind == "u" and (values > np.iinfo(np.int64).max).any()
     values = values - values.min() if beyond and key == "time" else values
     whole = values.dtype.kind in "iub" and not (beyond and key != "time")
@@ -144,7 +150,7 @@ def _numbers(
 def _no_number(
     profile: Profile, where: str, frame: FileColumns, values: NDArray[Any], index: Integers, key: str, source: Source
 ) -> LogError:
-    """Return the error that names the first cell of a text column that is not a number."""
+    """Return the error for the first cell of a text column that is not a number."""
     cells = [str(value).strip() for value in values.tolist()]
     at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), 0)
     cell, row, sign = cells[at], int(frame.row[index[at]]), profile.decimal_sign
@@ -154,7 +160,7 @@ def _no_number(
         found, line = f"{found}: dates and times of day are not read", '[columns.time]\nkind = "sampled"'
     elif profile.format == "delimited" and other in cell:
         line = f'decimal = "{other}"'
-    # a cell with digits is a number in another notation, such as "1 234" or "5 N", and must not be lost
+    # A cell with digits is a number in another notation, such as "1 234" or "5 N", and must not be lost.
     elif profile.format == "delimited" and not any(sign.isdigit() for sign in cell):
         line = f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
     return refusal("not-a-number", where, found + _called(frame, row), row=row, line=line)
@@ -169,30 +175,29 @@ def _reads_as_number(cell: str, profile: Profile) -> bool:
 
 
 def _no_value(key: str, source: Source, place: str, frame: FileColumns, table: Table, at: int) -> LogError:
-    """Return the error that names the first cell that is blank or a sentinel."""
+    """Return the error for the first cell that is blank or a sentinel."""
     found, row = table[key][at], int(table["row"][at])
-    what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
+    what = "is blank or not a number" if np.isnan(found) else f"is {found}, a sentinel"
     found = f"{key} has no value: column {source.key!r} {what}{_called(frame, row)}"
-    repeat = "" if key == "time" else ', or "hold" for the value before it'
-    line = f'[columns.{key}]\nblanks = "skip" # leaves such rows out{repeat}'
+    repeat = "" if key == "time" else ', or "hold" to repeat the value before'
+    line = f'[columns.{key}]\nblanks = "skip" # omits such rows{repeat}'
     return refusal("no-value", place, found, row=row, line=line)
 
 
 def _called(frame: FileColumns, row: int) -> str:
-    """Return the position of a row in words if it is not a line."""
+    """Return the position of a row with the word for a row, such as "message", unless it is a line."""
     return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
 
 
 def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> dict[str, int]:
-    """Convert stamps to seconds, and keep the originals as ``raw_time``; return the number of counter wraps.
+    """Convert stamps to seconds, keep the originals as ``raw_time``, and return the number of counter wraps.
 
-    Stamps relative to a date (`DATE_S`) are made relative to the earliest row: as floats they would be wrong by up to
-    0.12 us. Integers are converted without loss.
-    """
+    Stamps relative to a date (`DATE_S`) are made relative to the earliest row. As floats they would have errors of up
+    to 0.12 us. Integers are converted without loss."""
     if not source.in_file:
         table["time"] = np.arange(len(table["row"])) * period
         return {}
-    assert source.unit is not None, "validated: a column of stamps has a unit"
+    assert source.unit is not None, "a column of stamps has a unit, as validated"
     raw, unit, wraps = table["time"], factor_to_si(source.unit, ("time",)), 0
     if source.fraction is not None:
         part = factor_to_si(source.fraction.unit, ("time",))
@@ -201,7 +206,7 @@ def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> 
     unit /= source.counts_per_unit or 1.0
     ticks = raw
     if source.kind == "steps":
-        # the first row has no row before it
+        # The first row has no previous row.
         ticks = np.cumsum(raw) - raw[:1]
     elif source.wrap is not None:
         ticks, wraps = _unwrapped(raw, source.wrap, table, place)
@@ -216,42 +221,42 @@ def add_seconds(source: TimeSource, table: Table, period: float, place: str) -> 
 def _whole(part: NDArray[Any], table: Table, place: str) -> Integers:
     if (broken := part != np.rint(part)).any():
         at = int(np.argmax(broken))
-        expected = "whole numbers where a stamp has two parts (columns.time.fraction)"
-        raise refusal("time-wrong", place, f"{part[at]} is no whole number", expected, row=int(table["row"][at]))
+        expected = "integers, because a stamp has two parts (columns.time.fraction)"
+        raise refusal("time-wrong", place, f"{part[at]} is not an integer", expected, row=int(table["row"][at]))
     return part.astype(np.int64)
 
 
 def _unwrapped(raw: NDArray[Any], wrap: float, table: Table, place: str) -> tuple[NDArray[Any], int]:
     if (outside := (raw < 0) | (raw >= wrap)).any():
         at = int(np.argmax(outside))
-        expected = f"0 to {wrap:.17g}, where it starts again"
+        expected = f"0 to {wrap:.17g}, after which it restarts"
         raise refusal("time-wrong", place, f"the counter is {raw[at]}", expected, row=int(table["row"][at]))
-    # a step back by more than half the range is a wrap; a smaller one is a row out of order
+    # A step back by more than half the range is a wrap. A smaller step back is a row out of order.
     again = np.diff(raw, prepend=raw[:1]) < -wrap / 2
     modulus = int(wrap) if raw.dtype.kind == "i" and wrap == int(wrap) else wrap
     return raw + np.cumsum(again) * modulus, int(again.sum())
 
 
 def _sampled(table: Table, period: float, place: str) -> Floats:
-    """Return times of one row per sampling period if the stamps agree with it."""
+    """Return times for one row per sampling period, if the stamps agree with them."""
     stamps: Floats = table["time"]
     time = np.arange(len(stamps)) * np.float64(period)
     steps = np.abs(np.diff(stamps))
-    # a sample is late by less than one period; a stamp so coarse that several samples share it is wrong by up to one
-    # unit of its last digit. If no stamp is shared, every step and every lost sample is visible
+    # A sample is late by less than one period. A coarse stamp that several samples share has an error of up to one unit
+    # of its last digit. If no stamp is shared, every step and every lost sample is visible.
     coarse = (steps == 0).any() and (steps > 0).any()
     allowed = (steps[steps > 0].min() if coarse else 0.0) + period
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
     if apart.any():
         at = int(np.argmax(apart))
-        found = f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first, by its row it were {time[at]:.9g} s"
+        found = f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first stamp, its row implies {time[at]:.9g} s"
         cure = 'Correct sampling_period_s, or use kind = "absolute": samples may be missing.'
         raise refusal("time-wrong", place, found, cure=cure, row=int(table["row"][at]))
     return time
 
 
 def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, int]:
-    """Return the order of the rows by time, and the number of rows that followed a later one."""
+    """Return the order of the rows by time, and the number of rows that follow a row with a later time."""
     time = table["time"]
     late = time < np.maximum.accumulate(time)
     if late.any() and source.order != "sort":
@@ -263,7 +268,7 @@ def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, in
 
 
 def distinct(source: TimeSource, table: Table, place: str) -> Booleans:
-    """Return a mask of the rows to keep among rows with equal stamps."""
+    """Return a mask of the rows to keep, among rows with equal stamps."""
     time = table["time"]
     same = np.diff(time) == 0
     if source.duplicates == "refuse" and same.any():

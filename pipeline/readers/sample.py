@@ -1,4 +1,4 @@
-"""An unknown log opened for inspection: its format, its layout, and its numeric columns."""
+"""Inspection of an unknown log: its format, its layout, and its numeric columns."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ from pipeline.readers.isolation import read_file
 from pipeline.records.trials import Floats
 
 SPEEDS = frozenset(QUANTITIES["velocity"].values())
-"""Quantities of a column whose integral is a position."""
+"""Quantities of columns whose integral is a position."""
 
 _BESIDE = {"position": SPEEDS, "command": frozenset(DRIVES)}
-"""Alternative quantities of a column."""
+"""Pairs of quantities that a column may have alternatively."""
 
 
 _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
 
 
 class Sample(NamedTuple):
-    """An unknown log: its format, keys of its layout and questions about them, its contents, and the contents of each
-    trial if the file has several."""
+    """An unknown log: its format, the keys of its layout with questions about them, and its contents.
+
+    If the file has several trials, ``trials`` has the contents of each.
+    """
 
     name: str
     kind: Format
@@ -45,17 +47,17 @@ class Sample(NamedTuple):
         return {key: np.asarray(v, np.float64) for key, v in columns if key and v.dtype.kind != "U" and len(v) > 1}
 
     def title(self, name: str) -> str:
-        """Return the heading of a column, which may come from a comment line."""
+        """Return the heading of a column. It may come from a comment line."""
         return self.layout.titles.get(name, name)
 
     def unit(self, name: str, role: str) -> tuple[str, str]:
-        """Return the last part of the name of a column without its unit, and the unit that the file states for it."""
+        """Return the last part of a column name without its unit, and the unit that the file states for the column."""
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
         plain, unit = unit_in_heading(self.title(name), allowed)
-        said = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
-        # a column named "data" takes the name of its parent
+        unit_in_file = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
+        # A column named "data" takes the name of its parent.
         plain = _OF_ANOTHER.sub("", plain) or plain
-        return re.split(r"[./]", plain)[-1].strip().lower(), said
+        return re.split(r"[./]", plain)[-1].strip().lower(), unit_in_file
 
 
 SHORTEST_TRIAL = 10
@@ -63,7 +65,7 @@ SHORTEST_TRIAL = 10
 
 
 def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
-    """Return the column that numbers the trials of a long table, and their rows: time restarts in each."""
+    """Return the column that numbers the trials of a long table, and their rows. Time restarts in each trial."""
     columns = contents.columns
     rows = len(next(iter(columns.values()), ()))
     if any(len(column) != rows for column in columns.values()) or rows < 2 * SHORTEST_TRIAL:
@@ -74,7 +76,7 @@ def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
         steps = np.diff(clock.astype(np.float64))
         starts = np.flatnonzero(steps < 0) + 1
         ends = np.array([0, *starts.tolist(), rows])
-        # a clock increases in every row within a trial
+        # Within a trial, a clock increases in every row.
         if not len(starts) or min(np.diff(ends)) < SHORTEST_TRIAL or (np.delete(steps, starts - 1) <= 0).any():
             continue
         blocks = [slice(first, behind) for first, behind in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
@@ -86,7 +88,7 @@ def _trial_column(contents: FileColumns) -> tuple[str, list[slice]] | None:
 
 
 def _rows_of(contents: FileColumns, rows: slice) -> FileColumns:
-    """Return a range of rows of the contents of a file."""
+    """Return the contents of a file, restricted to a range of rows."""
     return replace(
         contents, columns={name: column[rows] for name, column in contents.columns.items()}, row=contents.row[rows]
     )
@@ -100,7 +102,7 @@ def open_sample(path: Path) -> Sample:
     UsageError
         If the file cannot be read.
     LogError
-        If no columns of numbers are found in it.
+        If the file has no columns of numbers.
     """
     try:
         data = path.read_bytes()
@@ -123,7 +125,7 @@ def open_sample(path: Path) -> Sample:
     if not trials and (found := _trial_column(contents)) is not None:
         name, blocks = found
         layout.keys["trial_column"] = name
-        layout.evidence["trial_column"] = f"time begins again where it changes: {len(blocks)} trials"
+        layout.evidence["trial_column"] = f"time restarts where the column changes: {len(blocks)} trials"
         trials = tuple(_rows_of(contents, block) for block in blocks)
         contents = trials[0]
     sample = Sample(path.name, kind, layout, contents, trials)
@@ -131,5 +133,5 @@ def open_sample(path: Path) -> Sample:
     if not sample.numbers:
         reasons = (f"{key} {reason}" for key, reason in sample.contents.refused.items())
         cure = "; ".join(reasons) or "Export the recorded signals as plain columns."
-        raise refusal("empty", "", "it contains no columns of numbers with several rows", cure=cure)
+        raise refusal("empty", "", "it has no columns of numbers with several rows", cure=cure)
     return sample

@@ -1,8 +1,7 @@
-"""Sheets: one row per log, whose cells are its conditions. The rows become `[[file]]` entries of the profile that names
-the sheet.
+"""Sheets of conditions, with one row per log. The rows become `[[file]]` entries of the profile that names the sheet.
 
-CSV is read here; XLSX and ODS by python-calamine. The column that names the logs is found by its content, the others
-are mapped by name (``stiffness``, ``K``, ...) or as ``K:stiffness:N/mm`` says.
+CSV is read here, XLSX and ODS with python-calamine. The column that names the logs is found by its content. The other
+columns are mapped by name (``stiffness``, ``K``, ...) or by a text such as ``K:stiffness:N/mm``.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ from pipeline.records.findings import Grip
 Cell = str | float | None
 
 LARGEST_SHEET = 16 << 20
-"""Largest size of a sheet [byte]: 10^5 rows, more logs than a lab ever records."""
+"""Largest size of a sheet [byte]. It has 10^5 rows, more logs than a lab ever records."""
 
 LISTED_FILES = 5
-"""Largest number of files that a sentence lists."""
+"""Largest number of files listed in a sentence."""
 
 _DELIMITERS = (";", "\t", "|", ",")
 _PACKED = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
@@ -60,7 +59,7 @@ NAMES = {
 
 @dataclass(frozen=True)
 class SheetTable:
-    """Names of the columns, cells below them, and the number of the first row of cells in the sheet, counted from 1."""
+    """Names of the columns, the cells below them, and the sheet row of the first cells, counted from 1."""
 
     names: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -74,25 +73,25 @@ class SheetTable:
 
 @dataclass(frozen=True)
 class SheetRead:
-    """A profile with the rows of its sheet as entries, and the mismatches between them as sentences."""
+    """A profile with the rows of its sheet as entries, and sentences about mismatches between sheet and logs."""
 
     profile: Profile
     notices: tuple[str, ...] = ()
 
 
 def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
-    """Return a profile with the rows of its sheet, if any, as `[[file]]` entries.
+    """Return a profile with the rows of its sheet, if it has one, as `[[file]]` entries.
 
     Parameters
     ----------
     profile : Profile
     logs : collection of str
-        Names of the files to read, which identify the column of file names.
+        Names of the files to read. They identify the column of file names.
 
     Raises
     ------
     ProfileError
-        If the sheet cannot be read, no column names the logs, two rows name the same log, or a cell is not legal.
+        If the sheet cannot be read, no column names the logs, two rows name the same log, or a cell is invalid.
     """
     if profile.sheet is None:
         return SheetRead(profile)
@@ -108,20 +107,20 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
         ready = Profile.model_validate(values)
     except ValidationError:
         mistakes = "; ".join(dict.fromkeys(mistake.text for mistake in find_mistakes(values, "")))
-        raise ProfileError(f"{path}: with the rows of this sheet the profile is wrong: {mistakes}") from None
+        raise ProfileError(f"{path}: the rows of this sheet make the profile invalid: {mistakes}") from None
     present = [name for name in logs if profile.claims(name) and name != path.name]
     return SheetRead(ready, tuple(_missing(path, rows, present)) if logs else ())
 
 
 def _joined(own: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return entries of single files with the rows of a sheet; an entry corrects the row of its file."""
+    """Return entries of single files joined with the rows of a sheet. An entry overrides the row of its file."""
     corrections = {entry["match"].lower(): entry for entry in own}
     joined = [row | corrections.pop(row["match"].lower(), {}) for row in rows]
     return [*corrections.values(), *joined]
 
 
 def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str]) -> list[str]:
-    """Return sentences on rows without a file and files without a row."""
+    """Return sentences about rows without a file and files without a row."""
     here = {name.lower() for name in present}
     lost = [f"{text} (row {number})" for name, (number, text) in rows.items() if name.lower() not in here]
     alone = [name for name in present if name.lower() not in {row.lower() for row in rows}]
@@ -134,16 +133,16 @@ def _missing(path: Path, rows: dict[str, tuple[int, str]], present: Sequence[str
 
 
 def read_sheet(path: Path) -> SheetTable:
-    """Return the first sheet of a file with at least two columns: CSV, XLSX or ODS.
+    """Return the first sheet with at least two columns in a CSV, XLSX or ODS file.
 
     Raises
     ------
     ProfileError
-        If it cannot be read or has no rows below its names.
+        If the file cannot be read, or has no rows below the column names.
     """
     try:
         if path.stat().st_size > LARGEST_SHEET:
-            raise ProfileError(f"{path}: the sheet has more than {LARGEST_SHEET} bytes; expected one row a log.")
+            raise ProfileError(f"{path}: the sheet has more than {LARGEST_SHEET} bytes; expected one row per log.")
         data = path.read_bytes()
     except OSError as error:
         raise ProfileError(f"{path}: the sheet cannot be read ({error.strerror}).") from error
@@ -153,7 +152,7 @@ def read_sheet(path: Path) -> SheetTable:
         raise ProfileError(f"{path}: the sheet cannot be read: {error}") from error
     top = next((i for i, row in enumerate(lines) if sum(_is_name(cell) for cell in row) >= 2), None)
     if top is None:
-        raise ProfileError(f"{path}: no line of column names is found in the sheet; expected two columns and more.")
+        raise ProfileError(f"{path}: the sheet has no line of column names; expected at least two columns.")
     names = tuple("" if cell is None else str(cell).strip() for cell in lines[top])
     rows = [row + (None,) * (len(names) - len(row)) for row in lines[top + 1 :]]
     while rows and not any(cell is not None for cell in rows[-1]):
@@ -161,7 +160,7 @@ def read_sheet(path: Path) -> SheetTable:
     doubled = next((name for name in names if name and names.count(name) > 1), None)
     if doubled or not rows:
         found = f"names {doubled!r} twice" if doubled else "has no rows below its names"
-        raise ProfileError(f"{path}: the sheet {found}; expected one column for each name, and one row a log.")
+        raise ProfileError(f"{path}: the sheet {found}; expected one column for each name, and one row per log.")
     return SheetTable(names, tuple(row[: len(names)] for row in rows), top + 2)
 
 
@@ -170,7 +169,7 @@ def _is_name(cell: Cell) -> bool:
 
 
 def _text_rows(data: bytes) -> list[tuple[Cell, ...]]:
-    """Return the cells of a CSV; the delimiter is the one that splits most lines into the same number of cells."""
+    """Return the cells of a CSV file. The delimiter is the one that splits most lines into the same number of cells."""
     text = None
     for encoding in ("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig", "cp1252", "latin-1"):
         with suppress(UnicodeDecodeError):
@@ -204,7 +203,7 @@ def _packed_rows(name: str, data: bytes) -> list[tuple[Cell, ...]]:
 
 
 def packed_rows_here(name: str, data: bytes) -> list[tuple[Cell, ...]]:
-    """Return the cells of the first sheet with at least two columns; runs in a worker process."""
+    """Return the cells of the first sheet with at least two columns. The function runs in a worker process."""
     from io import BytesIO
 
     calamine: Any = library("python_calamine", "sheets")
@@ -225,36 +224,36 @@ def _cell(value: object) -> Cell:
 
 
 def _file_of(cell: Cell) -> str:
-    """Return the file name in a cell, without folders of any operating system; a number as it was typed."""
+    """Return the file name in a cell, without folders of any operating system. A number is returned as it was typed."""
     if isinstance(cell, float) and cell.is_integer():
         cell = int(cell)
     return PureWindowsPath(str(cell).strip()).name if cell is not None else ""
 
 
 def _matches(text: str, names: dict[str, str]) -> str | None:
-    """Return the log that a cell names, with or without its extension; None if it names none."""
+    """Return the log that a cell names, with or without its extension, or None if there is none."""
     return names.get(text.lower()) if text else None
 
 
 def _spellings(logs: Collection[str]) -> dict[str, str]:
-    """Return logs by the texts that name them, in lower case: the full name, or the name without its extension."""
+    """Return logs by their names in lower case, both with and without the extension."""
     whole = {name.lower(): name for name in logs}
     return {Path(name).stem.lower(): name for name in logs} | whole
 
 
 def name_column(table: SheetTable, profile: Profile, logs: Collection[str]) -> str:
-    """Return the column that names the logs: the stated one, otherwise the one whose cells are names of logs.
+    """Return the column that names the logs. If it is not stated, it is the column whose cells are names of logs.
 
     Raises
     ------
     ProfileError
-        If there is none.
+        If there is no such column.
     """
     sheet = profile.sheet
-    assert sheet is not None, "it is asked for a profile with a sheet"
+    assert sheet is not None, "the profile must have a sheet"
     if sheet.name is not None:
         if sheet.name not in table.names:
-            raise ProfileError(f"{sheet.file}: no column {sheet.name!r}. It has: {', '.join(table.names)}.")
+            raise ProfileError(f"{sheet.file}: no column {sheet.name!r}. Columns: {', '.join(table.names)}.")
         return sheet.name
     names = _spellings(logs)
 
@@ -268,27 +267,27 @@ def name_column(table: SheetTable, profile: Profile, logs: Collection[str]) -> s
         example = f" (such as {min(logs)})" if logs else f" (patterns {list(profile.files)})"
         listing = ", ".join(filter(None, table.names))
         raise ProfileError(
-            f"{sheet.file}: no column of the sheet names the logs{example}. It has: {listing}. "
-            'State which does: [sheet] name = "...".'
+            f"{sheet.file}: no column of the sheet names the logs{example}. Columns: {listing}. "
+            'State the column of file names: [sheet] name = "...".'
         )
     return best
 
 
 def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Return units by condition, and the column of each condition.
+    """Return the unit of each condition, and the column of each condition.
 
     Raises
     ------
     ProfileError
-        If a mapping names no column or condition, or two columns map to the same condition.
+        If a mapping names no column or condition, or two columns are mapped to the same condition.
     """
     sheet = profile.sheet
-    assert sheet is not None, "it is asked for a profile with a sheet"
+    assert sheet is not None, "the profile must have a sheet"
     columns, units = dict[str, str](), dict[str, str]()
     for text in sheet.columns:
         name, key, unit = split_mapping(text, table.names, sheet.file)
         if key in columns:
-            raise ProfileError(f"{sheet.file}: {columns[key]!r} and {name!r} are both the {key}; expected one column.")
+            raise ProfileError(f"{sheet.file}: {columns[key]!r} and {name!r} are both the {key}; expected one.")
         columns[key] = name
         units |= {key: unit} if unit else {}
     for name in table.names:
@@ -308,12 +307,12 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
     stated = profile.units.model_dump(exclude_defaults=True)
     for key, unit in units.items():
         if key in stated and find_unit(stated[key]) != find_unit(unit):
-            raise ProfileError(f"{sheet.file}: the {key} is in {unit}, but [units] says {stated[key]}. Which is right?")
+            raise ProfileError(f"{sheet.file}: the {key} is in {unit}, but [units] has {stated[key]}. Correct one.")
     bare = [key for key in ("stiffness", "damping", "step") if key in columns and key not in units | stated]
     for key in bare:
         if any(cell not in (None, 0.0, "0") for cell in table.column(columns[key])):
             raise ProfileError(
-                f"{sheet.file}: column {columns[key]!r} has no unit. Write it behind the name, "
+                f"{sheet.file}: column {columns[key]!r} has no unit. Write it after the name, "
                 f'"{columns[key]} [N/mm]", or state it: [sheet] columns = ["{columns[key]}:{key}:N/mm"].'
             )
     return units, columns
@@ -344,7 +343,7 @@ def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, st
     Raises
     ------
     ProfileError
-        If it names no column, condition or unit.
+        If the text names no column, condition or unit.
 
     Examples
     --------
@@ -363,15 +362,15 @@ def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, st
         if unit and (find_unit(unit) is None or key not in NUMBERS_IN_NAMES):
             raise ProfileError(f"{file}: {text!r}: {unit!r} is not a unit of the {key}.")
         return name, key, unit
-    raise ProfileError(f"{file}: {text!r} names no column of the sheet. It has: {', '.join(filter(None, names))}.")
+    raise ProfileError(f"{file}: {text!r} names no column of the sheet. Columns: {', '.join(filter(None, names))}.")
 
 
 def _entries(
     table: SheetTable, profile: Profile, named: str, columns: dict[str, str]
 ) -> tuple[list[FileEntry], dict[str, tuple[int, str]]]:
-    """Return an entry for each row that names a log, and the row number and text of each file."""
+    """Return an entry for each row that names a log, and the row number and text for each file."""
     sheet = profile.sheet
-    assert sheet is not None, "it is asked for a profile with a sheet"
+    assert sheet is not None, "the profile must have a sheet"
     decimal = _decimal_sign(table, columns)
     entries, rows = list[FileEntry](), dict[str, tuple[int, str]]()
     for number, row in enumerate(table.rows, start=table.first_row):
@@ -386,7 +385,7 @@ def _entries(
         values = {key: value for key, value in values.items() if value is not None}
         if file.lower() in {other.lower() for other in rows}:
             first = next(number for name, (number, _) in rows.items() if name.lower() == file.lower())
-            raise ProfileError(f"{where}: row {first} names this log, too. Expected one row a log. Remove one of them.")
+            raise ProfileError(f"{where}: row {first} also names this log. Expected one row per log. Remove one row.")
         rows[file] = number, text
         try:
             entries.append(FileEntry(match=_escaped(text) + ending, **values))
@@ -401,20 +400,20 @@ def _escaped(name: str) -> str:
 
 
 def _ending(profile: Profile) -> str:
-    """Return the file extension of the logs of a profile, which completes a name without one."""
+    """Return the file extension of the logs of a profile. It completes a name without extension."""
     endings = (re.search(r"\.[^.*?\[\]]+(?:\.gz|\.zst)?$", pattern) for pattern in profile.files)
     return next((ending[0] for ending in endings if ending), ".*")
 
 
 def _decimal_sign(table: SheetTable, columns: dict[str, str]) -> str:
-    """Return the decimal sign of a sheet: a comma if any cell has a comma and none a point."""
+    """Return the decimal sign of a sheet. It is a comma if a cell has a comma and no cell has a point."""
     cells = [cell for key, name in columns.items() if key in NUMBERS_IN_NAMES for cell in table.column(name)]
     texts = [cell for cell in cells if isinstance(cell, str)]
     return "," if any("," in text for text in texts) and not any("." in text for text in texts) else "."
 
 
 def _value(where: str, key: str, cell: Cell, decimal: str) -> Any:
-    """Convert a cell to the value of its condition; None if it is blank."""
+    """Convert a cell to the value of its condition, or to None if it is blank."""
     if cell is None:
         return None
     if key not in NUMBERS_IN_NAMES:

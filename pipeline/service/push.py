@@ -17,7 +17,7 @@ from urllib.request import Request, urlopen
 
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import path_text
-from pipeline.intake.sources import Notices, asked_profiles, find_sources
+from pipeline.intake.sources import Notices, find_sources, requested_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import profile_toml
 
@@ -42,7 +42,7 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
         raise UsageError(f"{folder}: no files. Give a folder with logs.")
     server = _Server(to, token)
     if isinstance(profile, Profile) or (profile is not None and profile.endswith(".toml")):
-        asked = asked_profiles(profile, [folder])
+        asked = requested_profiles(profile, [folder])
         (ready,) = asked.profiles
         # a server reads no sheet: its rows are sent as entries of the profile
         made = isinstance(profile, Profile) or bool(asked.ignore)

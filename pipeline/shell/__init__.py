@@ -1,1 +1,1 @@
-"""The command line and its commands."""
+"""The command line, its commands, and the modules that only commands use."""

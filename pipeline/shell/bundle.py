@@ -1,7 +1,7 @@
-"""`pipeline bundle`: pack a report with all inputs of `verify` into one zip, and verify it anywhere.
+"""Functions for `pipeline bundle`, which packs a report with all inputs of `verify` into a zip, and verifies it.
 
 A bundle contains the page, its JSON document, ``processed/`` with the stored trials, and ``devices/`` with the device
-file, if any. Equal inputs give equal bytes.
+file if there is one. Equal inputs give identical bytes.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.device_data.devices import device_file
 from pipeline.records.findings import Record
-from pipeline.shell.fresh_logs import read_anew
+from pipeline.shell.fresh_logs import read_again
 from pipeline.shell.verify import Request, Verification, read_document, read_report, stored_place, verify
 from pipeline.store.names import folder_name
 from pipeline.store.objects import opened
 
 ENDING = ".zip"
 TIME = (1980, 1, 1, 0, 0, 0)
-"""Time stamp of every entry, the earliest allowed in a zip: equal inputs give equal bytes."""
+"""Time stamp of every entry, so that equal inputs give identical bytes. It is the earliest that a zip allows."""
 
-READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline); the data that it was computed from are here.
-To recompute every number and compare it with the report, wherever this file is:
+READ_ME = """{report} is a report by `pipeline compare` (haptic-pipeline). This file also contains its input data.
+The following command recomputes every number and compares it with the report:
 
     pipeline verify {bundle}
 """
 
 
 class Bundle(Record):
-    """A bundle: its file, number of trials, number of files and bytes."""
+    """A bundle that was written: its file, and the number of trials, files and bytes."""
 
     bundle: str
     trials: int
@@ -44,27 +44,27 @@ class Bundle(Record):
 
 
 def bundle(report: Path) -> Bundle:
-    """Write a report and all its inputs into one zip in the folder of the report.
+    """Write a report and all its inputs into a zip in the folder of the report.
 
     Parameters
     ----------
     report : Path
-        HTML page by `compare`, with its JSON document in the same folder.
+        HTML page that `compare` wrote, with its JSON document in the same folder.
 
     Raises
     ------
     UsageError
-        If the file is no report, or its document is missing.
+        If the file is not a report, or its document is missing.
     DeviceError
-        If the device file of the report is not available here.
+        If the device file of the report is not available on this machine.
     StoreError
-        If the stored trials have changed since the report was made.
+        If the stored trials have changed since the report was written.
     """
     target = report.with_suffix(ENDING)
     _, _, request = read_report(report)
     document, notes = read_document(report)
     if document is None:
-        raise UsageError(f"{notes[0]}. A bundle needs it: write the report again, or put its document into its folder.")
+        raise UsageError(f"{notes[0]}. A bundle needs it. Write the report again, or add its document to its folder.")
     device, lists = request.scene.device, {logs.experiment: logs for logs in document.logs}
     files = {report.name: report, f"{report.stem}.json": report.with_suffix(".json")}
     if request.device_file:
@@ -72,10 +72,10 @@ def bundle(report: Path) -> Bundle:
     place = stored_place(report, request.processed, None)
     with tempfile.TemporaryDirectory(prefix="pipeline-bundle-") as temporary, opened(place, device) as processed:
         store = Path(temporary) / "processed"
-        fresh = read_anew(device, processed, request.logs, lists, store, None, request.excluded)
+        fresh = read_again(device, processed, request.logs, lists, store, None, request.excluded)
         for problem in fresh.problems:
             raise StoreError(f"{problem.path}: {problem.problem}. Ingest its log again, or write the report again.")
-        # exclusions are in the page; corrections would add the present time
+        # The page lists the exclusions. Corrections would add the current time.
         kept = (*(store / "trials").rglob("*.parquet"), *store.glob("*.json"))
         files |= {path.relative_to(temporary).as_posix(): path for path in kept}
         size = sum(path.stat().st_size for path in files.values())
@@ -88,25 +88,25 @@ def bundle(report: Path) -> Bundle:
 
 
 def verify_bundle(path: Path) -> Verification:
-    """Verify the report of a bundle with the contents of the bundle only, in a temporary folder.
+    """Verify the report of a bundle in a temporary folder, using only the contents of the bundle.
 
     Raises
     ------
     UsageError
-        If the file is no bundle.
+        If the file is not a bundle.
     """
     with tempfile.TemporaryDirectory(prefix="pipeline-bundle-") as temporary:
         folder = Path(temporary)
         try:
             with zipfile.ZipFile(path) as archive:
-                archive.extractall(folder)  # removes ".." and similar parts from names
+                archive.extractall(folder)  # this removes ".." and similar parts from names
         except (OSError, zipfile.BadZipFile) as error:
             why = getattr(error, "strerror", None) or error
-            raise UsageError(f"{path}: is no zip that can be read ({why}). Give one by `pipeline bundle`.") from error
+            raise UsageError(f"{path}: cannot be read as a zip ({why}). Give a file by `pipeline bundle`.") from error
         pages = sorted(folder.glob("*.html"))
         if len(pages) != 1:
             raise UsageError(
-                f"{path}: expected one report (.html) at the top of a bundle, found {len(pages)}. Make it with "
+                f"{path}: expected one report (.html) at the top of a bundle, found {len(pages)}. Write it with "
                 "`pipeline bundle REPORT`."
             )
         with _devices_of(folder / "devices"):
@@ -118,15 +118,15 @@ def _device_file(request: Request) -> Path:
     file = device_file(request.scene.device)
     if file is None:
         raise DeviceError(
-            f"device {request.scene.device!r}: the report uses its device file, which is not known here. Name its "
-            f"folder in {USER_FOLDER_VARIABLE}."
+            f"device {request.scene.device!r}: the report uses its device file, which was not found. Set "
+            f"{USER_FOLDER_VARIABLE} to the folder of this file."
         )
     return file
 
 
 @contextmanager
 def _devices_of(folder: Path) -> Iterator[None]:
-    """Use the device files of a folder inside a block, also in processes started there."""
+    """Use the device files of a folder inside the block, also in processes that the block starts."""
     before = os.environ.get(USER_FOLDER_VARIABLE)
     os.environ[USER_FOLDER_VARIABLE] = str(folder)
     try:

@@ -1,7 +1,7 @@
-"""The command line: parse, call, print. Nothing is computed here.
+"""The command line. Its modules parse arguments, call functions and print results; they compute nothing.
 
-A process loads only the module of the command that it runs, and each command imports its dependencies itself: start-up
-dominates the run time of a short command.
+A process loads only the module of the command that it runs, and each command imports its dependencies itself, because
+start-up dominates the run time of a short command.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ COMMANDS = {
     )
     for name in names
 }
-"""Module of each command, in the order of the help; its function is named after the last word of the command."""
+"""Module of each command, in the order of the help. The last word of a command is the name of its function."""
 
 PLAIN = ("demo", "serve")
-"""Commands without a result, and so without --json."""
+"""Commands without a result, which therefore have no --json."""
 
 THEORY = (
     "Compute stability, costs and optima of the sampled, delayed loop. Parameters are normalised by sampling period T "
-    "and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. With --device all is in SI, for the "
-    "loop of a device with its filter, lag, mode and operator."
+    "and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. With --device, all values are in SI, "
+    "for the loop of a device with its filter, lag, mode and operator."
 )
 SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
 def application(word: str | None = None) -> typer.Typer:
-    """Return the application with the command that a first word names, or with all commands if it names none."""
+    """Return the application with the command that starts with the given word, otherwise with all commands."""
     app = typer.Typer(
         name="pipeline",
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         context_settings=SETTINGS,
-        help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
+        help="Analyse step responses at virtual walls for stability and costs, and compare them with theory.",
     )
     app.callback()(_main)
     theory = typer.Typer(no_args_is_help=True, help=THEORY)
@@ -70,14 +70,14 @@ def application(word: str | None = None) -> typer.Typer:
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """Create ``app``, the whole command line, on first access."""
+    """Create ``app``, the complete command line, at the first access."""
     if name == "app":
         return application()
     raise AttributeError(name)
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         console.say(f"pipeline {__version__}")
         raise typer.Exit
 
@@ -91,7 +91,7 @@ def _main(
 
 
 def run(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line, by default with the arguments of the process, and exit with its status."""
+    """Run the command line, and exit with its status. By default, the arguments of the process are used."""
     if arguments is None:
         begin_alone()
     given = sys.argv[1:] if arguments is None else arguments

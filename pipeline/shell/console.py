@@ -1,4 +1,4 @@
-"""Output to the user: results on stdout, progress and notes on stderr, errors as message and exit status."""
+"""Output to the user: results on stdout, progress and notes on stderr. An error has a message and an exit status."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from pipeline.base.process import Ended, ending_on_signals
 from pipeline.base.progress import heard_by
 
 Advance = Callable[[int, int | None], None]
-"""Callback that reports (number done, total number or None if unknown)."""
+"""Callback that receives the number done and the total number, or None if the total is unknown."""
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Control characters except tab and line feed."""
@@ -43,11 +43,11 @@ def argument(help_text: str, **how: Any) -> Any:
     return typer.Argument(help=help_text, **how)
 
 
-Json = Annotated[bool, option("--json", "Print JSON on stdout, and nothing else there.")]
+Json = Annotated[bool, option("--json", "Print only JSON on stdout.")]
 
 
 def command(work: Callable[..., int | None]) -> Callable[..., None]:
-    """Return a command with the option ``--json``. It prints its result by `tell` and returns its exit status."""
+    """Return a command with the option ``--json``. It prints its result by `show` and returns its exit status."""
 
     @wraps(work)
     def run(as_json: bool = False, **given: Any) -> None:
@@ -63,8 +63,8 @@ def command(work: Callable[..., int | None]) -> Callable[..., None]:
     return run
 
 
-def tell(document: object, lines: Iterable[str]) -> None:
-    """Print a result: with ``--json`` its document, else its lines."""
+def show(document: object, lines: Iterable[str]) -> None:
+    """Print a result: its document with ``--json``, otherwise its lines."""
     if _JSON.get():
         _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
     else:
@@ -72,26 +72,26 @@ def tell(document: object, lines: Iterable[str]) -> None:
             say(line)
 
 
-def tell_line(document: object, lines: Iterable[str]) -> None:
-    """Print one of many results immediately; a JSON document is one line."""
+def show_line(document: object, lines: Iterable[str]) -> None:
+    """Print one of many results without buffering. A JSON document is printed on one line."""
     if _JSON.get():
         _write(json.dumps(document, allow_nan=False) + "\n")
     else:
-        tell(document, lines)
+        show(document, lines)
     sys.stdout.flush()
 
 
 def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
-    """Run the command line and exit with its status; a named error becomes a message on stderr.
+    """Run the command line, and exit with its status. An expected error is printed as a message on stderr.
 
-    The same applies to an operating-system error, such as a full disk. Other exceptions are defects and are raised with
-    their traceback. A termination signal ends the process as usual, after incomplete files are removed.
+    The same applies to an error of the operating system, such as a full disk. Other exceptions are defects and are
+    raised with their traceback. A termination signal ends the process as usual, after incomplete files are removed.
     """
     try:
         with ending_on_signals():
             app(args=None if arguments is None else list(arguments))
     except Ended as end:
-        note(f"Stopped by {end}. Each file is complete or as it was before: run the command again for what is left.")
+        note(f"Stopped by {end}. Each file is complete or unchanged. Run the command again for the remaining work.")
         end.leave()
     except PipelineError as error:
         note(f"Error: {error}")
@@ -104,12 +104,12 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
 
 
 def _flush() -> None:
-    """Flush the output while an error can still be reported by name and exit status."""
+    """Flush the output while an error can still be reported with its name and exit status."""
     try:
         if sys.stdout is not None:
             with naming(Path("standard output")):
                 sys.stdout.flush()
-    except BrokenPipeError:  # the reader of the pipe has stopped
+    except BrokenPipeError:  # the program that reads the pipe has ended
         _drop_output()
         sys.exit(EXIT_ERROR)
     except OSError as error:
@@ -119,33 +119,36 @@ def _flush() -> None:
 def _leave(error: OSError) -> NoReturn:
     place = "a file that the system does not name" if error.filename is None else os.fsdecode(error.filename)
     note(
-        f"Error: {place}: cannot be read or written ({error.strerror}). Make room or correct the permissions, and run "
-        "the command again."
+        f"Error: {place}: cannot be read or written ({error.strerror}). Free disk space or correct the permissions, "
+        "and run the command again."
     )
     _drop_output()
     sys.exit(EXIT_ERROR)
 
 
 def _drop_output() -> None:
-    """Discard output that could not be written, or the end of the process would fail to write it again."""
+    """Discard output that could not be written. Otherwise, the end of the process would fail to write it again."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _write(text: str) -> None:
-    if sys.stdout is not None:  # None if it is closed, as by `>&-`
+    if sys.stdout is not None:  # it is None if it is closed, for example by `>&-`
         with naming(Path("standard output")):
             sys.stdout.write(text)
 
 
 def say(text: str) -> None:
-    """Print a line of a result on stdout; a character that the terminal cannot show, or would execute, is escaped."""
+    """Print a line of a result on stdout.
+
+    Characters that the terminal cannot display, or would execute, are escaped.
+    """
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     _write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
 
 
 def note(text: str) -> None:
-    """Print a line about the work itself on stderr."""
+    """Print a line about the progress of the work on stderr."""
     print(_harmless(text), file=sys.stderr, flush=True)
 
 
@@ -156,12 +159,12 @@ def step(text: str) -> None:
 
 
 def _harmless(text: str) -> str:
-    """Return a text without control characters: names and cells of logs may contain commands to the terminal."""
+    """Return a text without control characters. Names and cells of logs may contain commands for the terminal."""
     return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Yield messages about places: equal texts once, with their count and the first place."""
+    """Yield messages about places. Equal texts are printed once, with the first place and the number of places."""
     groups: dict[str, list[str]] = {}
     for place, text in messages:
         groups.setdefault(text, []).append(place)
@@ -170,7 +173,10 @@ def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
 
 
 def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
-    """Yield warnings of logs, (log, text, code or None): one line per code or text, with the first log."""
+    """Yield warnings of logs, (log, text, code or None).
+
+    There is one line for each code or text, with the first log.
+    """
     groups: dict[str, list[tuple[str, str]]] = {}
     for log, text, code in warnings:
         groups.setdefault(code or text, []).append((log, text))
@@ -180,7 +186,7 @@ def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
-    """Return rows as lines of aligned columns with a header; None as an en dash, floats with six digits."""
+    """Return rows as lines of aligned columns with a header. None is an en dash, and floats have six digits."""
     cells = [list(columns), *([_text(row[name]) for name in columns] for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells]
@@ -193,7 +199,7 @@ def _text(value: object) -> str:
 
 
 def is_answered() -> bool:
-    """Return whether the user can answer questions: input and output are a terminal, and no JSON is requested."""
+    """Return whether the user can answer questions: input and stderr are terminals, and no JSON is requested."""
     return not _JSON.get() and _is_watched() and sys.stdin is not None and sys.stdin.isatty()
 
 
@@ -204,9 +210,9 @@ def _is_watched() -> bool:
 
 @contextmanager
 def progress(label: str, unit: str = "") -> Iterator[Advance]:
-    """Show the stage, the share and the remaining time on stderr if it is a terminal, except with ``--json``.
+    """Show stage, completed share and remaining time on stderr, if it is a terminal and ``--json`` is not given.
 
-    Shares are those of `base.progress`, or of counted items (``unit``) reported through the yielded callback.
+    The share comes from `base.progress`, or from items (``unit``) that the caller counts with the yielded callback.
     """
     if _JSON.get() or not _is_watched():
         yield lambda done, total: None
@@ -214,33 +220,33 @@ def progress(label: str, unit: str = "") -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[said]}"))
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[shown]}"))
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         begun = time.monotonic()
-        task = bar.add_task(label, total=None, said="", share=0.0)
+        task = bar.add_task(label, total=None, shown="", share=0.0)
 
         def count(done: int, total: int | None) -> None:
             share = done / total if total else None
-            said = f"{done} {unit}" if total is None else f"{done}/{total} {unit}"
-            bar.update(task, completed=done, total=total, said=f"{said}{_time_left(share, time.monotonic() - begun)}")
+            shown = f"{done} {unit}" if total is None else f"{done}/{total} {unit}"
+            bar.update(task, completed=done, total=total, shown=f"{shown}{_time_left(share, time.monotonic() - begun)}")
 
         def hear(name: str, share: float) -> None:
-            # a search may take longer than usual: the shown share never decreases
+            # A search may take longer than usual. The displayed share never decreases.
             share = max(share, bar.tasks[0].fields["share"])
-            said = f"{share:.0%}{_time_left(share, time.monotonic() - begun)}"
+            shown = f"{share:.0%}{_time_left(share, time.monotonic() - begun)}"
             title = f"{label}: {name}" if name else label
-            bar.update(task, description=title, completed=share, total=1, said=said, share=share)
+            bar.update(task, description=title, completed=share, total=1, shown=shown, share=share)
 
         with heard_by(hear):
             yield count
 
 
 LEAST_SHARE = 0.03
-"""Smallest completed share for which the remaining time is extrapolated from the elapsed time."""
+"""Smallest completed share at which the remaining time is extrapolated from the elapsed time."""
 
 
 def _time_left(share: float | None, seconds: float) -> str:
-    """Return the remaining time in words, extrapolated from the completed share.
+    """Return the text for the remaining time, extrapolated from the completed share.
 
     >>> _time_left(0.25, 30.0), _time_left(0.9, 3600.0), _time_left(0.01, 5.0)
     (', 90 s left', ', 7 min left', '')

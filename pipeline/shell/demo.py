@@ -1,4 +1,4 @@
-"""`pipeline demo`: all steps from simulated logs to reports, in a minute."""
+"""Function for `pipeline demo`, which runs all steps from simulated logs to reports in a minute."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.sweep import run_sweep, write_sweep
 
 SEED = 1
-"""Seed of the demo's logs; any would do."""
+"""Seed of the simulated logs. Any other seed is equally good."""
 
 
 class Part(NamedTuple):
-    """A device of the demo: its experiments (empty for all), and the factor by which its grid is coarsened."""
+    """A device of the demo, its experiments (if empty, all), and the factor by which their grids are coarsened."""
 
     device: str
     experiments: tuple[str, ...] = ()
@@ -28,8 +28,11 @@ class Part(NamedTuple):
 
 
 PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
-"""Half the dampings and half the stiffness steps: a quarter of the trials, with maps that look like the full ones. The
-first device deviates from theory as the real one may (docs/falcon.md)."""
+"""Devices of the demo, with half the dampings and half the stiffness steps.
+
+They have a quarter of the trials, and their maps look like the full ones. The first device deviates from theory as the
+real device may (docs/falcon.md).
+"""
 
 
 def run_demo(
@@ -39,17 +42,17 @@ def run_demo(
 ) -> tuple[list[Path], list[str]]:
     """Simulate logs, ingest them, compare them with theory, and write one report for each device.
 
-    Returns the reports, and lines with the key results and their files.
+    Return the reports, and lines with the main results and their files.
 
     Parameters
     ----------
     folder : Path
-        Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page. Logs of an earlier demo, and reports
-        of its devices as `compare` writes them, are replaced; other files are never touched.
+        Folder for ``raw/demo``, ``processed/demo`` and ``reports`` with an index page. Logs of an earlier demo and
+        reports of its devices are replaced. Other files are never changed.
     report_progress : callable
-        Called with a line before each step.
+        Function that is called with a text before each step.
     parts : sequence of Part, optional
-        Devices and experiments; by default `PARTS`.
+        Devices and experiments. The default is `PARTS`.
 
     Raises
     ------
@@ -68,8 +71,8 @@ def run_demo(
     say(f"ingest: {logs} logs")
     if refused := ingest([raw], processed).quarantined:
         raise PipelineError(
-            f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) of {raw} were refused; expected "
-            "only simulated ones there). Remove the file, or the folder, and run the demo again."
+            f"{refused[0].path}: {refused[0].reason} ({len(refused)} log(s) in {raw} were refused; expected only "
+            "simulated logs there). Remove the file or the folder, and run the demo again."
         )
     reports, summaries = [], []
     for part in parts:

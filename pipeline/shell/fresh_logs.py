@@ -1,6 +1,6 @@
 """Logs of a report, read again into a temporary folder, and their differences from the time of the report.
 
-No computed results are reused: the folder gets trials and samples, but no stages and no theory.
+No computed results are reused: the temporary folder contains trials and samples, but neither stages nor theory.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pipeline.store.storage import Correction, Exclusion, read_exclusions, read_
 
 
 class LogProblem(Record):
-    """A log, or its stored data, that differs from the one used for the report; ``path`` may be an experiment."""
+    """A log, or its stored data, that differs from the log used for the report. ``path`` may also be an experiment."""
 
     path: str
     problem: str
@@ -42,7 +42,7 @@ class LogProblem(Record):
 
 
 class ReportedLogs(Record):
-    """Logs of an experiment according to a page: number of files, joint SHA-256, hash of their samples."""
+    """Statements of a page about the logs of an experiment: number of files, joint SHA-256, hash of the samples."""
 
     files: int
     sha256: str
@@ -51,16 +51,16 @@ class ReportedLogs(Record):
 
 @dataclass
 class FreshStore:
-    """A folder with the logs as they are now.
+    """A temporary folder with the current logs of a report.
 
     Parameters
     ----------
     folder : Path
     problems : list of LogProblem
     notes : list of str
-        Parts that could not be checked, and the reasons.
+        Parts that could not be checked, with the reasons.
     read, kept : int
-        Number of trials read from their logs, and number of those with only stored samples left.
+        Number of trials read from their logs, and number of trials of which only stored samples remain.
     """
 
     folder: Path
@@ -70,11 +70,11 @@ class FreshStore:
     kept: int = 0
 
     def differs(self, path: str, problem: str, expected: str | None = None, found: str | None = None) -> None:
-        """Record a log that differs from that of the report."""
+        """Record that a log differs from the log used for the report."""
         self.problems.append(LogProblem(path=path, problem=problem, expected=expected, found=found))
 
 
-def read_anew(
+def read_again(
     device: str,
     processed: Path,
     reported: Mapping[str, ReportedLogs],
@@ -83,23 +83,24 @@ def read_anew(
     profiles: Sequence[Path] | None,
     excluded: Sequence[Exclusion],
 ) -> FreshStore:
-    """Read the logs of a report from their original places; for logs that are gone, copy the stored samples.
+    """Read the logs of a report from their original paths. If a log no longer exists, copy its stored samples.
 
     Parameters
     ----------
     device : str
     processed : Path
-        Store that records the paths of the logs.
+        Store with the paths of the logs.
     reported : mapping of str to ReportedLogs
-        Statements of the page, by experiment.
+        Statements of the page by experiment.
     lists : mapping of str to LogList
-        Lists of its document, by experiment, if available.
+        Lists of logs in the document, by experiment, if available.
     folder : Path
-        Gets the trials.
+        Folder in which the trials are stored.
     profiles : sequence of Path or None
-        Profile files of the lab; the shipped profiles are known. None reads no log: stored samples are copied.
+        Profile files of the lab, in addition to the shipped profiles. With None, no log is read: stored samples are
+        copied.
     excluded : sequence of Exclusion
-        Trials excluded by hand according to the page.
+        Trials that were excluded manually, according to the page.
 
     Raises
     ------
@@ -113,11 +114,11 @@ def read_anew(
         files |= {load_profile(path).name: path for path in profiles}
     if excluded:
         write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
-    # a bundle contains no corrections; only the page lists them
+    # A bundle contains no corrections. Only the page lists them.
     now = excluded if profiles is None else tuple(read_exclusions(processed).values())
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
-        _hold_exclusions(store, every, excluded, now)
+        _compare_exclusions(store, every, excluded, now)
         used, left_out = _of_the_report(store, every, excluded, lists.get(experiment))
         if experiment in reported and not used.num_rows:
             store.differs(f"experiment {experiment}", "none of its logs are stored")
@@ -127,31 +128,35 @@ def read_anew(
         here = [os.path.isfile(path) and profile in files for path, _, profile in rows]
         for profile in sorted({profile for _, _, profile in rows} if profiles is not None else ()):
             if profile not in files:
-                store.notes.append(f"profile {profile!r} is not shipped: give it with --profile to read its logs again")
+                store.notes.append(f"profile {profile!r} is not shipped. Give it with --profile to read its logs again")
                 continue
             paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
             _read(store, experiment, paths, files[profile])
         gone = used.filter(pc.invert(pa.array(here, pa.bool_())))
         if gone.num_rows and profiles is not None:
-            store.notes.append(f"{counted(gone.num_rows, 'trial')}: the stored samples count, not the log")
+            store.notes.append(
+                f"{counted(gone.num_rows, 'trial')}: stored samples were used, because the logs no longer exist"
+            )
         store.read += sum(here)
         store.kept += gone.num_rows
         _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
         if experiment in reported:
-            _hold_samples(store, device, experiment, reported[experiment])
+            _compare_samples(store, device, experiment, reported[experiment])
     for kept in result_files(processed, STORED, ".json") if folder.is_dir() else ():
         shutil.copy(kept, folder / kept.name)
     return store
 
 
-def _hold_exclusions(store: FreshStore, trials: pa.Table, said: Iterable[Exclusion], now: Iterable[Exclusion]) -> None:
-    """Compare the exclusions in the report, and their reasons, with the present ones."""
+def _compare_exclusions(
+    store: FreshStore, trials: pa.Table, stated: Iterable[Exclusion], now: Iterable[Exclusion]
+) -> None:
+    """Compare the exclusions in the report, and their reasons, with the current exclusions."""
     paths = dict(zip(*(trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
-    before, after = ({one.trial_id: one.exclusion_reason for one in each} for each in (said, now))
+    before, after = ({one.trial_id: one.exclusion_reason for one in each} for each in (stated, now))
     for trial in sorted({*before, *after} & paths.keys()):
         if before.get(trial) != after.get(trial):
             expected, found = (each.get(trial, "no exclusion") for each in (before, after))
-            store.differs(paths[trial], "is excluded otherwise than in the report", expected=expected, found=found)
+            store.differs(paths[trial], "its exclusion differs from that in the report", expected=expected, found=found)
 
 
 def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:
@@ -161,7 +166,7 @@ def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedA
 def _of_the_report(
     store: FreshStore, trials: pa.Table, excluded: Sequence[Exclusion], listed: LogList | None
 ) -> tuple[pa.Table, pa.Table]:
-    """Return the stored trials of the report's logs, and those excluded by hand, both without later trials."""
+    """Return the stored trials of the report's logs, and the manually excluded trials. Later trials are left out."""
     used, _ = split_trials(trials, {one.trial_id: one for one in excluded})
     left_out = trials.filter(pc.invert(_among(trials, "trial_id", used.column("trial_id").to_pylist())))
     if listed is None:
@@ -169,22 +174,22 @@ def _of_the_report(
     stored = dict(zip(*(used.column(name).to_pylist() for name in ("source_path", "source_sha256")), strict=True))
     expected = {os.path.join(listed.folder, name): sha for name, sha in listed.files.items()}
     for path in sorted(path for path, sha in expected.items() if sha not in stored.values()):
-        text = "is not stored as it was when the report was made"
+        text = "its stored data have changed since the report was written"
         store.differs(path, text, expected=expected[path], found=stored.get(path))
-    # a log at the path of a report's log shows the effect of its change on the numbers
+    # If a log has the path of a log of the report, the effect of its change on the numbers is shown.
     ours = pc.or_(_among(used, "source_sha256", set(expected.values())), _among(used, "source_path", set(expected)))
     if later := used.num_rows - (pc.sum(ours).as_py() or 0):
-        store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
+        store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are not used")
     return used.filter(ours), left_out
 
 
 def _read(store: FreshStore, experiment: str, sources: Mapping[str, str], profile: Path | str) -> None:
-    """Ingest logs from their sources, whose hashes are those of the report."""
+    """Ingest logs from their sources. Their hashes must be those of the report."""
     if not sources:
         return
     report = ingest([Path(path) for path in sources], store.folder, profile)
     for refusal in report.quarantined:
-        store.differs(refusal.path, f"is refused now: {refusal.reason}", expected=sources[refusal.path])
+        store.differs(refusal.path, f"is now refused: {refusal.reason}", expected=sources[refusal.path])
     found = read_trials(store.folder, columns=["source_path", "source_sha256"])
     for path, sha in set(zip(*(found.column(name).to_pylist() for name in found.column_names), strict=True)):
         if sources.get(path, sha) != sha:
@@ -193,7 +198,7 @@ def _read(store: FreshStore, experiment: str, sources: Mapping[str, str], profil
 
 
 def _keep(store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table) -> None:
-    """Copy stored samples."""
+    """Copy the stored samples of trials."""
     if not trials.num_rows:
         return
     files, rows = (np.array(trials.column(name).to_pylist()) for name in LOCATION)
@@ -205,14 +210,16 @@ def _keep(store: FreshStore, device: str, experiment: str, processed: Path, tria
     write_batch(store.folder, ExperimentKey(device, experiment, trials.column("motion")[0].as_py()), parts)
 
 
-def _hold_samples(store: FreshStore, device: str, experiment: str, said: ReportedLogs) -> None:
-    """Compare all samples with the hash in the page, if logs with the same hashes were found."""
+def _compare_samples(store: FreshStore, device: str, experiment: str, stated: ReportedLogs) -> None:
+    """Compare the hash of all samples with the page, if the logs have the hashes of the report."""
     trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
-    if joint_sha256(trials.column("source_sha256").to_pylist()) != said.sha256:
+    if joint_sha256(trials.column("source_sha256").to_pylist()) != stated.sha256:
         if not store.problems:
-            store.differs(f"experiment {experiment}", "its logs are not those of the report", expected=said.sha256)
+            store.differs(
+                f"experiment {experiment}", "its logs differ from those of the report", expected=stated.sha256
+            )
         return
     found = load_trials(store.folder, trials).digest
-    if found != said.samples:
-        text = "its samples are not those of the report"
-        store.differs(f"experiment {experiment}", text, expected=said.samples, found=found)
+    if found != stated.samples:
+        text = "its samples differ from those of the report"
+        store.differs(f"experiment {experiment}", text, expected=stated.samples, found=found)

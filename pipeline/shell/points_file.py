@@ -1,4 +1,4 @@
-"""CSV files of points whose costs are to be computed."""
+"""Reader of CSV files with points whose costs are to be computed."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pipeline.theory.cases import CASE_COLUMNS, Cases
 
 
 def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
-    """Read points from a CSV file with a header; columns may be in any order, additional ones are ignored.
+    """Read points from a CSV file with a header. Columns may be in any order, and additional columns are ignored.
 
     Parameters
     ----------
     path : Path
     columns : tuple of str
-        Names of its columns; by default the normalised parameters of a wall and its loop.
+        Names of the columns. The default is the normalised parameters of a wall and its loop.
 
     Raises
     ------
     ParameterError
-        If the file cannot be read, a column is missing or a cell is not a finite number; rows are counted from
-        1, header included.
+        If the file cannot be read, a column is missing, or a cell is not a finite number. The message has the row,
+        counted from 1 with the header.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as stream:
@@ -37,7 +37,7 @@ def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
             f"{path}: cannot be read ({error.strerror or error}). Give a CSV file of points."
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ParameterError(f"{path}: is no CSV file in UTF-8 ({error}).") from error
+        raise ParameterError(f"{path}: is not a CSV file in UTF-8 ({error}).") from error
     missing = [name for name in columns if name not in header]
     if missing:
         raise ParameterError(
@@ -46,7 +46,7 @@ def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
         )
     double = [name for name in columns if header.count(name) > 1]
     if double:
-        raise ParameterError(f"{path}, row 1: column {double[0]} occurs twice; remove one.")
+        raise ParameterError(f"{path}, row 1: column {double[0]} occurs twice. Remove one of them.")
     places = [header.index(name) for name in columns]
     values = np.empty((len(lines), len(columns)))
     for value, (row, cells) in zip(values, lines, strict=True):

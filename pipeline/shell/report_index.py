@@ -1,7 +1,7 @@
 """The index page of all reports in a folder, made from their JSON documents.
 
-Reports may come from other versions, be damaged, or be incomplete at this moment: unreadable reports are listed with
-the reason. The page depends only on the reports: the same reports give the same bytes.
+Reports may come from other versions, be damaged, or be incomplete. Unreadable reports are listed with the reason. The
+page depends only on the reports, so that the same reports give the same bytes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from pipeline.rendering.report.page_template import fill_template, policy, scrip
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
-"""Mark of an index page of this package; that of another program is never replaced."""
+"""Mark of an index page of this package. The page of another program is never replaced."""
 
 MOST_NAMES = 4
-"""Largest number of experiments listed by name; a longer sweep is given by its ends."""
+"""Largest number of experiments listed by name. For more, only the first and last are given."""
 
 _HEAD = 8192
 """Number of characters at the start of a page that contain its title and marks."""
@@ -37,7 +37,7 @@ _REPORT_MARK = 'name="pipeline-cells"'
 
 
 def _row(document: dict[str, Any]) -> dict[str, Any]:
-    """Return the index row of a document; documents of other versions may lack fields that are not needed here."""
+    """Return the index row of a document. Documents of other versions may lack fields that are not needed here."""
     experiments = document["experiments"]
     names = [e["experiment"] for e in experiments]
     origin = document.get("provenance", {})
@@ -87,14 +87,14 @@ class IndexEntry:
 
     @property
     def address(self) -> str:
-        """Relative address of the page, for a link."""
+        """Relative address of the page for a link."""
         return "./" + quote(os.fsencode(self.page))
 
 
 def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry, ...]]:
-    """Return the reports of a folder, sorted by title, damaged ones last, and its other pages.
+    """Return the reports of a folder, sorted by title with damaged reports last, and its other pages.
 
-    A page (``*.html``) whose folder contains its JSON document of a comparison is a report. Nothing is written.
+    A page (``*.html``) is a report if its folder contains its JSON document of a comparison. Nothing is written.
     """
     pages = (p for p in folder.glob("*.html") if p.name != INDEX_FILE and not p.name.startswith(".") and p.is_file())
     found = [_entry(page) for page in sorted(pages)]
@@ -104,7 +104,7 @@ def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry
 
 
 def render_index(entries: Sequence[IndexEntry], others: Sequence[IndexEntry] = ()) -> str:
-    """Return the index as one HTML document that needs no network; a script sorts its table."""
+    """Return the index as an HTML document that needs no network. A script sorts its table."""
     script = script_text("report/tables.js")
     page = fill_template(
         "index.html.j2",
@@ -120,31 +120,31 @@ def render_index(entries: Sequence[IndexEntry], others: Sequence[IndexEntry] = (
 
 
 def write_index(folder: Path, only_renew: bool = False) -> Path | None:
-    """Bring the index page of a folder up to date; a reader sees all of it or nothing.
+    """Update the index page of a folder. A reader sees either the old or the new page.
 
     Parameters
     ----------
     folder : Path
-        Folder of the reports; made if needed.
+        Folder of the reports. It is created if it does not exist.
     only_renew : bool
-        Whether to do nothing if there is no index yet: the folder may belong to other users.
+        Whether to do nothing if there is no index yet, because the folder may belong to other users.
 
     Returns
     -------
     Path or None
-        The page; None if it is unchanged, or if a foreign page has its name.
+        The page, or None if it is unchanged or a foreign page has its name.
 
     Raises
     ------
     OSError
-        If it cannot be written.
+        If the page cannot be written.
     """
     path = folder / INDEX_FILE
     present = _text(path) if path.exists() else None
     if (present is None and only_renew) or (present is not None and INDEX_MARK not in present):
         return None
     before = present
-    # another process may write a report and an index without ours: check again after each write
+    # Another process may write a report and an index without this one. Therefore, check again after each write.
     while (page := render_index(*read_reports(folder))) != present:
         write_text(path, page)
         present = page
@@ -152,7 +152,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a page; empty if it cannot be read, such as another user's page."""
+    """Return the text of a page. It is empty if the page cannot be read, such as the page of another user."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -160,25 +160,25 @@ def _text(path: Path) -> str:
 
 
 def _entry(page: Path) -> IndexEntry:
-    """Classify a page."""
+    """Return the index entry of a page."""
     text = _text(page)
     found = re.search(r"<title>(.*?)</title>", text[:_HEAD], flags=re.DOTALL)
     title = " ".join(unescape(found[1]).split()) if found else ""
     document = page.with_suffix(".json")
     name = storable(document.name)
     if not text:
-        return IndexEntry(page.name, title, "the page cannot be read, or is empty")
-    if _REPORT_MARK not in text[:_HEAD]:  # a page with another kind of document, such as the accuracy page
+        return IndexEntry(page.name, title, "the page is empty or cannot be read")
+    if _REPORT_MARK not in text[:_HEAD]:  # the page has another kind of document, such as the accuracy page
         return IndexEntry(page.name, title or storable(page.name))
     if not text.rstrip().endswith("</html>"):
-        return IndexEntry(page.name, title, "the page is not complete; make the report again")
+        return IndexEntry(page.name, title, "the page is incomplete; write the report again")
     if not document.is_file():
-        return IndexEntry(page.name, title, f"{name} is missing in its folder; make the report again")
+        return IndexEntry(page.name, title, f"{name} is missing in its folder; write the report again")
     try:
         found = json.loads(document.read_bytes())
         return IndexEntry(page.name, found["title"], document=_row(found))
     except OSError as error:
         return IndexEntry(page.name, title, f"{name} cannot be read ({error.strerror})")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        why = f"{type(error).__name__}: {error}; make the report again"
-        return IndexEntry(page.name, title, f"{name} is no document of a comparison ({why})")
+        why = f"{type(error).__name__}: {error}; write the report again"
+        return IndexEntry(page.name, title, f"{name} is not a document of a comparison ({why})")

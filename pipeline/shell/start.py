@@ -1,6 +1,6 @@
-"""From a folder of a lab's logs to a report: its contents, the keys that the data prove, and the open questions.
+"""Decisions of `pipeline start`: contents of a folder of logs, keys that the data prove, and open questions.
 
-The decisions depend only on the folder; `pipeline.shell.commands.cli_start` asks, calls and prints.
+The decisions depend only on the folder. `pipeline.shell.commands.cli_start` asks the user, calls functions and prints.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ LEAST_NAMED = 0.5
 CONDITIONS = ("stiffness", "damping", "step")
 
 MOST_CHECKED = 400
-"""Largest number of logs whose walls are checked against their commands before storing: takes a few seconds."""
+"""Largest number of logs whose walls are compared with their commands before storing, which takes a few seconds."""
 
 _OFF = (
-    "the number behind {0!r} in the names is {2:.4g} times the {1} that the commands obey, and no unit makes that. Are "
-    "the units of force, position and time in the files right? Else give one {1} for all walls."
+    "the number after {0!r} in the names is {2:.4g} times the {1} that the commands follow, and no unit explains this. "
+    "Are the units of force, position and time in the files right? Otherwise, give one {1} for all walls."
 )
 """Question about names that contradict the units of the columns."""
 
@@ -106,18 +106,18 @@ class Proposal:
         return {place: answer for place, answer in self.answers.items() if answer.question}
 
     def answered(self, given: Mapping[str, Any]) -> Proposal:
-        """Return the proposal with answers to questions."""
+        """Return the proposal after questions were answered."""
         answers = {place: Answer(value, "as answered") for place, value in given.items()}
         return replace(self, answers=self.answers | answers)
 
 
 def look_at(path: Path) -> Folder:
-    """Return the contents of a folder, or of the folder of a log.
+    """Return the contents of a folder. For a log, return those of its folder.
 
     Raises
     ------
     UsageError
-        If it does not exist or contains no log.
+        If the path does not exist or contains no log.
     """
     notices = Notices()
     everything = Profile.model_construct(name="all", format="delimited", files=("*",))
@@ -133,7 +133,7 @@ def look_at(path: Path) -> Folder:
         for file in spread(group, MOST_SAMPLES):
             try:
                 opened.append(open_sample(file))
-            except ProfileError:  # a native log needs no profile
+            except ProfileError:  # native logs need no profile
                 native = True
                 break
             except (LogError, UsageError) as error:
@@ -152,7 +152,7 @@ def _form(sample: Sample) -> tuple[str, tuple[str, ...], str]:
 
 
 def _sheet(files: Sequence[Path]) -> Path | None:
-    """Return the file whose rows name the other files; None if there is none."""
+    """Return the file whose rows name the other files, or None if there is none."""
     names = {file.name.lower() for file in files}
     stems = {Path(name).stem for name in names}
     for file in files:
@@ -172,8 +172,8 @@ def _sheet(files: Sequence[Path]) -> Path | None:
 def propose(folder: Folder) -> Proposal:
     """Return the keys that the logs of a folder prove, and the open questions.
 
-    Conditions are taken from the sheet, otherwise from the file names: a column, or the numbers after a word, that
-    agrees with the gains of the commands up to the factor of a unit.
+    Conditions come from the sheet, otherwise from the file names. A column of the sheet, or the numbers after a word in
+    the names, must agree with the gains of the commands up to the factor of a unit.
     """
     samples = folder.samples
     found = answers(samples, folder.logs)
@@ -196,7 +196,7 @@ def propose(folder: Folder) -> Proposal:
     table = None if folder.sheet is None else read_sheet(folder.sheet)
     given = _from_sheet(table, laws, samples) if table is not None else {}
     if any(key.startswith("units.") for key in given) and not laws:
-        found.pop("kind", None)  # the sheet states walls that no command shows
+        found.pop("kind", None)  # the sheet states walls that no command follows
     named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given} | inside)
     found |= given | named
     for key in CONDITIONS:
@@ -205,23 +205,23 @@ def propose(folder: Folder) -> Proposal:
     if given and folder.sheet is not None:
         found["sheet.file"] = Answer(str(folder.sheet), "its rows name the logs")
     name = folder.path.resolve().name if folder.path.is_dir() else folder.path.resolve().parent.name
-    found["constants.device"] = Answer(re.sub(r"[^\w .-]+", "-", name) or "bench", "the name of the folder")
+    found["constants.device"] = Answer(re.sub(r"[^\w .-]+", "-", name) or "bench", "name of the folder")
     found["constants.experiment"] = Answer("1", "any name")
     if any(key.startswith(("sheet", "name_pattern")) for key in found) or inside or "constants.stiffness" in found:
         kind = found.get("kind")
         without = IMPLIED[kind.value] if kind is not None else ()
         if kind is None:
-            found.setdefault("step_at", Answer("command edge", "the step is where the command jumps"))
+            found.setdefault("step_at", Answer("command edge", "the command jumps at the step"))
         for key in CONDITIONS:
             if key not in without and not _is_mapped(found, key) and f"constants.{key}" not in found:
                 unit = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
-                words = f"{key} of the walls [{unit}]: neither the files nor their commands show one for all?"
+                words = f"{key} of all walls [{unit}]? Neither the files nor their commands show it"
                 found[f"constants.{key}"] = Answer(0, question=words)
     return Proposal(folder, found)
 
 
 def with_units(proposal: Proposal, given: Mapping[str, Any]) -> Folder:
-    """Return the folder of a proposal with the answered units of columns, as if the files stated them."""
+    """Return the folder of a proposal with the answered units of columns, as if the files stated these units."""
     units = {}
     for place, value in given.items():
         name = proposal.answers.get(f"{place.rpartition('.')[0]}.name")
@@ -245,8 +245,8 @@ def _is_mapped(found: Answers, key: str) -> bool:
     return inside or by_sheet or (pattern is not None and f"<{key}>" in pattern.value)
 
 
-def _obeyed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> list[float]:
-    return [laws[name].obeyed(key) for name in names]
+def _followed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> list[float]:
+    return [laws[name].followed(key) for name in names]
 
 
 def _kind(laws: Mapping[str, WallLaw]) -> Kind:
@@ -255,7 +255,7 @@ def _kind(laws: Mapping[str, WallLaw]) -> Kind:
 
 
 def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
-    """Return the pattern of file names and the units of the numbers after words in them, as the commands prove."""
+    """Return the pattern of file names, and units of the numbers after words in them, as the commands prove."""
     names, words = [sample.name for sample in samples if sample.name in laws], numbers_in_names(samples)
     if not names or not words:
         return {}
@@ -265,9 +265,9 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
     for key in CONDITIONS:
         for word in words if key not in known else ():
             numbers = [_number_behind(word, name) for name in names]
-            unit = None if word in used else proved_unit(numbers, _obeyed(laws, names, key), key, _kind(laws))
+            unit = None if word in used else proved_unit(numbers, _followed(laws, names, key), key, _kind(laws))
             if unit is None:
-                factor = factor_of(numbers, _obeyed(laws, names, key))
+                factor = factor_of(numbers, _followed(laws, names, key))
                 if word.lower() in NAMES[key] and factor is not None:
                     proposed = Answer(0, question=_OFF.format(word, key, 1 / factor))
                     found[f"constants.{key}"] = proposed
@@ -275,10 +275,10 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
             found.pop(f"constants.{key}", None)
             used.add(word)
             pattern = with_group(pattern, words, word, key)
-            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names is what {len(names)} commands obey, in {unit}")
+            found[f"units.{key}"] = Answer(unit, f"{word!r} in the names agrees with {len(names)} commands, in {unit}")
             break
     if pattern is not None:
-        found["name_pattern"] = Answer(pattern, "numbers behind words in the names of the files")
+        found["name_pattern"] = Answer(pattern, "numbers after words in the file names")
     return found
 
 
@@ -291,7 +291,7 @@ def _number_behind(word: str, name: str) -> float | None:
 
 
 def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequence[Sample]) -> Answers:
-    """Return the columns of a sheet that are conditions, and their units, from headings or proved by the commands."""
+    """Return the columns of a sheet that are conditions, with units from the headings or proved by the commands."""
     named = _naming(table, samples)
     if named is None:
         return {}
@@ -308,14 +308,14 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
             cells = table.column(column)
             stated = unit_in_heading(column, ())[1]
             unit = stated if stated and find_unit(stated) else None
-            evidence = "the heading states it"
+            evidence = "stated in the heading"
             if unit is None and logs:
                 numbers = [_number(cells[row]) if (row := at[name]) is not None else None for name in logs]
-                unit = proved_unit(numbers, _obeyed(laws, logs, key), key, _kind(laws))
-                evidence = f"what {len(logs)} commands obey"
+                unit = proved_unit(numbers, _followed(laws, logs, key), key, _kind(laws))
+                evidence = f"agrees with {len(logs)} commands"
             if unit is None and key in by_name:
                 si = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
-                words = f"in which unit is the column {column!r} of the sheet ({key})?"
+                words = f"what is the unit of the column {column!r} ({key}) of the sheet?"
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:
                 found[f"units.{key}"] = Answer(unit, f"column {column!r} of the sheet: {evidence}")
@@ -350,7 +350,7 @@ def made_profile(proposal: Proposal) -> Profile:
     Raises
     ------
     ProfileError
-        If a question is open, or its values contradict each other.
+        If a question is open, or the values contradict each other.
     """
     if proposal.open:
         raise ProfileError("\n".join(f"{place}: {answer.question}" for place, answer in proposal.open.items()))
@@ -373,20 +373,20 @@ def made_profile(proposal: Proposal) -> Profile:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A log whose command obeys another wall than stated, or which has an implausible number.
+    """A log whose command follows another wall than stated, or which has an implausible number.
 
     Parameters
     ----------
     path : Path
     reason : str
-    obeyed : dict of str to float
-        The condition that its command obeys [SI], if only one differs: several that differ together indicate a wrong
+    followed : dict of str to float
+        The gain [SI] that its command follows, if only one differs. Several gains that differ together indicate a wrong
         unit or sign of a column.
     """
 
     path: Path
     reason: str
-    obeyed: Mapping[str, float]
+    followed: Mapping[str, float]
 
 
 def contradictions(profile: Profile, logs: Sequence[Path]) -> tuple[list[Contradiction], int]:
@@ -404,10 +404,10 @@ def contradictions(profile: Profile, logs: Sequence[Path]) -> tuple[list[Contrad
 
 
 def corrected(profile: Profile, found: Sequence[Contradiction]) -> Profile:
-    """Return a profile with entries that correct single logs to the values that their commands obey."""
+    """Return a profile with entries that correct single logs to the gains that their commands follow."""
     entries = list(profile.file)
     for each in found:
-        given = {key: near_round(value / profile.condition_factor(key)) for key, value in each.obeyed.items()}
+        given = {key: near_round(value / profile.condition_factor(key)) for key, value in each.followed.items()}
         entries.append(FileEntry.model_validate({"match": escape(each.path.name), **given}))
     values = profile.model_dump(exclude_defaults=True)
     return Profile.model_validate(values | {"file": [entry.model_dump(exclude_defaults=True) for entry in entries]})

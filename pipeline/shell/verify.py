@@ -1,4 +1,4 @@
-"""`pipeline verify`: recompute every number of a report from the logs, and list those that differ."""
+"""Verification of a report: every number is recomputed from the logs, and differences are listed."""
 
 from __future__ import annotations
 
@@ -35,21 +35,25 @@ from pipeline.rendering.report.report_parts import (
     page_digest,
     take_apart,
 )
-from pipeline.shell.fresh_logs import LogProblem, ReportedLogs, read_anew
+from pipeline.shell.fresh_logs import LogProblem, ReportedLogs, read_again
 from pipeline.store.objects import is_url, opened
 from pipeline.store.storage import Exclusion
 
 ROUNDING = 1e-9
-"""Relative difference below which two values are equal: other processors and builds of numpy round the last digits of a
-sum differently."""
+"""Relative difference below which two values are equal.
+
+Other processors and builds of numpy round the last digits of a sum differently.
+"""
 
 ELSEWHERE = 1e-5
-"""Relative difference (absolute for percentages) that another processor explains in an unmodified report: the location
-of a flat optimum is accurate only to the square root of the machine precision, and a difference of close numbers even
-less."""
+"""Relative difference (absolute for percentages) that another processor explains in an unmodified report.
+
+The location of a flat optimum is accurate only to the square root of the machine precision. A difference of close
+numbers is even less accurate.
+"""
 
 NOTHING = 1e-9
-"""Threshold below which numbers count as zero in such a report: a growth of 2e-13 1/s, for example, is rounding."""
+"""Threshold below which numbers in such a report count as zero. For example, a growth of 2e-13 1/s is rounding."""
 
 MOST_CHARACTERS = 200
 """Number of quoted characters of a part."""
@@ -60,7 +64,7 @@ _NUMBER = re.compile(r"[\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:[eE][+\N{MINUS SIGN}-]?
 
 
 class Difference(Record):
-    """A part of the report that differs: ``expected`` was recomputed, ``found`` is in the report."""
+    """A part of the report that differs. ``expected`` was recomputed, ``found`` is in the report."""
 
     name: str
     kind: Literal["cell", "sentence", "value", "page"]
@@ -75,13 +79,13 @@ class Verification(Record):
     ----------
     report : str
     equal : bool
-        Whether all numbers agree with the logs, and all logs with the report.
+        Whether all numbers agree with the logs, and all logs agree with the report.
     checked : dict of str to int
-        Number of parts compared with the logs, or with the hashes in the page, by kind.
+        Number of parts that were compared with the logs or with hashes in the page, by kind.
     differences : tuple of Difference
     logs : tuple of LogProblem
     notes : tuple of str
-        Parts that could not be checked, and the reasons.
+        Parts that could not be checked, with the reasons.
     """
 
     report: str
@@ -108,7 +112,7 @@ class Request(BaseModel):
 
 
 LOGS_READ = 0.1
-"""Usual share of the verification time spent on reading logs."""
+"""Usual share of the verification time that reading logs takes."""
 
 
 def verify(
@@ -116,25 +120,25 @@ def verify(
     processed: Path | str | None = None,
     profiles: Sequence[Path] | None = (),
 ) -> Verification:
-    """Recompute the numbers of a report and compare them, part by part.
+    """Recompute the numbers of a report, and compare them part by part.
 
-    The logs are read again from their original places, or from the stored samples if they are gone; stages, costs and
-    theory are computed in a temporary folder. Nothing in ``processed`` is changed.
+    The logs are read again from their original paths, or from the stored samples if they no longer exist. Stages, costs
+    and theory are computed in a temporary folder. Nothing in ``processed`` is changed.
 
     Parameters
     ----------
     report : Path
-        HTML page by `compare`.
+        HTML page that `compare` wrote.
     processed : Path or str, optional
-        Folder or URL of the stored tables; by default the one that the report names, searched for in the current folder
-        and in that of the report.
+        Folder or URL of the stored tables. By default, it is the one that the report names, which is searched for in
+        the current folder and in the folder of the report.
     profiles : sequence of Path or None
-        Profile files of the lab that read the logs; None uses only the stored samples.
+        Profile files of the lab that read the logs. None uses only the stored samples.
 
     Raises
     ------
     UsageError
-        If the file is no report, or the folder is not found.
+        If the file is not a report, or the folder is not found.
     StoreError
         If `processed` is damaged.
     """
@@ -144,7 +148,7 @@ def verify(
     device = request.scene.device
     place = stored_place(report, request.processed, processed)
     if request.code != report_code():
-        notes.append("the report was made by another version of the code: numbers may differ for that reason")
+        notes.append("the report was written by another version of the code, which may explain differences")
     with (
         tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary,
         opened(place, device) as folder,
@@ -152,19 +156,19 @@ def verify(
         store = Path(temporary) / "processed"
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
         with part_of_work("reading the logs", 0.0, LOGS_READ):
-            fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
+            fresh = read_again(device, folder, request.logs, lists, store, profiles, request.excluded)
         if not fresh.read + fresh.kept:
             raise StoreError(
-                f"{report}: none of its logs are in {place}. Name the folder of stored tables by --processed, "
+                f"{report}: none of its logs are in {place}. Give the folder of stored tables with --processed, "
                 "or verify a bundle."
             )
         again = Path(temporary) / "report.html"
         with part_of_work("", LOGS_READ, 1.0):
-            result = _compare_anew(report, request, store, again)
+            result = _compare_again(report, request, store, again)
         expected = take_apart(again.read_text(encoding="utf-8"))
     untouched = found.digests is not None and found.digests.page == page_digest(page)
     problems = (*devices, *fresh.problems)
-    # if the page was edited or the logs differ, numbers must agree to the last digit
+    # If the page was edited or the logs differ, numbers must agree to the last digit.
     as_made = untouched and not problems
     differences = [*_cell_differences(expected, found, as_made)]
     said, anew = ({n: t for n, t in parts.texts.items() if not is_free_text(n)} for parts in (found, expected))
@@ -179,7 +183,7 @@ def verify(
         text = notes[0].partition("; only")[0]
         differences.append(Difference(name="document", kind="value", expected=request.document, found=text))
     if not differences and not untouched:
-        text = "the page was changed outside its cells: in a sentence, a drawing, a script or its frame"
+        text = "the page was changed outside its cells: in a sentence, a figure, a script or the surrounding HTML"
         hashes = found.digests.page if found.digests else "hashes of the parts in the head"
         differences.append(Difference(name="page", kind="page", expected=hashes, found=text))
     return Verification(
@@ -193,7 +197,7 @@ def verify(
 
 
 def _cell_differences(expected: Parts, found: Parts, rounding: bool) -> Iterator[Difference]:
-    """Yield the cells that differ from the recomputed ones, or from their hashes if no log determines them."""
+    """Yield the cells that differ from the recomputed cells, or from their hashes if no log determines them."""
     new, old = ({n: t for n, t in parts.cells.items() if not is_free_cell(n)} for parts in (expected, found))
     yield from _differences("cell", new, old, same_text if rounding else _equal)
     stored = found.digests.cells if found.digests else {}
@@ -226,7 +230,7 @@ def _equal(name: str, a: Any, b: Any) -> bool:
 
 
 def same_value(name: str, a: Any, b: Any) -> bool:
-    """Return whether two values of a JSON document differ by rounding only; ``name`` ends with the value's key."""
+    """Return whether two values of a JSON document differ only by rounding. ``name`` ends with the key of the value."""
     if isinstance(a, str) and isinstance(b, str):
         return same_text(name, a, b)
     if not (isinstance(a, float) and isinstance(b, float)):
@@ -236,7 +240,7 @@ def same_value(name: str, a: Any, b: Any) -> bool:
 
 
 def same_text(name: str, a: str, b: str) -> bool:
-    """Return whether two texts differ at most by one in the last digit of numbers with a decimal point.
+    """Return whether two texts differ by at most one in the last digit of numbers with a decimal point.
 
     Examples
     --------
@@ -260,7 +264,7 @@ def _same_number(a: str, b: str) -> bool:
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of every leaf of a document, that is, neither list nor object."""
+    """Yield place and value of every leaf of a document. A leaf is neither a list nor an object."""
     if not isinstance(value, dict | list):
         yield place, value
         return
@@ -268,8 +272,8 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         yield from leaves(part, f"{place}/{key}")
 
 
-def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult:
-    """Write a page of the same size from freshly read logs, and return its document."""
+def _compare_again(report: Path, request: Request, store: Path, page: Path) -> ComparisonResult:
+    """Write a page of the same size from logs that were read again, and return its document."""
     scene, truth, notes = request.scene, request.truth, request.notes
     what = scene.experiments, scene.criteria, scene.shown
     selection = ComparisonSelection(scene.device, store, *what, truth=truth, notes=notes)
@@ -284,7 +288,7 @@ def _compare_anew(report: Path, request: Request, store: Path, page: Path) -> Co
 
 
 def lines_of(verification: Verification) -> list[str]:
-    """Return a verification as lines for a terminal: differences first, the outcome last."""
+    """Return a verification as lines for a terminal. The differences come first, the outcome last."""
     lines = [
         f"{problem.path}: {problem.problem}"
         + (f"; expected {problem.expected}, found {problem.found or MISSING}" if problem.expected else "")
@@ -297,7 +301,7 @@ def lines_of(verification: Verification) -> list[str]:
         return [*lines, f"{verification.report}: all equal ({counts})"]
     number = len(verification.differences)
     parts = f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}"
-    changed = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples are not those"
+    changed = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples differ from those"
     return [*lines, f"{verification.report}: {changed} of the report ({counts} checked)"]
 
 
@@ -307,7 +311,7 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
     Raises
     ------
     UsageError
-        If it cannot be read, or has no such head, like other HTML.
+        If the page cannot be read or has no such head.
     """
     try:
         page = report.read_text(encoding="utf-8")
@@ -318,8 +322,8 @@ def read_report(report: Path) -> tuple[str, Parts, Request]:
         raise UsageError(f"{report}: cannot be read ({why}). Give a report by `pipeline compare`.") from error
     except ValidationError as error:
         raise UsageError(
-            f"{report}: contains no readable request of a comparison; expected a report by `pipeline compare`, of "
-            "this version or a later one. Write it again with the command in its section on origin."
+            f"{report}: contains no readable request of a comparison; expected a report by `pipeline compare` of this "
+            "version or a later one. Write it again with the command in its section on origin."
         ) from error
 
 
@@ -329,7 +333,7 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
     Raises
     ------
     DeviceError
-        If the page uses a device file that is not available here: all theoretical numbers would differ.
+        If the page uses a device file that is not available here. All theoretical numbers would differ.
     """
     name = request.scene.device
     if request.device_file is None:
@@ -337,13 +341,12 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
     here = known_devices().get(name)
     if here is None:
         raise DeviceError(
-            f"device {name!r}: the report uses its device file, which is not known here, so that no number of "
-            f"theory can be recomputed. Name the folder of the file in {USER_FOLDER_VARIABLE}, or verify a bundle "
-            "(`pipeline bundle`), which contains it."
+            f"device {name!r}: the report uses its device file, which was not found. Without it, theory cannot be "
+            f"recomputed. Set {USER_FOLDER_VARIABLE} to the folder of the file, or verify a bundle (`pipeline bundle`)."
         )
     if digest_of(here) == request.device_file:
         return ()
-    text = "its device file is not the one that the report used"
+    text = "its device file differs from the one that the report used"
     return (LogProblem(path=f"device {name}", problem=text, expected=request.device_file, found=digest_of(here)),)
 
 
@@ -364,13 +367,13 @@ def stored_place(report: Path, named: str, given: Path | str | None) -> Path | s
         if (each / "trials").is_dir():
             return each
     raise UsageError(
-        f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
-        "was made from. Give it with --processed, or verify a bundle."
+        f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder from which the "
+        "report was computed. Give it with --processed, or verify a bundle."
     )
 
 
 def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
-    """Return the JSON document of a page; None with a note if there is none of this version."""
+    """Return the JSON document of a page, or None with a note if there is none of this version."""
     path = report.with_suffix(".json")
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []
@@ -379,4 +382,4 @@ def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        return None, [f"{path}: no result of this version ({place}: {first['msg']}); only the page was checked"]
+        return None, [f"{path}: not a result of this version ({place}: {first['msg']}); only the page was checked"]

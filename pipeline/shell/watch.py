@@ -1,6 +1,6 @@
-"""Renewal of reports and plans while logs arrive: both watch folders and read files that no longer change.
+"""Updates of reports and plans while logs arrive. Folders are watched, and files are read when they stop changing.
 
-State is kept only in `processed/`: after any termination the next start does the remaining work.
+The state is stored only in `processed/`, so that after any termination the next start does the remaining work.
 """
 
 from __future__ import annotations
@@ -25,39 +25,39 @@ if TYPE_CHECKING:
     from pipeline.planning.planner import Plan
 
 FileState = tuple[int, int, int]
-"""Size [byte], and times of the last change of content and of metadata such as permissions [ns since 1970]."""
+"""Size [byte], and times of the last change of the content and of metadata such as permissions [ns since 1970]."""
 
 Event = dict[str, Any]
-"""An event: its kind under ``event``, further keys by kind."""
+"""An event: its kind under ``event``, and further keys that depend on the kind."""
 
 LOOK_SHARE = 200
-"""Smallest ratio of a wait to the duration of the scan before it: scanning takes at most 0.5 % of a processor."""
+"""Smallest ratio of a waiting time to the duration of the scan before it. Scans take at most 0.5 % of a processor."""
 
 SHORTEST_WAIT_S = 0.05
-"""Shortest wait [s], used if a file is about to settle."""
+"""Shortest waiting time [s]. It is used if a file will soon be unchanged for long enough."""
 
 RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
-"""Time after which a failed pass is repeated [s], as after a full disk; it doubles up to the second number."""
+"""Time after which a failed pass is repeated [s], for example after a full disk. It doubles up to the second number."""
 
 PLAN_SETTLE_S = 0.3
-"""Time for which a log must be unchanged before the planner reads it [s]: the next wall appears within a second."""
+"""Time for which a log must be unchanged before the planner reads it [s]. The next wall appears within a second."""
 
 
 @dataclass(frozen=True)
 class Watched:
-    """Watched folders, and destinations of results.
+    """Watched folders, and folders of the results.
 
     Parameters
     ----------
     folders : tuple of Path
-        Folders searched for logs, including all subfolders.
+        Folders that are searched for logs recursively.
     processed, reports : Path
     profile : str or None
         Log profile by name, or a profile file.
     scenes : tuple of Path
-        Scene files, one report each; by default one report per device.
+        Scene files. Each of them has a report. By default, there is one report for each device.
     settle_s : float
-        A log is read once it has been unchanged for this time [s].
+        Time for which a log must be unchanged before it is read [s].
 
     Raises
     ------
@@ -76,13 +76,13 @@ class Watched:
         for folder in self.folders:
             if Path(os.path.abspath(self.reports)).is_relative_to(os.path.abspath(folder)):
                 raise UsageError(
-                    f"{self.reports}: lies in the watched folder {folder}, where reports would be taken for logs. Give "
-                    "another folder for them (--reports), or watch the folder of the logs alone."
+                    f"{self.reports}: is inside the watched folder {folder}, where reports would be read as logs. Give "
+                    "another folder for reports (--reports), or watch only the folder of the logs."
                 )
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Single files whose change affects reports."""
+        """Single files whose changes affect reports."""
         devices = user_device_folder()
         profile = [Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []
         return *self.scenes, *profile, *(sorted(devices.glob("*.toml")) if devices else [])
@@ -90,10 +90,10 @@ class Watched:
 
 @dataclass
 class Arrivals:
-    """Files that are new or changed since they were last processed, and those of them at rest.
+    """Files that are new or have changed since they were last processed, and whether they are at rest.
 
-    A file is at rest if this process has seen it unchanged for some time: clocks of file servers and copied time stamps
-    do not matter.
+    A file is at rest if this process has seen it unchanged for some time. Clocks of file servers and copied time stamps
+    have no influence.
 
     Parameters
     ----------
@@ -107,10 +107,11 @@ class Arrivals:
     _taken: dict[str, FileState] = field(default_factory=dict)
 
     def look(self, folders: Sequence[Path], files: Sequence[Path] = (), exclude: Sequence[Path] = ()) -> float:
-        """Record the states of all files now, and in ``troubles`` why folders could not be read.
+        """Record the current states of all files, and in ``troubles`` the folders that could not be read and the
+        reasons.
 
-        Hidden files and folders are skipped, and links to folders are not followed, as in `ingest`. Returns the time
-        [s] of a monotonic clock.
+        Hidden files and folders are skipped, and links to folders are not followed, as in `ingest`. Return the time [s]
+        of a monotonic clock.
         """
         self.troubles = {}
         left_out = {os.path.abspath(path) for path in exclude}
@@ -125,7 +126,7 @@ class Arrivals:
                 paths += [os.path.join(here, name) for name in names if not name.startswith(".")]
         states = {}
         for path in paths:
-            with suppress(OSError):  # the file is gone again, or a broken link
+            with suppress(OSError):  # the file was removed, or is a broken link
                 status = os.stat(path)
                 states[path] = status.st_size, status.st_mtime_ns, status.st_ctime_ns
         now = time.monotonic()
@@ -137,16 +138,16 @@ class Arrivals:
         before = self._seen
         known = {path: before[path] for path, state in states.items() if path in before and before[path][0] == state}
         self._seen = {path: known.get(path, (state, now)) for path, state in states.items()}
-        # forget missing files, so that memory is bounded by the existing ones
+        # Forget missing files, so that the number of existing files limits the memory.
         self._taken = {path: state for path, state in self._taken.items() if path in self._seen}
 
     def restless(self, now: float) -> dict[str, float]:
-        """Return the files that are not at rest, and the time [s] at which each will be."""
+        """Return the files that are not at rest, with the time [s] at which each of them will be."""
         times = ((path, since + self.settle_s) for path, (_, since) in self._seen.items())
         return {path: rests for path, rests in times if rests > now}
 
     def ready(self, now: float) -> bool:
-        """Return whether a file is at rest and new or changed since it was last processed."""
+        """Return whether a file is at rest and is new or changed since it was last processed."""
         return any(self._taken.get(path) != state for path, state in self._resting(now))
 
     def take(self, now: float) -> None:
@@ -158,11 +159,11 @@ class Arrivals:
 
 
 def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
-    """Yield events endlessly while logs arrive, without unchanged states and repeated messages."""
+    """Yield events endlessly while logs arrive. Unchanged states and repeated messages are skipped."""
     places = {"folders": [str(f) for f in watched.folders], "interval_s": interval_s, "settle_s": watched.settle_s}
     yield {"event": "started", **places, "processed": str(watched.processed), "reports": str(watched.reports)}
     arrivals, unreachable, reported = Arrivals(watched.settle_s), set[str](), dict[tuple[str, str], Event]()
-    # reports may already be out of date, even if no logs arrive
+    # Reports may be out of date even if no logs arrive.
     due, retry_s = time.monotonic() + watched.settle_s, RETRY_S
     while True:
         began = time.monotonic()
@@ -198,10 +199,11 @@ def status_of(events: Sequence[Event]) -> int:
 
 
 def run_pass(watched: Watched, growing: Sequence[str] = ()) -> Iterator[Event]:
-    """Store new logs, renew the affected reports and the index page; yield each event when it happens.
+    """Store new logs, update the affected reports and the index page, and yield each event when it happens.
 
-    Named errors are events, and so are defects, with their traceback on stderr: one device must not block the reports
-    of others. ``growing`` are absolute paths of files that are not at rest, regardless of their time stamps.
+    Expected errors are events. Defects are also events, with their traceback on stderr, so that one device does not
+    block the reports of others. ``growing`` contains absolute paths of files that are not at rest, whatever their time
+    stamps.
     """
     yield from _ingest(watched, growing)
     yield from _reports(watched)
@@ -212,7 +214,7 @@ def _failed(what: str, reason: object) -> Event:
 
 
 def _ingest(watched: Watched, growing: Sequence[str]) -> Iterator[Event]:
-    """Store new logs."""
+    """Store new logs, and yield the events."""
     from pipeline.intake.ingest import ingest
 
     folders = [folder for folder in watched.folders if folder.is_dir()]
@@ -235,7 +237,7 @@ def _ingest(watched: Watched, growing: Sequence[str]) -> Iterator[Event]:
 
 
 def _reports(watched: Watched) -> Iterator[Event]:
-    """Bring each report up to date, and the index."""
+    """Update each report and the index, and yield the events."""
     from pipeline.base.paths import path_text
     from pipeline.shell.report_index import write_index
     from pipeline.store.storage import list_devices
@@ -245,7 +247,7 @@ def _reports(watched: Watched) -> Iterator[Event]:
             yield _report(watched, name)
         except (PipelineError, OSError) as error:
             yield _failed(name, error)
-        except Exception as error:  # a defect caused by one device must not stop the reports of others
+        except Exception as error:  # a defect due to one device must not stop other reports
             traceback.print_exc()
             yield _failed(name, f"defect in the program: {error!r}; please report it")
     try:
@@ -258,7 +260,7 @@ def _reports(watched: Watched) -> Iterator[Event]:
 
 
 def _report(watched: Watched, name: str) -> Event:
-    """Bring the report of a device or scene up to date; return the event."""
+    """Update the report of a device or scene, and return the event."""
     from pipeline.base.paths import path_text
     from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
     from pipeline.comparison.scene.scene_file import read_scene
@@ -268,8 +270,8 @@ def _report(watched: Watched, name: str) -> Event:
     device = scene.device if scene else name
     report = Path(scene.report) if scene and scene.report else report_of(watched.reports, device)
     began = time.monotonic()
-    asked = (scene.experiments, scene.chosen_criteria, scene.shown) if scene else ()
-    finished = run(plan_comparison(ComparisonSelection(device, watched.processed, *asked), ReportOptions(report)))
+    options = (scene.experiments, scene.chosen_criteria, scene.shown) if scene else ()
+    finished = run(plan_comparison(ComparisonSelection(device, watched.processed, *options), ReportOptions(report)))
     write_report(finished)
     trials = sum(each.trials for each in finished.document.experiments)
     places = {"what": name, "device": device, "report": path_text(report)}
@@ -286,9 +288,9 @@ def plan_beside(
     options: PlanOptions,
     profile: str | None,
 ) -> Iterator[Plan]:
-    """Yield the plan at first and after each new log, until it is done; arguments as of `planner.plan`.
+    """Yield the plan at first and after each new log, until it is done. The arguments are those of `planner.plan`.
 
-    The parts of a device are identified in another process, so that no answer waits for them.
+    The parts of a device are identified in another process, so that plans do not wait for them.
     """
     from pipeline.base.process import process_pool
     from pipeline.intake.ingest import ingest
@@ -315,7 +317,7 @@ def plan_beside(
             arrivals.take(now)
             try:
                 report = ingest(folders, processed, profile, growing=tuple(arrivals.restless(now)))
-            except StoreError as error:  # another command is writing there: the next scan tries again
+            except StoreError as error:  # another command is writing there, and the next scan tries again
                 console.note(str(error))
                 arrivals = Arrivals(PLAN_SETTLE_S)
                 time.sleep(1.0)

@@ -1,1 +1,1 @@
-"""Stored trials and stages in `processed/`, a folder or a bucket: batches, their rows and samples, corrections."""
+"""Stored trials and stages in `processed/`, which is a folder or a bucket, and corrections of trials."""

@@ -1,6 +1,7 @@
-"""Writing of batch files, each with the trials of one experiment; merging of small ones, removal of outdated trials.
+"""Functions that write batch files, merge small ones, and remove outdated trials. A file has one experiment's trials.
 
-A replacement lists the files it replaces; they are deleted once it is on disk. Readers see each trial exactly once.
+The metadata of a replacement list the replaced files, which are deleted once the replacement is on disk. A reader skips
+replaced files, so that it sees each trial exactly once.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from pipeline.records.trials import Booleans
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
-"""Largest number of trials in a row group, and of bytes of their samples: reading one trial reads its whole group."""
+"""Largest number of trials in a row group, and of bytes of their samples. Reading a trial reads its entire group."""
 
 READING_BYTES = 24
 """Size of a sample in memory [byte]: time, command, position."""
@@ -44,26 +45,28 @@ _REPEATED = [
     *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
     *("time_s.list.element", "position.list.element"),
 ]
-"""Columns with repeated values (words, times, quantised positions), stored with a dictionary to save space."""
+"""Columns with repeated values (text, times, quantised positions). A dictionary encoding saves space."""
 
 MOST_SMALL = 8
-"""Number of batches of similar size at which they are merged into one of the next size: a trial is rewritten once per
-factor of eight, and n batches of one trial become about 7 log8 n."""
+"""Number of batches of similar size that are merged into one batch of the next size.
+
+A trial is rewritten once for each factor of eight in size, and n batches of one trial become about 7 log8 n batches.
+"""
 
 OPEN_FILES = 8
-"""Number of files written at the same time: each recording may be a separate experiment, and open files are limited."""
+"""Number of files written in parallel. Each recording may be a separate experiment, and open files are limited."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
-"""Number of trials, or size of the file [byte], above which ingest does not merge a batch."""
+"""Number of trials, and size of the file [byte], above which ingest does not merge a batch."""
 
 
 Key = tuple[str, str, str]
 KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
-"""Columns that identify a trial as read: path of its log, its id, SHA-256 of the profile."""
+"""Columns that identify a trial as read: its id, the path of its log, and the SHA-256 of the profile."""
 
 
 class ExperimentKey(NamedTuple):
-    """Common properties of the trials of a file; `mode` gives read access to those who may read all logs."""
+    """Properties that all trials of a file share. `mode` grants read access to users who may read all of its logs."""
 
     device: str
     experiment: str
@@ -72,7 +75,7 @@ class ExperimentKey(NamedTuple):
 
 
 def key_of_file(file: Path) -> ExperimentKey:
-    """Return the common properties of the trials of a file."""
+    """Return the properties that all trials of a file share."""
     with open_table(file) as stored:
         metadata = metadata_of(stored.schema_arrow)
     motion = cast(Motion, metadata["pipeline.motion"])
@@ -84,20 +87,20 @@ def key_of_file(file: Path) -> ExperimentKey:
 def write_batch(
     processed: Path, place: ExperimentKey, parts: Iterable[pa.Table], replaces: Collection[Path] = ()
 ) -> Path | None:
-    """Write trials into one file that replaces others, which are then removed.
+    """Write trials into one file that replaces other files, and remove the replaced files.
 
     Parameters
     ----------
     processed : Path
     place : ExperimentKey
     parts : iterable of pyarrow.Table
-        Trials, at most one row group each; they are written group by group to limit memory.
+        Trials in tables of at most one row group. They are written table by table to limit memory.
     replaces : collection of Path
 
     Returns
     -------
     Path or None
-        The file; None if there are no trials.
+        The new file, or None if there are no trials.
     """
     names = " ".join(sorted(file.stem for file in replaces))
     metadata = stamp(device=place.device, experiment=place.experiment, motion=place.motion, replaces=names)
@@ -130,23 +133,23 @@ def _groups(parts: Iterable[pa.Table]) -> Iterator[pa.Table]:
 
 
 def trials_of(file: Path, kept: Booleans | None = None) -> Iterator[pa.Table]:
-    """Yield trials of a file with their samples, by default all; group by group."""
+    """Yield the trials of a file with their samples, group by group. By default, all trials are read."""
     return (part for _, part in row_parts(file, None if kept is None else np.flatnonzero(kept)))
 
 
 def find_damaged(files: Iterable[Path]) -> dict[Path, str]:
-    """Return the files whose content does not match the hash in their name, and the remedy."""
+    """Return the files whose content does not match the hash in their name, each with its fault and the remedy."""
     bad = [file for file in files if hash_in_name(file.name) not in (None, file_hash(file))]
-    return {file: str(damaged_file(file, "its content is not that of its name")) for file in bad}
+    return {file: str(damaged_file(file, "its content does not match its name")) for file in bad}
 
 
 def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
-    """Write trials of files with the same experiment and motion, by default all, into one file that replaces them.
+    """Write trials of several files into one file, which replaces them. By default, all trials are kept.
 
-    Raises
+    The files must have the same experiment and motion.
     ------
     StoreError
-        If a file is damaged; then nothing is changed.
+        If a file is damaged. In this case nothing is changed.
     """
     for text in find_damaged(files).values():
         raise StoreError(text)
@@ -159,12 +162,12 @@ def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans
 
 
 def remaining_rows(rows: Rows, keep: Booleans) -> dict[Path, Booleans]:
-    """Return a mask of the remaining rows of each file that loses rows."""
+    """Return a mask of the remaining rows for each file that loses rows."""
     return {rows.files[index]: keep[rows.file == index] for index in np.unique(rows.file[~keep]).tolist()}
 
 
 def rows_without(processed: Path, dropped: Collection[Key], damaged: dict[Path, str]) -> dict[Path, Booleans]:
-    """Return the remaining rows of each file with dropped trials; damaged files are reported and left unchanged."""
+    """Return a mask of the remaining rows for each file with dropped trials. Damaged files are reported and skipped."""
     rows = read_rows(processed, KEY_COLUMNS, damaged)
     keys = zip(*map(rows.column, KEY_COLUMNS), strict=True)
     kept = remaining_rows(rows, np.array([key not in dropped for key in keys], dtype=np.bool_))
@@ -179,10 +182,10 @@ def store(
     outdated: Collection[Key],
     damaged: dict[Path, str],
 ) -> set[Path]:
-    """Store trials, one file per place, and drop the trials that they replace; return the changed folders.
+    """Store trials in one file for each key, drop the trials that they replace, and return the changed folders.
 
-    A replaced trial in the same place is dropped by the file with the new trials. In another place it is dropped first,
-    since new trials can be read again from their log. Outdated contents are dropped afterwards: a reader that finds two
+    If a trial stays under the same key, the file with the new trials replaces it. If its key changes, it is dropped
+    first, because it can be read again from its log. Outdated contents are dropped last. A reader that finds two
     contents of a log takes the newer one.
     """
     absorbed, later = defaultdict[ExperimentKey, list[Path]](list), list[Path]()
@@ -195,7 +198,7 @@ def store(
             rewrite(processed, [file], kept)
         else:
             later.append(file)
-    for place in batches:  # in sequence: the name of a folder depends on existing ones
+    for place in batches:  # in sequence, because the name of a folder depends on existing folders
         make_folder(trials_folder(processed, place.device, place.experiment))
 
     def write(place: ExperimentKey) -> Path | None:
@@ -209,17 +212,17 @@ def store(
 
 
 def remove_incomplete(processed: Path) -> None:
-    """Remove incomplete files of interrupted writers. Call with the lock of the store."""
+    """Remove incomplete files of interrupted writers. The caller must have locked the store."""
     for name in ("trials", "quarantine", "corrections"):
         remove_temporary(processed / name, deep=True)
 
 
 def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
-    """Remove replaced files and unused trials. Call with the lock of the store.
+    """Remove replaced files and unused trials. The caller must have locked the store.
 
-    Two writers on an object store may have stored or merged the same trials, and each might remove a different file.
-    Nothing is lost if one new file replaces all files with shared trials. Damaged files are added to `damaged` and
-    ignored.
+    Two writers on an object store may have stored or merged the same trials. Each would then remove another file, and a
+    trial could be lost. Therefore, one new file replaces all files that share trials. Damaged files are added to
+    `damaged` and skipped.
     """
     rows = read_rows(processed, VERSION_COLUMNS, damaged)
     remove_all(rows.replaced)
@@ -239,7 +242,7 @@ def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
 
 
 def merge_small(processed: Path, folder: Path) -> None:
-    """Merge small batches of similar size if an experiment has many. Call with the lock of the store."""
+    """Merge small batches of similar size if an experiment has many. The caller must have locked the store."""
     while len(files := sorted(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
         tiers = defaultdict[tuple[ExperimentKey, int], list[Path]](list)
         for file in files:

@@ -1,14 +1,14 @@
-"""Manual corrections of stored trials, and their undoing: trials are excluded, moved to another place, or deleted.
+"""Manual corrections of stored trials: trials are excluded, moved or deleted, and a correction can be undone.
 
-Corrections are stored in ``processed/corrections`` and applied on reading (`storage`), so that stored trials agree with
-the logs. A trial is identified by the content of its log: a correction persists when the log is ingested again, merged
-or repaired, and a log with other content is another trial. Each change writes a new file with all corrections, and
-removes the files that it read; two files written at the same time are both valid.
+Corrections are stored in ``processed/corrections`` and applied when trials are read (`storage`), so that stored trials
+agree with the logs. A correction refers to the content of a log. It remains valid if the same log is ingested, merged
+or repaired again; a log with other content is another trial. Each change writes a new file with all corrections, then
+removes the files that were read. Two files written at the same time are both valid.
 
-All functions take a text that names trials: a device, ``device/experiment`` (names as of `names.folder_name`), the id
-of a trial or its beginning, or the path of a log with one trial. ``wait_s`` and ``say`` are those of `disk.writing`.
-They raise `UsageError` if the text matches nothing or is ambiguous, and `StoreError` if the store is damaged, cannot be
-written, or is locked by another process.
+All functions take a text that selects trials: a device, ``device/experiment`` (as encoded by `names.folder_name`), the
+id of a trial or its first characters, or the path of a log with one trial. ``wait_s`` and ``say`` are explained in
+`disk.writing`. The functions raise `UsageError` if the text matches nothing or is ambiguous, and `StoreError` if the
+store is damaged, cannot be written, or is locked by another process.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from pipeline.store.storage import (
 )
 
 SHOWN = 5
-"""Largest number of trials that a message shows."""
+"""Largest number of trials listed in a message."""
 
 Say = Callable[[str], None] | None
 
 
 def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
-    """Exclude trials; an excluded trial gets the new reason, unless a whole experiment is named."""
+    """Exclude trials. An excluded trial gets the new reason only if the text selects this trial alone."""
     text = storable(" ".join(reason.split()))
     if not text:
         raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
@@ -64,7 +64,7 @@ def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, s
 
 
 def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
-    """Undo the exclusion of trials and return it."""
+    """Undo the exclusion of trials, and return the former exclusions."""
     with writing(processed, wait_s, say):
         known = read_exclusions(processed)
         rows = _meant(processed, wanted, "excluded", known.values())
@@ -73,16 +73,16 @@ def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = N
 
 
 def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Move trials to another place, ``device`` or ``device/experiment``, and return their number.
+    """Move trials to another device, or another ``device/experiment``, and return their number.
 
     Raises
     ------
     UsageError
-        If the trials there have another type of motion or another sampling period.
+        If the trials at the destination have another type of motion or another sampling period.
     """
     place = _place_of(to)
     if len(place) > 2 or not all(place):
-        raise UsageError(f"{to}: is not a place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
+        raise UsageError(f"{to}: invalid destination. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
     with writing(processed, wait_s, say):
         more = ("motion", "sampling_period_s")
         stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
@@ -97,20 +97,20 @@ def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say
             (motion, period), *others = sorted(found)
             if any(other != motion or not same_period(period, apart) for other, apart in others):
                 raise UsageError(
-                    f"{wanted}: cannot become {place[0]}, experiment {experiment}: motion or sampling period differ "
-                    f"({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
+                    f"{wanted}: cannot be moved to {place[0]}, experiment {experiment}: motion or sampling period "
+                    f"differ ({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
                 )
         return _correct(processed, rows, dict(zip(("moved_device", "moved_experiment"), place, strict=False)))
 
 
 def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Move trials to the bin and return their number: they are kept, but invisible elsewhere, until `empty_bin`."""
+    """Move trials to the bin, and return their number. They stay stored but unused until `empty_bin`."""
     with writing(processed, wait_s, say):
         return _correct(processed, _meant(processed, wanted), {"deleted": True})
 
 
 def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Take trials out of the bin and return their number.
+    """Take trials out of the bin, and return their number.
 
     Trials that `empty_bin` has removed reappear when their logs are ingested again.
     """
@@ -119,7 +119,7 @@ def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = Non
 
 
 def deleted(processed: Path) -> list[Correction]:
-    """Return all deleted trials with their former place, whether still stored or not."""
+    """Return all deleted trials with their former device and experiment. They need not be stored any more."""
     found = (one for one in read_corrections(processed).values() if one.deleted)
     return [one.model_copy(update=one.placed) for one in found]
 
@@ -133,9 +133,9 @@ def in_bin(processed: Path) -> list[Correction]:
 
 
 def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
-    """Remove the trials of the bin from the store and return their number.
+    """Remove the trials in the bin from the store, and return their number.
 
-    They stay deleted: if their logs are read again, they are in the bin.
+    The trials remain marked as deleted. If their logs are ingested again, they return to the bin.
     """
     with writing(processed, wait_s, say):
         gone, rows = {one.trial_id for one in deleted(processed)}, read_rows(processed, ["trial_id"], {})
@@ -148,7 +148,7 @@ def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
 def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> int:
     """Change the corrections of trials, and return the number of trials.
 
-    Each trial is given as a row with its current device and experiment.
+    The rows contain the current device and experiment of each trial.
     """
     known = read_corrections(processed)
     ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
@@ -157,7 +157,7 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
-    """Add corrections to those of other trials, in one step. The caller must have the store's lock."""
+    """Add corrections to the stored ones in one step. The caller must have locked the store."""
     known, former = read_corrections(processed), corrections_files(processed)
     now = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())])
     known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}
@@ -169,7 +169,7 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
 
 
 def copy_corrections(processed: Path, ids: Mapping[str, str]) -> None:
-    """Apply corrections of trials to new ids as well: their logs were renamed."""
+    """Copy corrections of trials to new ids, because their logs were renamed. ``ids`` maps former to new ids."""
     known = read_corrections(processed)
     new = [known[old].model_copy(update={"trial_id": now}) for old, now in ids.items() if old in known]
     if new:
@@ -183,7 +183,7 @@ def _place_of(word: str) -> tuple[str, ...]:
 def _meant(
     processed: Path, wanted: str, state: str = "stored", among: Iterable[Exclusion] | None = None
 ) -> list[dict[str, str]]:
-    """Return the rows of a device or experiment, or the row given by an id, its beginning, or a path."""
+    """Return the rows of a device or experiment, or the row selected by an id, its first characters, or a path."""
     rows: list[dict[str, str]] = [one.model_dump() for one in among or ()]
     if among is None:
         rows = read_trials(processed, columns=list(IDENTITY)).to_pylist()
@@ -206,6 +206,6 @@ def _meant(
         if found:
             return found
     raise UsageError(
-        f"{wanted}: not found. Among the {state} trials of {processed}, no id (or its beginning), log path, device or "
-        f"DEVICE/EXPERIMENT matches it. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
+        f"{wanted}: not found. No id (or its first characters), log path, device or DEVICE/EXPERIMENT of the {state} "
+        f"trials in {processed} matches. {counted(len(rows), 'trial')} {'is' if len(rows) == 1 else 'are'} {state}."
     )

@@ -1,7 +1,7 @@
-"""Names of devices and experiments as portable names of folders and reports, and back.
+"""Conversion of device and experiment names to portable names of folders and reports, and back.
 
-Windows refuses some characters and names. There, and on most disks of macOS, two names that differ only in case are one
-file. Characters that are not portable for these reasons are written as % and two digits.
+Windows refuses some characters and names. On Windows and on most macOS disks, two names that differ only in case denote
+the same file. Characters that are not portable for these reasons are written as % and two hexadecimal digits.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from urllib.parse import quote, unquote
 from pipeline.base.provenance import digest
 
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
-"""Names that Windows reserves for its devices, with any extension."""
+"""Names that Windows reserves for its devices, with or without an extension."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
-"""Pages in the folder of device reports: `pipeline watch`, `pipeline accuracy`, and `theory` of earlier versions."""
+"""Other pages in the folder of reports: of `pipeline watch`, `pipeline accuracy`, and `theory` in former versions."""
 
 _AGAINST = "-against"
-"""Part of the names of pages that compare two experiments, or two versions of a report."""
+"""Part of the name of a page that compares two experiments, or two versions of a report."""
 
 
 def folder_name(name: str) -> str:
-    """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back.
+    """Return a portable folder name for a device or experiment name. `name_of_folder` is the inverse.
 
-    Readers of folders of Parquet files skip names that begin with a dot or an underscore, and read "a=b" as a column:
-    these characters are escaped. So are the first letter of a name reserved by Windows, and a final dot or space, which
-    Windows drops.
+    Readers of Parquet folders skip names that begin with a dot or an underscore, and interpret "a=b" as a column.
+    Therefore, these characters are escaped. The first letter of a name reserved by Windows is escaped, and so is a
+    final dot or space, which Windows drops.
 
     Examples
     --------
@@ -42,20 +42,20 @@ def folder_name(name: str) -> str:
 
 
 def name_of_folder(folder: str) -> str:
-    """Return the device or experiment name of a folder name from `folder_for`."""
+    """Return the device or experiment name that belongs to a folder name of `folder_for`."""
     return unquote(folder)
 
 
 def folder_for(parent: Path, name: str) -> Path:
-    """Return the folder of a device or experiment in a parent folder, existing or not.
+    """Return the folder of a device or experiment in a parent folder. It need not exist.
 
-    A name that differs only in case from an existing one is written in digits only.
+    A name that differs only in case from an existing name is written in hexadecimal digits.
     """
     return _place(parent, folder_name(name), _in_digits(name))
 
 
 def report_of(reports: Path, device: str) -> Path:
-    """Return the file of the report of a device, which no other page or device uses."""
+    """Return the file of the report of a device. No other page or device uses this file."""
     plain = _without_against(device)
     if plain.casefold() in _OWN_PAGES:
         plain = _escaped(plain[0]) + plain[1:]
@@ -63,8 +63,8 @@ def report_of(reports: Path, device: str) -> Path:
 
 
 def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
-    """Return the file of the page on two experiments (device, experiment), which no other page uses."""
-    # folder names never contain the character between device and experiment
+    """Return the file of the page that compares two experiments (device, experiment). No other page uses this file."""
+    # Folder names never contain the character that separates device and experiment.
     one, other = ("=".join(map(_without_against, pair)) for pair in (first, second))
     if first[0] == second[0]:
         other = _without_against(second[1])
@@ -73,9 +73,10 @@ def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str])
 
 
 def page_against_document(report: Path, document: Path) -> Path:
-    """Return the page, in the folder of a report, that compares it with an earlier document.
+    """Return the file of the page that compares a report with an earlier document. It is in the folder of the report.
 
-    Documents of several versions have the same name in different folders, so the folder is part of the page's name.
+    Documents of different versions may have the same name in different folders. Therefore, a hash of the document's
+    path is part of the file name.
     """
     place = digest(os.path.realpath(document))
     return report.with_name(f"{report.stem}{_AGAINST}-earlier-{place[:8]}.html")
@@ -86,7 +87,7 @@ def _without_against(name: str) -> str:
 
 
 def _place(parent: Path, name: str, other: str) -> Path:
-    """Return the first name; the other if it exists, or if the first differs only in case from an existing one."""
+    """Return the path for ``name``, or for ``other`` if it exists or ``name`` differs only in case from a file."""
     try:
         there = set(os.listdir(parent))
     except (FileNotFoundError, NotADirectoryError):

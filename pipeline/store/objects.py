@@ -1,9 +1,9 @@
-"""A store by URL, such as S3: its files are copied to a temporary folder, and changes are copied back.
+"""A store given by a URL, such as S3. Its files are copied to a temporary folder, and changes are copied back.
 
-Files are named by the hash of their content, are complete and never change, so an object store works like a folder: new
-files are put, then the files that they replace are deleted. Writers never wait for each other, because two writers
-store different files, or the same one. The temporary folder is removed at the end. A store that is a folder is used
-directly, and the package for object stores (the extra ``cluster``) is not imported.
+Files are named by the hash of their content, are complete and never change. Therefore, an object store works like a
+folder: new files are uploaded, then the files that they replace are deleted. Writers never wait for each other, because
+two writers store different files or the same file. The temporary folder is removed at the end. A store that is a folder
+is used directly, and the package for object stores (the extra ``cluster``) is not imported.
 """
 
 from __future__ import annotations
@@ -27,47 +27,49 @@ from pipeline.store.storage import read_corrections
 Result = TypeVar("Result")
 
 SCHEME = "s3://"
-"""Beginning of the URL of a store."""
+"""Scheme of the URL of a store."""
 
 RETRIES = 10
-"""Number of retries after a failure of the network or a busy server, with growing pauses from 0.1 s."""
+"""Number of retries after a network failure or a response of a busy server. Pauses grow from 0.1 s."""
 
 PATIENCE_S = 30.0
-"""Time for which a request is retried [s]: long enough for a server restart, short enough to report a server that is
-down."""
+"""Time for which a request is retried [s].
+
+It is long enough for a server restart, and short enough to report a server that is down.
+"""
 
 _TREES = ("trials", "stages", "theory", "corrections", "quarantine")
-"""Folders that are stored; locks and incomplete files stay local. Trials are put before results that depend on them."""
+"""Folders that are stored. Locks and incomplete files stay local. Trials are uploaded before results based on them."""
 
 REPEATS = 20
-"""Largest number of repeated listings of a store whose files were merged during download."""
+"""Largest number of times that a store is listed again because its files were merged during the download."""
 
 _AT_ONCE = 8
-"""Number of parallel requests: they mostly wait; a batch takes about 10 MiB of memory, at most 256 MiB."""
+"""Number of parallel requests, which mostly wait. A batch takes about 10 MiB of memory, at most 256 MiB."""
 
 Listed = tuple[str, int, datetime]
 """Name, size [byte] and upload time of an object."""
 
 
 class Objects:
-    """The objects below a URL, and the few atomic requests that stored tables need.
+    """The objects below a URL, with the few atomic requests that a store needs.
 
     Parameters
     ----------
     url : str
-        ``s3://bucket/prefix``; credentials and endpoint are taken from the usual variables (``AWS_ACCESS_KEY_ID``,
+        ``s3://bucket/prefix``. Credentials and endpoint are taken from the usual variables (``AWS_ACCESS_KEY_ID``,
         ``AWS_ENDPOINT_URL``, ``AWS_ALLOW_HTTP`` ...).
 
     Raises
     ------
     UsageError
-        If the URL is not a store URL, or the package for it is not installed.
+        If the URL is not the URL of a store, or the required package is not installed.
     """
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
         if not self.url.startswith(SCHEME) or len(self.url) == len(SCHEME):
-            raise UsageError(f"{url}: is no URL of a store; expected a folder, or {SCHEME}BUCKET/PREFIX.")
+            raise UsageError(f"{url}: not the URL of a store. Give a folder, or {SCHEME}BUCKET/PREFIX.")
         check_installed("obstore", f"a store at {self.url}")
         from obstore.store import S3Store
 
@@ -76,51 +78,51 @@ class Objects:
             self._store = S3Store.from_url(
                 self.url,
                 retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE_S)},
-                # explicit options override environment variables
+                # Explicit options override environment variables.
                 client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": http},
             )
-        except Exception as error:  # the errors of the package have no other base class
+        except Exception as error:  # the package's errors have no common base class
             raise UsageError(f"{url}: cannot be opened ({_first_line(error)}).") from error
 
     def get(self, name: str) -> bytes | None:
-        """Return an object, or None if it does not exist."""
-        with self._told():
+        """Return the content of an object, or None if it does not exist."""
+        with self._reported():
             try:
                 return bytes(self._store.get(name).bytes())
             except FileNotFoundError:
                 return None
 
     def put(self, name: str, file: Path) -> None:
-        """Store a file as an object: all of it, or nothing."""
-        with self._told():
+        """Store a file as an object. The request is atomic."""
+        with self._reported():
             self._store.put(name, file)
 
     def list(self, prefix: str) -> list[Listed]:
-        """Return all objects below a prefix."""
-        with self._told():
+        """Return the name, size and time of all objects below a prefix."""
+        with self._reported():
             pages = self._store.list(prefix, chunk_size=1000)
             return [(meta["path"], meta["size"], meta["last_modified"]) for page in pages for meta in page]
 
     def delete(self, names: Iterable[str]) -> None:
         """Remove objects."""
-        with self._told():
+        with self._reported():
             self._store.delete(list(names))
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Convert the failure of a request to an error that states the remedy."""
+    def _reported(self) -> Iterator[None]:
+        """Convert a failed request to an error that states the remedy."""
         from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError) as error:
-            # the same error as for a read-only folder
+            # This is the error that a read-only folder raises.
             raise PermissionError(errno.EACCES, _first_line(error), self.url) from error
         except (BaseError, FileNotFoundError) as error:
             raise StoreError(
-                f"{self.url}: the store does not answer as it should ({_first_line(error)}). What was published is "
-                "whole and stays. See that it runs, that the bucket is there and AWS_ENDPOINT_URL is right, and repeat "
-                "the command: it does what is left."
+                f"{self.url}: a request failed ({_first_line(error)}). Files published so far are complete and stay "
+                "stored. Check that the server runs, that the bucket exists and that AWS_ENDPOINT_URL is right. Then "
+                "repeat the command, which does the remaining work."
             ) from error
 
 
@@ -128,13 +130,13 @@ def check_installed(package: str, purpose: str) -> None:
     """Raise a UsageError with the install command if a package of the extra ``cluster`` is missing."""
     if find_spec(package) is None:
         raise UsageError(
-            f"{purpose} needs {package}, which a plain installation leaves out. Install it: "
+            f"{purpose} needs {package}, which a plain installation does not include. Install it with "
             "pip install '.[cluster]' in the project's folder."
         )
 
 
 def is_url(place: str | os.PathLike[str]) -> bool:
-    """Return whether a place of stored tables is the URL of an object store, not a folder."""
+    """Return whether the given place of a store is the URL of an object store, not a folder."""
     return "://" in os.fspath(place)
 
 
@@ -144,31 +146,31 @@ def _first_line(error: object) -> str:
 
 @dataclass
 class _Mirror:
-    """The local folder of an object store, and the files in both; of one device or experiment if named."""
+    """The local folder of an object store, and the files in both. ``place`` restricts it to a device or experiment."""
 
     objects: Objects
     folder: Path
     place: tuple[str, ...]
     known: dict[str, int] = field(default_factory=dict)
-    """Modification time [ns] of each file that is also in the store; a file rewritten by a repair has another one."""
+    """Modification time [ns] of each file that is also in the store. A repair that rewrites a file changes its time."""
 
     def bring(self, trees: tuple[str, ...] = _TREES) -> bool:
-        """Download files added to the store since; return whether there were any."""
+        """Download files that were added to the store since the last call, and return whether there were any."""
         before = len(self.known)
         for _ in range(REPEATS):
             listed = [one for one in self.objects.list("") if _is_stored(one[0])]
             self._fetch([one for one in listed if one[0].startswith("corrections/")])
             own = self.place
             if any(one.changes_place for one in read_corrections(self.folder).values()):
-                own = ()  # trials of any other device may have been moved to this one
+                own = ()  # trials of any device may have been moved to this one
             elif not any(_is_of(name.split("/"), own) for name, _, _ in listed if name.startswith("trials/")):
-                own = ()  # if the device has no files, the error lists the existing ones
+                own = ()  # without files, the error message lists the existing devices
             if self._fetch([one for one in listed if one[0].startswith(trees) and _is_of(one[0].split("/"), own)]):
                 return len(self.known) > before
-        raise StoreError(f"{self.objects.url}: changed during each of {REPEATS} attempts to read it. Wait for others.")
+        raise StoreError(f"{self.objects.url}: changed during each of {REPEATS} attempts to read it. Try again later.")
 
     def _fetch(self, listed: list[Listed]) -> bool:
-        """Download the new ones of some files; return whether all are here and none was replaced in the meantime."""
+        """Download the missing files of a listing. Return whether all are here, which fails if a file was replaced."""
 
         def fetch(one: Listed) -> bool:
             name, _, put = one
@@ -198,37 +200,37 @@ class _Mirror:
 
 
 def _is_stored(name: str) -> bool:
-    """Return whether an external name follows the naming scheme of the store and stays inside the folder."""
+    """Return whether an external name follows the naming scheme of the store and stays inside its folder."""
     tree, *parts = name.split("/")
     return tree in _TREES and "\\" not in name and not any(part in ("", ".", "..") for part in parts)
 
 
 def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
-    """Return whether a file concerns a device, or an experiment of it; without one, every file does."""
+    """Return whether a file concerns a device or experiment. Without a place, this is true for all files."""
     if not place or parts[0] in ("theory", "corrections"):
         return True
     return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
 
 
 _mirrors: dict[Path, _Mirror] = {}
-"""Mirrors of this process, by folder."""
+"""Mirrors of this process by their folders."""
 
 
 @contextmanager
 def opened(place: str | Path, *only: str) -> Iterator[Path]:
-    """Yield the folder of a store: itself, or a mirror of an object store, published if the block succeeds.
+    """Yield the folder of a store. For an object store it is a mirror, which is published if the block succeeds.
 
     Parameters
     ----------
     place : str or Path
         Folder, or URL of an object store.
     *only : str
-        A device, or a device and one of its experiments, if no other trials are needed.
+        A device, or a device and one of its experiments. Trials of others are then not downloaded.
 
     Raises
     ------
     UsageError, StoreError
-        If the store cannot be opened or read, or does not accept the changes.
+        If the store cannot be opened or read, or rejects the changes.
     """
     if not is_url(place):
         yield Path(place)
@@ -249,7 +251,7 @@ def opened(place: str | Path, *only: str) -> Iterator[Path]:
 
 
 def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
-    """Return the result of a function that writes to a store; raise an error if the store is read-only."""
+    """Call a function that writes to a store, and return its result. A read-only store raises an error."""
     with opened(place) as folder:
         result = work(folder)
         publish(folder)
@@ -257,16 +259,16 @@ def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
 
 
 def publish(processed: Path) -> None:
-    """Make files stored in a mirror visible to others; in a folder they are visible immediately."""
+    """Upload files stored in a mirror, so that others can read them. Files in a folder are visible immediately."""
     if processed in _mirrors:
         _mirrors[processed].publish()
 
 
 def renewed(processed: Path, tree: str) -> bool:
-    """Download files of one kind that others have stored since into a mirror; return whether there were any."""
+    """Download files of one kind that others have stored since the last call. Return whether there were any."""
     return processed in _mirrors and _mirrors[processed].bring((tree,))
 
 
 def origin(processed: Path) -> str:
-    """Return the folder of a store as text, or the URL that it mirrors."""
+    """Return the folder of a store as text. For a mirror, return the URL of the object store."""
     return _mirrors[processed].objects.url if processed in _mirrors else os.fspath(processed)

@@ -1,6 +1,6 @@
-"""Samples of stored trials as `Trials`.
+"""Functions that read samples of stored trials as `Trials`.
 
-Files may be merged while samples are read: if a file is gone, its trials are looked up again.
+Files may be merged while samples are read. If a file no longer exists, its trials are looked up again.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
 
 
 def load_trials(processed: Path, trials: pa.Table) -> Trials:
-    """Read the samples of trials, ordered by damping, stiffness and trial id.
+    """Read the samples of trials, and order the trials by damping, stiffness and trial id.
 
     Parameters
     ----------
     processed : Path
     trials : pyarrow.Table
-        Rows of the trials table, as `read_trials` returns them.
+        Rows of the trials table, as returned by `read_trials`.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def load_trials(processed: Path, trials: pa.Table) -> Trials:
 
 
 def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, Trial] | None:
-    """Return a trial and its samples from its last known place; None if it is no longer there."""
+    """Return a trial and its samples from its last known file and row, or None if it is no longer there."""
     names = [*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES]
     try:
         ((_, table),) = row_parts(processed / file, np.array([row]), names)
@@ -63,7 +63,7 @@ def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Tab
 
 
 def in_order(trials: pa.Table) -> pa.Table:
-    """Return the rows of a trials table by damping, stiffness and trial id."""
+    """Return the rows of a trials table, sorted by damping, stiffness and trial id."""
     return trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
 
 
@@ -81,7 +81,7 @@ def _read_samples(processed: Path, trials: pa.Table) -> Trials:
                         continue
                     first, end = offsets[place : place + 2]
                     if len(values) != end - first:
-                        raise damaged_file(processed / name, "a trial has more or fewer samples than it says")
+                        raise damaged_file(processed / name, "a trial has more or fewer samples than rows")
                     if column not in samples:
                         samples[column] = np.full(offsets[-1], np.nan)
                     samples[column][first:end] = values
@@ -93,7 +93,7 @@ def _offsets(trials: pa.Table) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]
 
 
 def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
-    """Yield the samples of each trial; None if it lacks the column."""
+    """Yield the samples of each trial, or None for a trial without this column."""
     for chunk in table.column(column).chunks:
         values, edges = chunk.values.to_numpy(zero_copy_only=False), chunk.offsets.to_numpy().tolist()
         for there, (begin, end) in zip(chunk.is_valid().to_pylist(), pairwise(edges), strict=True):
@@ -101,7 +101,7 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
 
 
 def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
-    """Return trials from rows of their table, with all samples in flat arrays."""
+    """Return trials from rows of their table. All samples are in flat arrays."""
     extra: list[dict[str, Any]] = [json.loads(text) for text in table.column("extra").to_pylist()]
     declared = [metadata.get("step_row") for metadata in extra]
     integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)
@@ -123,7 +123,7 @@ def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
 
 
 def _located(processed: Path, trials: pa.Table) -> pa.Table:
-    """Return trials with the present place of their samples, which a merge of batches may have moved."""
+    """Return trials with the current file and row of their samples, which a merge of batches may have changed."""
     keys = ("trial_id", "profile_sha256")
     present = read_trials(processed, columns=[*keys, *LOCATION])
     places = {key: at for at, key in enumerate(zip(*(present.column(key).to_pylist() for key in keys), strict=True))}
@@ -131,8 +131,8 @@ def _located(processed: Path, trials: pa.Table) -> pa.Table:
     gone = [key for key in wanted if key not in places]
     if gone:
         raise StoreError(
-            f"{processed}: {len(gone)} trials were removed while they were read, the first {gone[0][0]}: "
-            "their source changed. Run the command again."
+            f"{processed}: {len(gone)} trials were removed while they were read, because their source changed. The "
+            f"first is {gone[0][0]}. Run the command again."
         )
     present = present.take([places[key] for key in wanted])
     for name in LOCATION:

@@ -1,13 +1,13 @@
-"""Layout of `processed/`, and how trials are read back.
+"""Layout of `processed/`, and functions that read trials and corrections.
 
-    trials/<device>/<experiment>/<SHA-256>.parquet           a batch: one row a trial, its samples as lists
+    trials/<device>/<experiment>/<SHA-256>.parquet           a batch: one row per trial, its samples as lists
     stages/<device>/<experiment>/<stage>-<SHA-256>.parquet   estimates, costs, boundary
-    corrections/<SHA-256>.parquet                            what was excluded, moved or deleted by hand
-    quarantine/                                              logs that were refused, with the reason
+    corrections/<SHA-256>.parquet                            manual exclusions, moves and deletions
+    quarantine/                                              refused logs, with the reasons
 
-Each file is complete and named by the hash of its content. A replacement lists the replaced files in its metadata, so
-that readers see each trial once without a lock: they skip replaced files, and list the folder again if it changed while
-they read.
+Each file is complete and named by the hash of its content. The metadata of a replacement list the replaced files.
+Readers need no lock: they skip replaced files, and list the folder again if it changed while they read. Thus they see
+each trial once.
 """
 
 from __future__ import annotations
@@ -45,11 +45,13 @@ VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256",
 """Columns that identify a trial and its version."""
 
 ATTEMPTS = 50
-"""Largest number of repetitions of a read because files were merged in the meantime; a merge takes longer than listing
-files, so one nearly always suffices."""
+"""Largest number of times that a read is repeated because files were merged meanwhile.
+
+A merge takes longer than listing the files, so that one repetition is nearly always enough.
+"""
 
 _PAUSE_S = 0.02
-"""Pause before another attempt [s], to let a writer finish removing many files."""
+"""Pause before another attempt [s]. A writer that removes many files can finish in this time."""
 
 
 def trials_folder(processed: Path, *names: str) -> Path:
@@ -61,27 +63,27 @@ def trials_folder(processed: Path, *names: str) -> Path:
 
 
 def stage_folder(processed: Path, device: str, experiment: str) -> Path:
-    """Return the folder with the results of an experiment, named like that of its trials."""
+    """Return the folder with the results of an experiment. It has the same name as the folder of its trials."""
     return processed / "stages" / trials_folder(processed, device, experiment).relative_to(processed / "trials")
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path | None:
-    """Return the file with the result of a stage for an experiment, or None."""
+    """Return the file with the result of a stage for an experiment, or None if there is none."""
     return next(iter(result_files(stage_folder(processed, device, experiment), stage, TABLE)), None)
 
 
 def list_devices(processed: Path) -> list[str]:
-    """Return the names of devices that have trials, sorted."""
+    """Return the sorted names of the devices that have trials."""
     return sorted({device for device, _ in _places(processed)})
 
 
 def list_experiments(processed: Path, device: str) -> list[str]:
-    """Return the experiments of a device that have trials, sorted as people sort them (2 before 10)."""
+    """Return the experiments of a device that have trials, in natural order (2 before 10)."""
     return sorted({experiment for of, experiment in _places(processed, device) if of == device}, key=natural_key)
 
 
 def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
-    """Return device and experiment of all trials, or of those of a device, after corrections."""
+    """Return device and experiment of all trials, or of the trials of a device, after corrections."""
     if any(one.changes_place for one in read_corrections(processed).values()):
         table = read_trials(processed, device[0] if device else None, columns=["device", "experiment"])
         return set(zip(*(table.column(name).to_pylist() for name in table.column_names), strict=True))
@@ -90,18 +92,18 @@ def _places(processed: Path, *device: str) -> set[tuple[str, str]]:
 
 
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
-    """Return a sort key that orders numbers inside names by value."""
+    """Return a sort key that orders numbers in names by value."""
     parts = re.findall(r"[0-9]+|[^0-9]", name)
     return tuple((0, int(part)) if part.isdecimal() and part.isascii() else (1, part) for part in parts)
 
 
 def trials_files(processed: Path, *names: str) -> list[Path]:
-    """Return the files of trials: all, of a device, or of one of its experiments; sorted."""
+    """Return the sorted files of all trials, of the trials of a device, or of one experiment."""
     return [Path(path) for path in _listing(trials_folder(processed, *names))]
 
 
 def _listing(folder: Path) -> list[str]:
-    """Return the Parquet files below a folder, sorted: a changed file has another name."""
+    """Return the sorted Parquet files below a folder. A changed file has another name."""
     files, folders = list[str](), [os.fspath(folder)]
     while folders:
         try:
@@ -112,17 +114,17 @@ def _listing(folder: Path) -> list[str]:
                     elif entry.name.endswith(TABLE) and not entry.name.startswith("."):
                         files.append(entry.path)
         except OSError:
-            continue  # not a folder, a folder removed in the meantime, or one without read permission
+            continue  # not a folder, a removed folder, or a folder without read permission
     return sorted(files)
 
 
 def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
-    """Return the result of reading below a folder without a lock; if files moved in the meantime, read again.
+    """Return the result of a function that reads below a folder. Without a lock, read again if files were moved.
 
     Raises
     ------
     StoreError
-        If it fails although nothing moved, or other processes write there permanently.
+        If reading fails although no file was moved, or other processes write there permanently.
     """
     for _ in range(ATTEMPTS):
         before = _listing(folder)
@@ -134,11 +136,11 @@ def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
                     raise
                 raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
-            # listing a folder is not atomic: a batch merged in the meantime may be missing from both lists
+            # Listing a folder is not atomic: a batch that is merged meanwhile may be missing from both lists.
             if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
-    raise StoreError(f"{folder}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    raise StoreError(f"{folder}: changed during each of {ATTEMPTS} attempts to read it. Wait until other commands end.")
 
 
 def read_trials(
@@ -148,19 +150,20 @@ def read_trials(
     columns: list[str] | None = None,
     damaged: dict[Path, str] | None = None,
 ) -> pa.Table:
-    """Return trials without samples, ordered by file name: all, those of a device, or those of an experiment.
+    """Return trials without samples, ordered by file name: all trials, those of a device, or those of an experiment.
 
-    A trial stored in several files is returned once; if two writers stored a log with different content, the newer one
-    counts. Trials moved or deleted by hand are returned as corrected.
+    A trial stored in several files is returned once. If two writers stored a log with different content, the newer
+    content is returned. Corrections are applied: moved trials appear in their new place, deleted trials do not appear.
 
     Parameters
     ----------
     processed : Path
     device, experiment : str, optional
     columns : list of str, optional
-        Of `tables.OF_TRIALS`; by default all.
+        Columns from `tables.OF_TRIALS`. The default is all.
     damaged : dict of Path to str, optional
-        Receives the damaged files with their faults; without it they raise an error. Files already in it are skipped.
+        Receives the damaged files and their faults. Files that it already contains are skipped. If it is None, a
+        damaged file raises an error.
 
     Raises
     ------
@@ -181,13 +184,13 @@ def read_trials(
     for names in [place, *moved_from(corrections.values(), place)]:
         rows = read_rows(processed, needed, damaged, *names)
         current = rows.current
-        # filtering would import modules that take longer than reading
+        # Filtering with pyarrow would import modules, which takes longer than reading.
         tables.append(rows.table if current.all() else rows.table.filter(pa.array(current)))
     return apply_corrections(pa.concat_tables(tables), corrections, place).select(wanted)
 
 
 class Rows(NamedTuple):
-    """All rows of files of trials, including outdated ones.
+    """All rows of trial files, including outdated rows.
 
     Parameters
     ----------
@@ -196,7 +199,7 @@ class Rows(NamedTuple):
         Index of the file of each row.
     files : list of Path
     replaced : list of Path
-        Files that are skipped because another one replaces them.
+        Files that were skipped because another file replaces them.
     """
 
     table: pa.Table
@@ -211,7 +214,7 @@ class Rows(NamedTuple):
 
     @property
     def current(self) -> Booleans:
-        """Mask of the valid rows: each trial once, and the newest content of a log stored with several."""
+        """Mask of the valid rows. Each trial is valid once. If a log has several contents, the newest one is valid."""
         paths, trials = self.column("source_path"), self.column("trial_id")
         if len(set(paths)) == len(set(trials)) == len(trials):
             return np.ones(len(trials), dtype=np.bool_)
@@ -226,7 +229,7 @@ class Rows(NamedTuple):
 
 
 def read_rows(processed: Path, columns: Sequence[str], damaged: dict[Path, str] | None = None, *names: str) -> Rows:
-    """Return columns of all rows of the files of `trials_files`; parameters as for `read_trials`."""
+    """Return columns of all rows of the files of `trials_files`. The parameters are those of `read_trials`."""
     broken: dict[Path, str] = {}
 
     def part_of(file: Path, columns: Sequence[str]) -> FileRows | None:
@@ -267,7 +270,7 @@ def _file_rows(processed: Path, file: Path, columns: Sequence[str]) -> FileRows:
     if len(own) < len(columns):
         name = file.relative_to(processed).as_posix()
         arrays |= {"sample_file": pa.array([name] * len(table)), "sample_row": pa.array(np.arange(len(table)))}
-    # the types are checked; a cast would import modules that take longer than reading
+    # The types have been checked. A cast would import modules, which takes longer than reading.
     return FileRows(pa.Table.from_arrays([arrays[name] for name in columns], schema=_schema(tuple(columns))), replaces)
 
 
@@ -278,8 +281,10 @@ def _schema(columns: tuple[str, ...]) -> pa.Schema:
 
 
 APART = 0.01
-"""Relative tolerance of sampling periods of one experiment: a clock is wrong by 1e-4, and the limit of a stiff wall is
-proportional to 1/T."""
+"""Relative tolerance between sampling periods of one experiment.
+
+A clock is accurate to 1e-4, and the limit of a stiff wall is proportional to 1/T.
+"""
 
 
 def same_period(one: float, other: float) -> bool:
@@ -290,7 +295,7 @@ def same_period(one: float, other: float) -> bool:
 def row_parts(
     file: Path, rows: Integers | None = None, columns: list[str] | None = None
 ) -> Iterator[tuple[Integers, pa.Table]]:
-    """Yield some rows of a file, by default all, one row group at a time to save memory."""
+    """Yield rows of a file, one row group at a time to save memory. By default, all rows are read."""
     with open_table(file) as stored:
         ends = np.cumsum([0, *(stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups))])
         rows = np.arange(ends[-1]) if rows is None else rows
@@ -304,12 +309,12 @@ def row_parts(
 
 
 def check_version(processed: Path) -> None:
-    """Refuse a store that another version wrote, with the command that rebuilds it.
+    """Raise an error if another version wrote the store. The message has the command that rebuilds it.
 
     Raises
     ------
     StoreError
-        If another version wrote it.
+        If another version wrote the store.
     """
     folders = set[str]()
     for file in trials_files(processed)[:ATTEMPTS]:
@@ -321,16 +326,16 @@ def check_version(processed: Path) -> None:
                 folders |= set(map(os.path.dirname, paths))
     if folders:
         raise StoreError(
-            f"{processed}: was written by another version. Rebuild it in another folder: `pipeline ingest "
-            f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`; then remove "
-            "the old one."
+            f"{processed}: was written by another version. Rebuild it in another folder with `pipeline ingest "
+            f"{shlex.quote(os.path.commonpath(folders))} --processed {shlex.quote(f'{processed}-new')}`. Then remove "
+            "the old folder."
         )
 
 
 class Exclusion(Record):
-    """A trial excluded by hand: device, experiment, log, reason, and time of the exclusion (UTC, ISO 8601).
+    """A manual exclusion of a trial: device, experiment, log, reason, and time of the exclusion (UTC, ISO 8601).
 
-    Its id is a hash of the log's content, the trial's label, and the conditions in the name of the file.
+    The trial id is a hash of the log's content, the trial's label, and the conditions in the file name.
     """
 
     trial_id: str
@@ -344,7 +349,7 @@ class Exclusion(Record):
 
 
 class Correction(Exclusion):
-    """All corrections of a trial; device and experiment are those of its log."""
+    """All corrections of a trial. Device and experiment are those stated in its log."""
 
     exclusion_reason: str = ""
     excluded_since: str = ""
@@ -365,7 +370,7 @@ class Correction(Exclusion):
 
     @property
     def placed(self) -> dict[str, str]:
-        """The same by name."""
+        """Device and experiment after corrections, by column name."""
         return dict(zip(("device", "experiment"), self.place, strict=True))
 
 
@@ -374,19 +379,19 @@ IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["tria
 
 
 def corrections_files(processed: Path) -> list[Path]:
-    """Return the files of corrections: one, or several if they were written at the same time."""
+    """Return the files of corrections. There are several if corrections were written at the same time."""
     return sorted((processed / "corrections").glob("*.parquet"))
 
 
 def read_corrections(processed: Path) -> dict[str, Correction]:
-    """Return the corrections of a store in chronological order, including those of trials no longer stored.
+    """Return the corrections of a store in chronological order. The trials need not be stored any more.
 
-    If several files correct the same trial, the newer correction counts.
+    If several files correct the same trial, the newest correction is returned.
 
     Raises
     ------
     StoreError
-        If a file is damaged: the corrections are then unknown, and nothing may be computed.
+        If a file is damaged. Then the corrections are unknown, and no result must be computed.
     """
     tables = read_steadily(processed / "corrections", lambda: [read_table(f) for f in corrections_files(processed)])
     rows = [Correction(**row) for table in tables for row in table.to_pylist()]
@@ -394,7 +399,7 @@ def read_corrections(processed: Path) -> dict[str, Correction]:
 
 
 def read_exclusions(processed: Path) -> dict[str, Exclusion]:
-    """Return the exclusions of a store; order and errors as those of `read_corrections`."""
+    """Return the exclusions of a store, in the order and with the errors of `read_corrections`."""
     found = {}
     for key, one in read_corrections(processed).items():
         if one.exclusion_reason and not one.deleted:
@@ -403,7 +408,7 @@ def read_exclusions(processed: Path) -> dict[str, Exclusion]:
 
 
 def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
-    """Return the rows of a trials table that are in use, and the exclusions of the others, in order of trial ids."""
+    """Return the rows of a trials table that are used, and the exclusions of the other trials, sorted by trial id."""
     keys = trials.column("trial_id").to_pylist()
     if exclusions.keys().isdisjoint(keys):
         return trials, ()
@@ -414,14 +419,14 @@ def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple
 
 
 def moved_from(corrections: Iterable[Correction], place: tuple[str, ...]) -> set[tuple[str, str]]:
-    """Return the original places of trials that were moved to a device, or to one of its experiments, by hand."""
+    """Return the original device and experiment of trials that were moved to a device or to one of its experiments."""
     own = len(place)
     moved = ((one.device, one.experiment) for one in corrections if own and one.place[:own] == place)
     return {stored for stored in moved if stored[:own] != place}
 
 
 def apply_corrections(trials: pa.Table, corrections: Mapping[str, Correction], place: tuple[str, ...]) -> pa.Table:
-    """Return trials with device and experiment as corrected, those of a device or experiment, without deleted ones."""
+    """Return the trials of a device or experiment after corrections. Deleted trials are left out."""
     if not corrections:
         return trials
     found = [corrections.get(key) for key in trials.column("trial_id").to_pylist()]
@@ -439,16 +444,18 @@ def apply_corrections(trials: pa.Table, corrections: Mapping[str, Correction], p
 
 
 FIRST_STAGE = "response"
-"""Stage with a row for each trial in use."""
+"""Name of the stage that has a row for each used trial."""
 
 MOST = 3
-"""Largest number of ids named in a sentence."""
+"""Largest number of ids listed in a sentence."""
 
 
 def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...]:
-    """Return a sentence for each experiment whose stored results used trials or corrections that no longer exist.
+    """Return a warning for each experiment whose stored results are based on trials or corrections that no longer
+    exist.
 
-    Checks all devices or one. Trials that a later ingest may have replaced by the same number are not reported.
+    All devices or one device are checked. Trials that a later ingest may have replaced by the same number are not
+    reported.
     """
     found = list[str]()
     damaged: dict[Path, str] = {}
@@ -457,28 +464,28 @@ def missing_inputs(processed: Path, device: str | None = None) -> tuple[str, ...
     written = np.array([file.stat().st_mtime_ns for file in stored.files], dtype=np.int64)[stored.file]
     try:
         corrections = read_corrections(processed)
-    except StoreError:  # damaged; reported elsewhere
+    except StoreError:  # damaged files are reported elsewhere
         return ()
     for file in sorted((processed / "stages").glob(f"*/*/{FIRST_STAGE}-*{TABLE}")):
         of, experiment = map(name_of_folder, file.parts[-3:-1])
         if device not in (None, of):
             continue
-        with suppress(OSError, StoreError), open_table(file) as table:  # recomputed if damaged
+        with suppress(OSError, StoreError), open_table(file) as table:  # a damaged stage is recomputed
             ids = table.read(["trial_id"], use_threads=False).column("trial_id").to_pylist()
             lost = sorted({*ids} - known - corrections.keys())
             out = metadata_of(table.schema_arrow).get("pipeline.excluded", "").split()
             excluded = sorted({*out} - corrections.keys())
             if damaged or len(lost) <= np.count_nonzero(written > file.stat().st_mtime_ns):
                 lost = []
-            said = " and ".join(
+            lost_inputs = " and ".join(
                 f"{counted(len(ids), name)} ({', '.join(ids[:MOST])}{', ...' * (len(ids) > MOST)})"
                 for name, ids in (("trial", lost), ("exclusion", excluded))
                 if ids
             )
-            if said:
+            if lost_inputs:
                 found.append(
-                    f"Experiment {experiment} of {of}: {said} that stored results were computed with are in no file of "
-                    "the store any more. Bring the files back from a backup, or ingest the logs and exclude the trials "
+                    f"Experiment {experiment} of {of}: stored results are based on {lost_inputs}, which the store "
+                    "no longer contains. Restore the files from a backup, or ingest the logs and exclude the trials "
                     "again."
                 )
     return tuple(found)

@@ -1,7 +1,7 @@
-"""A copy of a few columns of all files of trials in one file, which is read in place of thousands.
+"""Index of trials: a copy of a few columns of all trial files in one file, which is faster to read than thousands.
 
-It is local to this machine, and any reader may rewrite it: the copy of a file of trials is valid while its size and
-modification time are unchanged.
+The index is local to this machine, and any reader may rewrite it. The copied columns of a trial file are valid as long
+as the file's size and modification time are unchanged.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from pipeline.records.table_files import WRITING
 from pipeline.records.tables import arrow_schema
 
 INDEX = ".trials.parquet"
-"""Name of the file in the folder of a store."""
+"""Name of the index file in the folder of a store."""
 
 INDEXED = (
     *("trial_id", "device", "experiment", "rows"),
     *("source_path", "source_sha256", "source_mtime_ns", "profile_sha256"),
 )
-"""Columns in the index: those that identify trials, their versions and their experiments."""
+"""Columns in the index. They identify trials, their versions and their experiments."""
 
 MIN_INDEXED_FILES = 100
-"""Smallest number of files of trials for which an index is made: opening fewer takes less than 0.2 s."""
+"""Smallest number of trial files for which an index is written. Opening fewer files takes less than 0.2 s."""
 
 _FILES = b"pipeline.files"
 
 
 class FileRows(NamedTuple):
-    """Columns of the rows of one file of trials, and the stems of the files that it replaces, separated by spaces."""
+    """Columns of the rows of a trial file, and the stems of the files that it replaces, separated by spaces."""
 
     table: pa.Table
     replaces: str
@@ -44,14 +44,14 @@ class FileRows(NamedTuple):
 def indexed_rows(
     processed: Path, files: Sequence[Path], read: Callable[[Path, Sequence[str]], FileRows | None]
 ) -> dict[Path, FileRows]:
-    """Return the copied columns of files of trials, from the index if it is current.
+    """Return the copied columns of trial files, from the index as far as it is current.
 
     Parameters
     ----------
     processed : Path
     files : sequence of Path
     read : callable
-        Function that reads columns of a file missing in the index; returns None if the file is damaged.
+        Function that reads columns of a file that the index lacks. It returns None if the file is damaged.
     """
     states = {file: (status.st_size, status.st_mtime_ns) for file in files if (status := file.stat())}
     root = len(os.fspath(processed)) + 1
@@ -67,7 +67,7 @@ def indexed_rows(
             new += part is not None
         if part is not None:
             result[file] = part
-    # a few new files are read faster than the index is written
+    # Reading a few new files is faster than writing the index.
     if new >= MIN_INDEXED_FILES or new > 0.1 * len(files):
         _write(processed, {names[file]: (states[file], part) for file, part in result.items()}, files)
     return result
@@ -79,7 +79,10 @@ def _schema() -> pa.Schema:
 
 
 def _read(processed: Path) -> dict[str, tuple[tuple[int, int], FileRows]]:
-    """Return the index by file name: size and time of each file, and its rows; empty if damaged."""
+    """Return size, time and rows of each file in the index, by file name.
+
+    The result is empty if the index is damaged.
+    """
     try:
         table = pq.read_table(processed / INDEX, page_checksum_verification=True, use_threads=False)
         entries = json.loads((table.schema.metadata or {})[_FILES])

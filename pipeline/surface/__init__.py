@@ -1,1 +1,1 @@
-"""The public Python interface behind ``import pipeline``: results of the other folders as data frames in SI."""
+"""The public Python interface of ``import pipeline``. Tables of results are data frames in SI units."""

@@ -1,4 +1,4 @@
-"""Comparisons with theory: computed from stored logs, or read from a report's document."""
+"""Comparisons with theory, computed from stored logs or read from the JSON document of a report."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
 
 
 class Comparison:
-    """Results of a comparison with theory: the content of its report as data frames.
+    """Results of a comparison with theory. Its tables are those of the report, as data frames.
 
     Parameters
     ----------
     result : ComparisonResult
-        The document that `pipeline compare --json` prints; ``result.model_dump()`` gives it as plain values.
+        The document that `pipeline compare --json` prints. ``result.model_dump()`` returns it as plain Python values.
     compute : callable, optional
-        Repeats the comparison and writes its report to a path; None for a loaded comparison.
+        Function that repeats the comparison and writes its report to a path. It is None for a loaded comparison.
     """
 
     def __init__(self, result: ComparisonResult, compute: Callable[[Path], ComparisonResult] | None = None) -> None:
@@ -51,7 +51,7 @@ class Comparison:
         return "\n".join([*lines, self.estimates[list(_SHOWN)].to_string(index=False, na_rep="–")])
 
     def plot_boundary(self, ax: Axes, experiment: str | None = None) -> Axes:
-        """Draw measured limits with their 95 % intervals, for one or all experiments; return the axes.
+        """Draw the measured limits of one or all experiments with their 95 % intervals, and return the axes.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Comparison:
         Raises
         ------
         UsageError
-            If there is no such experiment.
+            If the comparison has no experiment of this name.
         """
         known = [each.experiment for each in self.result.experiments]
         if experiment is not None and experiment not in known:
@@ -85,17 +85,17 @@ class Comparison:
 
     @property
     def summary(self) -> tuple[str, ...]:
-        """Conclusions of the comparison, in sentences."""
+        """Conclusions of the comparison, one sentence each."""
         return self.result.summary
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the numbers."""
+        """Warnings about the results, one sentence each."""
         return self.result.warnings
 
     @property
     def tables(self) -> pd.DataFrame:
-        """Tables of optima like Tables D.1 to D.6: measured, theoretical and published values.
+        """Measured, theoretical and published optima, arranged like Tables D.1 to D.6.
 
         ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
         Nms/rad], ``cost`` (``cost_s`` [s] for costs in samples), ``published_stiffness``, ``published_damping``,
@@ -124,21 +124,22 @@ class Comparison:
     def scores(self) -> pd.DataFrame:
         """Scores of theory's predictions of the experiments; ``docs/definitions.md`` defines each number.
 
-        ``experiment``, ``basis`` (theory by the device file or by the estimates), ``score`` (``region``, ``distance``,
-        ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (interval, if any), ``reason`` (why a
-        score is missing). One row per number.
+        ``experiment``, ``basis`` (whether theory uses the device file or the estimates), ``score`` (``region``,
+        ``distance``, ``verdicts``, ``stiffness``), ``quantity``, ``value``, ``low``, ``high`` (ends of the interval, if
+        any), ``reason`` (why a score is missing). The table has one row for each number.
         """
         return frames(self.result)["scores"]
 
     def write(self, path: PathLike) -> Path:
-        """Write the HTML report, and the document as JSON next to it; return the path of the report.
+        """Write the HTML report and, next to it, the JSON document. Return the path of the report.
 
-        The report is made from the data stored at that moment; if these changed, the numbers here are updated, too.
+        The report is computed from the data that are stored when this method is called. If they have changed since the
+        comparison, the results in this object are updated.
 
         Raises
         ------
         UsageError
-            If the comparison was loaded, the path is a folder, or ends in .json.
+            If the comparison was loaded from a document, or the path is a folder or ends in .json.
         PipelineError
             If the file cannot be written.
         """
@@ -147,7 +148,7 @@ class Comparison:
         result = None if self._compute is None else self._compute(target)
         if result is None:
             raise UsageError(
-                f"{target}: this comparison was loaded from a document, which does not contain the drawn samples. "
+                f"{target}: this comparison was loaded from a document, which lacks the samples for the figures. "
                 f"Compare again: pipeline.compare({self.result.device!r}).write(...)."
             )
         self.result = result
@@ -167,13 +168,14 @@ def compare(
     Parameters
     ----------
     device : str
-        Name as in the logs, possibly of an unknown device; or a device file (.toml) of the device with that name.
+        Device name as in the logs; the device need not be a known one. A path of a device file (.toml) is also
+        accepted.
     processed : path
-        Folder that `ingest` filled; results of stages are stored there and reused.
+        Folder that `ingest` filled. Results of stages are stored there and reused.
     experiments, criteria : sequence of str, optional
-        Experiments and criteria to compare; by default all stored ones, and all criteria.
+        Experiments and criteria to compare. By default, all stored experiments and all criteria are compared.
     full : bool
-        Whether a report includes the response of every trial, even if it becomes large.
+        Whether the report includes the response of every trial, even if the file becomes large.
 
     Returns
     -------
@@ -184,9 +186,9 @@ def compare(
     DeviceError
         If the device or an experiment has no trials.
     UsageError
-        For an unknown criterion.
+        If a criterion is unknown.
     StoreError
-        If the folder is missing, a stored file is damaged, or trials do not belong together.
+        If the folder is missing, a stored file is damaged, or stored trials are inconsistent.
     """
     for name, words in (("experiments", experiments), ("criteria", criteria)):
         if isinstance(words, str):
@@ -203,12 +205,12 @@ def compare(
 
 
 def load(report: PathLike) -> Comparison:
-    """Read a comparison from the JSON document of a report (or from the path of the report itself).
+    """Read a comparison from the JSON document of a report. The path of the HTML report is also accepted.
 
     Raises
     ------
     UsageError
-        If the file is missing or not such a document.
+        If the file is missing or is not the document of a comparison.
     """
     path = Path(report)
     document = path.with_suffix(".json") if path.suffix.lower() in (".html", ".htm") else path
@@ -223,6 +225,6 @@ def load(report: PathLike) -> Comparison:
         (first, *_) = error.errors(include_url=False)
         place = ".".join(map(str, first["loc"])) or "document"
         raise UsageError(
-            f"{document}: is no document of a comparison by this version ({place}: {first['msg']}). Give the JSON that "
+            f"{document}: is not a comparison document of this version ({place}: {first['msg']}). Give the JSON that "
             "`pipeline compare` writes next to its report, or compare again."
         ) from error

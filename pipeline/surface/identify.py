@@ -1,6 +1,6 @@
-"""Identification of a device from logs: reads logs, estimates parameters with intervals, computes walls, writes a file.
+"""Identification of a device from logs, for `pipeline.identify` and `pipeline identify`.
 
-`import pipeline; pipeline.identify(paths)`, and the document printed by `pipeline identify`.
+The module reads logs, estimates parameters with intervals, computes the limit of stable walls and writes a device file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pipeline.device.loop import Loop as LoopRecord
 from pipeline.device.parameters import PARAMETERS, UNITS, Motion, is_rotation, unit_of
 from pipeline.device.parts import Mode
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.sources import Source, asked_profiles, find_sources, load_source, motion_of
+from pipeline.intake.sources import Source, find_sources, load_source, motion_of, requested_profiles
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.identified import Identification, identified
@@ -49,32 +49,35 @@ if TYPE_CHECKING:
     from pipeline.surface.logs import PathLike
     from pipeline.surface.physical_loop import Loop
 
-DRIFT = "behind walls a free run drifts, as nothing corrects it: `pipeline compare` replays the walls"
-"""Reason why the replay of wall trials is of little value."""
+DRIFT = "free runs drift because no wall corrects them; `pipeline compare` replays the logs with their walls"
+"""Remark in a document whose free runs come from logs of walls, because a drift spoils their fit."""
 
 SHIFTED = (
-    "the command of all logs is that of another row than its position, or their sampling period is another one, so "
-    "that no delay and no limit follows from them. `pipeline compare` names what each log shows; record again"
+    "the command of each log belongs to another row than its position, or to another sampling period, so that neither "
+    "delay nor limits can be estimated. `pipeline compare` lists the finding for each log; record the logs again"
 )
-"""Reasons to reject logs of walls from which no device can be identified."""
+"""Message for logs of walls that are all rejected because no device can be identified from them."""
 
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
-"""Default header entries of a native log without a wall."""
+"""Header entries that a native log without a wall may omit, with their default values."""
 
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedDevice:
     """A device identified from logs.
 
-    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the logs alone identify it);
-    ``replay``: ``log``, ``fit_percent``, ``naive_percent``; ``loop``: the linear loop as `Loop`, None where mass or
-    delay cannot be identified; ``document``: what `pipeline identify --json` prints.
+    ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the parameter is identifiable
+    from the logs alone). ``replay``: ``log``, ``fit_percent``, ``naive_percent``. ``loop``: the linear loop as `Loop`,
+    or None if mass or delay cannot be identified. ``document``: what `pipeline identify --json` prints.
     """
 
     document: dict[str, Any]
 
     def __str__(self) -> str:
-        """Return the parameters with their intervals, and those that cannot be identified, as lines of text."""
+        """Return a table of the parameters with their intervals.
+
+        It includes the parameters that are not identifiable.
+        """
         return str(self.estimates.to_string(index=False, na_rep="–"))
 
     @property
@@ -85,7 +88,10 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit of the velocity of free runs to the logs left out of the estimation, and of a motion without command."""
+        """Fit [%] of replayed free runs to the velocity of logs left out of the estimation.
+
+        ``naive_percent`` is the fit of a motion that ignores the command.
+        """
         return frame_of("log fit_percent naive_percent", self.document["replay"]["logs"], {})
 
     @property
@@ -102,7 +108,7 @@ class IdentifiedDevice:
         return None if loop is None else Loop.of(loop)
 
     def write(self, path: PathLike) -> None:
-        """Write a device file for theory, simulator and planner.
+        """Write a device file , which theory, simulator and planner can read.
 
         Raises
         ------
@@ -119,23 +125,23 @@ def identify(
     period: float | None = None,
     delay: float | None = None,
 ) -> IdentifiedDevice:
-    """Identify a device from any logs with command and position; neither a wall nor rest is needed.
+    """Identify a device from logs with command and position. Neither a wall nor a phase at rest is needed.
 
     Parameters
     ----------
     paths : path, or sequence of them
         Logs, and folders that are searched recursively.
     profile : str or path, optional
-        As in `ingest`.
+        As for `ingest`.
     period : float, optional
-        Sampling period T [s] of the wall that the device would render; by default that of the logs.
+        Sampling period T [s] of the wall that the device would render. The default is the period of the logs.
     delay : float, optional
-        Its delay [samples of T]; by default that of the logs.
+        Delay of that wall [samples of T]. The default is the delay estimated from the logs.
 
     Raises
     ------
     LogError
-        If every log is rejected, with path and row; if only some are rejected, the document lists them.
+        If all logs are rejected. The message names path and row. Otherwise, the document lists the rejected logs.
     ParameterError
         If the logs have no motion, no command or too few rows, a value is out of range, or most logs were recorded
         incorrectly.
@@ -156,17 +162,17 @@ def identified_device(
     advance: Callable[[int, int | None], None] | None = None,
 ) -> dict[str, Any]:
     """Return the document printed by `pipeline identify --json`; parameters and errors as in `identify`."""
-    asked = asked_profiles(profile, paths)
+    asked = requested_profiles(profile, paths)
     profiles = tuple(map(_unparted, asked.profiles))
     sources = find_sources(paths, profiles, ignore=(*ignore, *asked.ignore))
     found_logs = _read(sources, advance)
     read, refused = found_logs.logs, found_logs.refused
     if not read:
-        raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give logs, or folders with logs.")
+        raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give log files, or folders that contain logs.")
     known = {name: device.motion for name, device in known_devices().items()}
     motions = {motion_of(log, known) for _, log in read}
     if len(motions) > 1:
-        raise ParameterError("some logs are of a translation, some of a rotation. Give the logs of one device.")
+        raise ParameterError("some logs record a translation, others a rotation. Give the logs of one device.")
     check_findings(read)
     usable = ((name, log) for name, log in read if not any(each.leaves_out for each in log.findings))
     trials = [measured_trial(name, log) for name, log in usable]
@@ -185,12 +191,12 @@ def identified_device(
 
 
 def _unparted(profile: Profile) -> Profile:
-    """Return a profile that reads a staircase as one motion, because its steps share rows."""
+    """Return a copy of the profile that reads a staircase as one motion, because the steps share rows."""
     return profile.model_copy(update={"kind": "free"}) if profile.kind == "staircase" else profile
 
 
 class _Read(NamedTuple):
-    """Logs with their names; duplicates of earlier logs, which count once; rejected files."""
+    """Logs that were read, with their names; duplicates of earlier logs, which are not counted; rejected files."""
 
     logs: list[tuple[str, Log]]
     copies: list[tuple[str, Log]]
@@ -198,13 +204,14 @@ class _Read(NamedTuple):
 
 
 def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] | None = None) -> _Read:
-    """Return the logs of sources; ``advance`` is called with (sources read, sources in total), at the end with None as
-    total.
+    """Read the logs of all sources.
+
+    ``advance`` is called with the number of sources read and their total number. The last call has None as total.
 
     Raises
     ------
     LogError
-        If all sources are rejected: the error of the first source that a profile claims, or else of the first source.
+        If all sources are rejected. The first error of a source that matches a profile has priority.
     """
     read: list[tuple[str, Log]] = []
     copies: list[tuple[str, Log]] = []
@@ -244,7 +251,7 @@ def _first_findings(read: Sequence[tuple[str, Log]]) -> list[str]:
 
 
 def measured_trial(name: str, log: Log) -> MeasuredTrial:
-    """Return a log as a trial with the given name, without storing it."""
+    """Return a log as a trial with the given name. Nothing is stored."""
     header = log.header
     declared = header.extra.get("step_row")
     return MeasuredTrial(
@@ -258,28 +265,28 @@ def measured_trial(name: str, log: Log) -> MeasuredTrial:
 
 
 def check_findings(read: Sequence[tuple[str, Log]]) -> None:
-    """Reject logs if most were recorded incorrectly, or none can be used.
+    """Raise an error if most logs were recorded incorrectly, or if none can be used.
 
     Raises
     ------
     ParameterError
-        If most recordings are faulty, so that they determine neither delay nor limit.
+        If most recordings are faulty, so that neither delay nor limits can be estimated from them.
     """
     unsafe = [(name, each) for name, log in read for each in log.findings if each.is_unsafe]
     names = {name for name, _ in unsafe}
     if are_unsafe([log.findings for _, log in read]):
         name, first = unsafe[0]
-        others = f" ({len(names)} of {counted(len(read), 'log')} are at fault.)" if len(read) > 1 else ""
+        others = f" ({len(names)} of {counted(len(read), 'log')} are faulty.)" if len(read) > 1 else ""
         raise ParameterError(f"{name}: {first.sentence}{others}")
     if all(any(each.leaves_out for each in log.findings) for _, log in read):
         name, log = read[0]
         finding = next(each for each in log.findings if each.leaves_out)
-        others = f" (So is it with all {len(read)} logs.)" if len(read) > 1 else ""
+        others = f" (The same applies to all {len(read)} logs.)" if len(read) > 1 else ""
         raise ParameterError(f"{name}: {finding.sentence}{others}")
 
 
 def _logs(source: Source) -> tuple[Log, ...]:
-    """Return the logs of a source; a native one need not state a wall."""
+    """Return the logs of a source. A native log need not state a wall."""
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
     whole = _completed(raw) if source.profile.format == "native" else raw
@@ -293,7 +300,7 @@ def _logs(source: Source) -> tuple[Log, ...]:
 
 
 def _completed(raw: RawLog) -> RawLog:
-    """Return a native log, completed with the conditions that a log without a wall may omit."""
+    """Return a native log with default conditions added, which a log without a wall may omit."""
     text = raw.data[0]
     head = [
         line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")
@@ -302,14 +309,14 @@ def _completed(raw: RawLog) -> RawLog:
     more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
     if "sampling_period_s" not in named and (period := _period(text)) is not None:
         more["sampling_period_s"] = repr(period)
-    # added after the header: row numbers in messages match the file up to there
+    # The lines are appended to the header, so that row numbers in messages about earlier lines match the file.
     lines = "".join(f"# {key}: {value}\n" for key, value in more.items()).encode()
     start = text.find(b"time_s")
     return replace(raw, data=(text[:start] + lines + text[start:],)) if more and start >= 0 else raw
 
 
 def _period(text: bytes) -> float | None:
-    """Return the median time between the first rows [s]; None if they are not numbers."""
+    """Return the median time between the first rows [s], or None if their times are not numbers."""
     rows = [
         line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
     ]
@@ -388,7 +395,7 @@ def _parameter_document(found: Identification, name: str, motion: Motion) -> dic
 
 
 def _factor(name: str, period: float) -> float:
-    """Return the factor of a parameter in the document, in which a delay is in seconds."""
+    """Return the factor from the unit of a parameter to that in the document, where a delay is in seconds."""
     return period if name == "delay_samples" else 1.0
 
 
@@ -418,22 +425,24 @@ def _replay_document(found: Identification) -> dict[str, Any]:
 
 
 def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
-    """Return half the difference of the two gains divided by their mean, and the mass for each direction.
+    """Return the asymmetry of the drive and the mass for each direction, or None if both gains are equal.
 
-    None if both directions have the same gain.
+    The asymmetry is half the difference of the two gains divided by their mean.
     """
     units = {"asymmetry": ""} | dict.fromkeys(("positive", "negative"), _unit("mass", motion))
     return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
 
 
 def _jitters(loop: dict[str, Any]) -> bool:
-    """Return whether the delay of a loop is known to jitter."""
+    """Return whether the delay of a loop jitters significantly."""
     return loop["jitter_samples"] is not None and loop["jitter_samples"]["low"] > 0
 
 
 def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
-    """Return integer delays for which the delay of the applied command has the mean and jitter of a loop within their
-    errors; empty without jitter."""
+    """Return integer delays whose applied command has the delay and jitter of a loop, within their errors.
+
+    The result is empty if the delay does not jitter.
+    """
     delay, jitter = loop["delay_samples"], loop["jitter_samples"]
     if delay is None or not _jitters(loop):
         return ()
@@ -445,7 +454,7 @@ def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
 
 
 def _loop_document(found: Identification, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
-    """Return the loop in the format of `compare --json`, and why free runs may drift."""
+    """Return the loop in the format of `compare --json`, with the reason why free runs may drift."""
     known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
 
     def number(name: str) -> dict[str, float] | None:
@@ -483,9 +492,10 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
 
 
 def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
-    """Return the linear loop of a document, for the wall that it would render; None without mass or delay.
+    """Return the linear loop of a document for the wall that it would render.
 
-    ``other`` replaces numbers of the document, by names in `LINEAR`.
+    ``other`` replaces numbers of the document. Its keys are names in `LINEAR`. The result is None without mass or
+    delay.
     """
     loop, wall = document["loop"], document["wall"]
     value = {name: loop[name]["value"] if loop[name] else None for name in LINEAR} | other
@@ -496,7 +506,8 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
         return None
     drawn = wall["jitter_samples"]
     if drawn:
-        # a file states the mean of the drawn delays; that of the applied command is less, as later commands overtake
+        # A device file states the mean of the drawn delays. The applied command has a smaller delay: later ones
+        # overtake it.
         samples += sum(drawn) / len(drawn) - loop["delay_samples"]["value"]
     damping, stiffness, lag = (max(value[name] or 0.0, 0.0) for name in ("damping", "stiffness", "actuator_lag_s"))
     velocity = {name: number["value"] for name, number in (loop["velocity"] or {}).items()}
@@ -504,7 +515,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
     if loop["mode"]:
         numbers = {name: number["value"] for name, number in loop["mode"].items()}
         sensor: Literal["motor", "load"] = "load" if numbers.pop("sensor_at_load") else "motor"
-        # both are estimates; the load cannot have more damping than the whole device
+        # Both values are estimates. The load cannot have more damping than the complete device.
         mode = Mode(**numbers | {"load_damping": min(numbers.get("load_damping", 0.0), damping)}, sensor=sensor)
     return LoopRecord(
         value["mass"],
@@ -521,7 +532,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
 
 
 LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
-"""Parameters of a linear loop in a document, except those of its mode."""
+"""Parameters of a linear loop in a document, without those of the vibration mode."""
 
 
 def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
@@ -538,7 +549,7 @@ def _border(loop: LoopRecord, points: int) -> dict[str, Any]:
 
 
 def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the limit of the walls that the device would render, and the stiffest wall with its range."""
+    """Return the limit of the walls that the device would render, with the stiffest wall and its interval."""
     loop = wall_loop(document)
     if loop is None:
         return None
@@ -550,7 +561,7 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
             continue
         ends = [wall_loop(document, **{name: part[end]}) for end in ("low", "high")]
         if name == "delay_samples" and (lag := document["unseen_lag_s"]):
-            # the lag is not part of the delay
+            # The actuator lag is not part of the delay.
             late = part["value"] - lag / document["sampling_period_s"]
             ends = [wall_loop(document, delay_samples=late, actuator_lag_s=lag), ends[1]]
         limits = [_border(each, 40)["stiffness_max"] for each in ends if each is not None]
@@ -563,7 +574,7 @@ def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def device_text(document: dict[str, Any], name: str) -> str:
-    """Return a document as a device file: TOML, with intervals as comments.
+    """Return a document as a device file in TOML. Intervals are written as comments.
 
     Raises
     ------
@@ -574,7 +585,7 @@ def device_text(document: dict[str, Any], name: str) -> str:
     loop = wall_loop(document)
     if loop is None:
         missing = "mass" if numbers["mass"] is None else "delay"
-        why = f"no device file: the {missing} cannot be identified from these logs."
+        why = f"no device file can be written: the {missing} cannot be identified from these logs."
         raise ParameterError(" ".join([why, *_remedies(document)]))
 
     def line(key: str) -> str:
@@ -620,27 +631,27 @@ def device_text(document: dict[str, Any], name: str) -> str:
 
 
 def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:
-    """Return the lines of a device file on the jitter of the delay; empty without jitter."""
+    """Return the lines of a device file that describe the jitter of the delay. Without jitter, there are none."""
     if "jitter" not in document["left_out"]:
         return []
     jitter = document["loop"]["jitter_samples"]
     about = f"standard deviation of the delay in force {jitter['low']:.4g} to {jitter['high']:.4g} samples (95 %)"
     if loop.jitter_samples:
         return [f"jitter_samples = {list(loop.jitter_samples)}  # {about}"]
-    return [f"# The delay jitters, {about}: left out, as no set of whole delays is known for these walls."]
+    return [f"# The delay jitters, {about}. Omitted: no set of integer delays reproduces this jitter."]
 
 
 def _toml(value: str | float | tuple[float, ...]) -> str:
-    """Return an entry of a velocity filter as TOML."""
+    """Return a value of a velocity filter as TOML."""
     return f'"{value}"' if isinstance(value, str) else repr(list(value) if isinstance(value, tuple) else value)
 
 
 def _remedies(document: dict[str, Any]) -> list[str]:
-    """Return recommendations for further recordings, as sentences."""
+    """Return recommendations for further recordings, one sentence each."""
     sentences = [f"Record {each['record']}." for each in document["not_told_apart"]]
     if document["loop"]["delay_samples"] is None:
         wanted = "a change of the command within a log"
         if "delay" not in document["assumed_none"]:  # there are some
-            wanted = "larger steps, or with a finer sensor: noise, quantum or friction hide when a motion begins"
+            wanted = "larger steps, or use a finer sensor: noise, resolution or friction hide the start of motion"
         sentences.append(f"For the delay, record {wanted}; or give --delay.")
     return list(dict.fromkeys(sentences))

@@ -1,4 +1,4 @@
-"""Picture of a raw log: columns, step, jumps, rests and missing rows, in SI or as recorded."""
+"""Picture of a raw log with columns, step, jumps, rests and missing rows, in SI units or as recorded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, draft_hint
 from pipeline.base.paths import check_output
 from pipeline.base.provenance import __version__
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
+from pipeline.intake.sources import find_sources, logs_of, motion_of, requested_profiles
 from pipeline.measured.signal.change_points import gaps, jumps, rests
 from pipeline.measured.signal.edge import NO_ROW, find_edge
 from pipeline.measured.signal.release import find_release
@@ -30,7 +30,7 @@ from pipeline.rendering.report.page_template import fill_template
 from pipeline.surface.logs import PathLike
 
 MOST_COLUMNS = 24
-"""Largest number of drawn columns of a file without a profile; a bag has hundreds."""
+"""Largest number of drawn columns of a file without a profile. A bag may have hundreds of columns."""
 
 MOST_TRIALS = 12
 """Largest number of drawn trials of one file."""
@@ -38,7 +38,7 @@ MOST_TRIALS = 12
 
 @dataclass(frozen=True, eq=False)
 class LogPicture:
-    """Picture of a log: its path, the columns of each of its trials by title, remarks, and the horizontal axis."""
+    """Picture of a log: path, titled trials with their columns, remarks, and label of the abscissa."""
 
     log: str
     trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
@@ -51,7 +51,7 @@ class LogPicture:
 
     @property
     def document(self) -> dict[str, Any]:
-        """Columns, steps, jumps, rests and gaps of each trial, as `pipeline look --json` prints them."""
+        """The JSON document of `pipeline look --json`: columns, steps, jumps, rests and gaps of each trial."""
         trials = []
         for title, columns in self.trials:
             found = [{"name": c.name, "unit": c.unit, "jumps": c.jumps, "rests": c.rests} for c in columns]
@@ -60,7 +60,7 @@ class LogPicture:
         return {"log": self.log, "trials": trials, "notes": self.notes}
 
     def write(self, path: PathLike) -> Path:
-        """Write the picture as an HTML page; return its path.
+        """Write the picture as an HTML page, and return its path.
 
         Raises
         ------
@@ -80,20 +80,20 @@ class LogPicture:
 
 
 def look(path: PathLike, profile: PathLike | Profile | None = None) -> LogPicture:
-    """Return the picture of a raw log, as `pipeline look` draws it: columns, step, jumps, rests, missing rows.
+    """Return the picture of a raw log: columns, step, jumps, rests and missing rows, as in `pipeline look`.
 
     Parameters
     ----------
     path : path
-        A file, or the folder of a bag. Nothing is stored.
+        A file, or the folder of a bag.
     profile : str or path, optional
-        Profile that reads it, by name or as a TOML file; by default the shipped ones are tried. A file that none of
-        them reads is shown as recorded, over the row number.
+        Profile for reading the file, by name or as a TOML file. By default, the shipped profiles are tried. A file that
+        matches no profile is drawn as recorded, over the row number.
 
     Returns
     -------
     LogPicture
-        ``trials`` (title and columns, with the rows of jumps, rests, gaps and step), ``notes`` (sentences),
+        ``trials`` (title and columns, with the rows of jumps, rests, gaps and step), ``notes`` (remarks),
         ``document``, and ``write("look.html")``.
 
     Raises
@@ -101,10 +101,10 @@ def look(path: PathLike, profile: PathLike | Profile | None = None) -> LogPictur
     UsageError
         If the path does not exist or contains several logs.
     LogError
-        If the profile refuses the log, or no columns of numbers are found in it.
+        If the profile rejects the log, or the file has no numeric columns.
     """
     log, given = Path(path), None if profile is None else load_profile(_named(profile))
-    sources = find_sources([log], asked_profiles(given, [log]).profiles)
+    sources = find_sources([log], requested_profiles(given, [log]).profiles)
     if len(sources) != 1:
         raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
     (source,) = sources
@@ -114,7 +114,7 @@ def look(path: PathLike, profile: PathLike | Profile | None = None) -> LogPictur
         row = "" if error.row is None else f", row {error.row}"
         if given is not None:
             raise error.reworded(f"{log}{row}: {error.reason}") from error
-        notes = [f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."]
+        notes = [f"Shown as recorded; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."]
         notes += [draft_hint(str(log))] if error.code in OTHER_COLUMNS else []
         return LogPicture(str(log), (_as_it_stands(log),), tuple(notes), "row")
     notes = [f"Read by profile {claimant.name}, in SI."]
@@ -134,7 +134,7 @@ def _named(profile: PathLike | Profile) -> str | Path | Profile:
 
 
 def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], list[str]]:
-    """Return the title of a trial, its columns, the source of its step, and other remarks."""
+    """Return the title of a trial, its columns, and remarks. The first remark states how the step was found."""
     row, how = step_of(log)
     columns = tuple(
         _column(key, si_unit(quantity(key, motion)), log.time, values, log.time, row)
@@ -142,16 +142,16 @@ def _drawn(log: Log, motion: Motion) -> tuple[str, tuple[RecordedColumn, ...], l
         if (values := getattr(log, key)) is not None
     )
     moved = "step" if log.header.step else "it moves"
-    said = f"{moved} in row {row}" if row is not None else "no step is known"
+    source = f"{moved} in row {row}" if row is not None else "no step is known"
     title = f"trial {log.label}" if log.label else f"K = {log.header.stiffness:g}, B = {log.header.damping:g}"
-    return title, columns, [f"{said} ({how})", *log.warnings, *(each.sentence for each in log.findings)]
+    return title, columns, [f"{source} ({how})", *log.warnings, *(each.sentence for each in log.findings)]
 
 
 def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
-    """Return the numeric columns of an unknown file."""
+    """Return the file name and the numeric columns of a file that matches no profile."""
     sample = open_sample(log)
     columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
-    # a column that increases in every row is a clock or a counter: its gaps are those of the log
+    # A column that increases in every row is a clock or a counter. Its gaps are missing rows of the log.
     clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
     return sample.name, tuple(
         _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)
@@ -166,7 +166,7 @@ def _column(name: str, unit: str, place: Floats, values: Floats, time: Floats, s
 
 
 def step_of(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step of a log (None if unknown), and its source or the reason why it is unknown."""
+    """Return the row of the step of a log, and how it was found. Without a step: None, and the reason."""
     header = log.header
     if "step_row" in header.extra:
         row = int(header.extra["step_row"])
@@ -182,7 +182,7 @@ def step_of(log: Log) -> tuple[int | None, str]:
 
 
 def trial_of(log: Log) -> Trial:
-    """Return a log as a trial for measurements of its command and motion."""
+    """Return a log as a trial, for functions that measure its command and motion."""
     header = log.header
     wall = header.stiffness, header.damping, header.step, header.sampling_period_s
     return Trial("sample", *wall, log.time, log.command, log.position)

@@ -1,4 +1,4 @@
-"""Logs: stored, read alone, or simulated."""
+"""Functions that store, read or simulate logs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pipeline.base.errors import LogError, UsageError
 from pipeline.device_data.devices import known_devices, load_device
 from pipeline.intake.ingest import IngestReport
 from pipeline.intake.ingest import ingest as ingest_logs
-from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
+from pipeline.intake.sources import find_sources, logs_of, motion_of, requested_profiles
 from pipeline.readers import Log
 from pipeline.records.models import Motion
 from pipeline.records.trials import Trial
@@ -24,7 +24,7 @@ from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 PathLike = str | os.PathLike[str]
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
-"""Columns of a step response; the last two are NaN if the log lacks them."""
+"""Columns of a step response. The last two are NaN if the log lacks them."""
 
 
 def ingest(
@@ -35,16 +35,16 @@ def ingest(
     Parameters
     ----------
     paths : path, or sequence of them
-        Files, and folders that are searched with all below.
+        Files, and folders that are searched recursively.
     processed : path
-        Folder of the stored tables; made if needed.
+        Folder of the stored tables. It is created if it does not exist.
     profile : str or path, optional
-        Shipped profile by name, or a TOML file; by default a shipped profile is found for each file.
+        Name of a shipped profile, or a TOML file. By default, a shipped profile is chosen for each file.
 
     Returns
     -------
     IngestReport
-        ``found``, ``ingested``, ``skipped`` (numbers), ``quarantined`` (rejected logs with ``path``, ``reason``,
+        ``found``, ``ingested``, ``skipped`` (counts), ``quarantined`` (rejected logs with ``path``, ``reason``,
         ``row``), ``warnings``. A rejected log does not raise an exception.
 
     Raises
@@ -54,7 +54,7 @@ def ingest(
     ProfileError
         If the profile is invalid, or two profiles match one file.
     StoreError
-        If ``processed`` is damaged, cannot be written, or another command writes there.
+        If ``processed`` is damaged or cannot be written, or another command is writing there.
 
     Examples
     --------
@@ -68,16 +68,16 @@ def ingest(
 
 
 def read_log(path: PathLike, profile: PathLike | None = None, label: str | None = None) -> pd.DataFrame:
-    """Read one step response in SI; nothing is stored.
+    """Read a single step response in SI units. Nothing is stored.
 
     Parameters
     ----------
     path : path
-        Log in any format that `ingest` reads; the folder of a ROS 2 bag is one log.
+        Log in any format that `ingest` reads. The folder of a ROS 2 bag is a single log.
     profile : str or path, optional
-        As in `ingest`.
+        As for `ingest`.
     label : str, optional
-        Label of the trial, if a file has several.
+        Label of the trial. It is needed if the file contains several trials.
 
     Returns
     -------
@@ -91,14 +91,14 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     Raises
     ------
     LogError
-        If the log is rejected, with the faulty row.
+        If the log is rejected. The message names the faulty row.
     UsageError
-        If the path does not exist or is not a single log, or ``label`` names no trial of it.
+        If the path does not exist or is not a single log, or if no trial of the file has this label.
     """
     given = _profile(profile)
-    sources = find_sources([Path(path)], asked_profiles(given, [Path(path)]).profiles)
+    sources = find_sources([Path(path)], requested_profiles(given, [Path(path)]).profiles)
     if len(sources) != 1:
-        raise UsageError(f"{path}: expected one log, found {len(sources)}. Give a file, or store all with `ingest`.")
+        raise UsageError(f"{path}: expected one log, found {len(sources)}. Give one file, or store all with `ingest`.")
     (source,) = sources
     try:
         log = _chosen(logs_of(source)[2], label, path)
@@ -137,26 +137,26 @@ def simulate(
     seed : int
         Seed of noise and jitter; the same seed gives the same logs.
     ideal : bool
-        Without noise, quantisation and jitter.
+        Whether to simulate without noise, quantisation and jitter.
     coarsen : int
-        Every n-th damping and n times the stiffness step, for a small experiment.
+        Use every n-th damping, and n times the stiffness step, for a small experiment.
     duration_s : float, optional
-        Length of a trial [s] in place of the device's.
+        Length of a trial [s]. The default is the length that the device states.
     out : path, optional
-        Folder to which the logs and the ground truth are also written, for `ingest`.
+        Folder to which the logs and the ground truth are also written. `ingest` can read it.
     overwrite : bool
-        Replace the logs of an earlier simulation there.
+        Whether to replace the logs of an earlier simulation in ``out``.
 
     Returns
     -------
     list of pandas.DataFrame
-        One per trial, in the order of recording in a lab; each as returned by `read_log`, with the ``trial``
-        (name of its log) and its ``verdict`` in ``attrs``.
+        One for each trial, in the order of recording. Each is like the result of `read_log`, and its ``attrs`` also
+        have the ``trial`` (name of its log) and the ``verdict``.
 
     Raises
     ------
     DeviceError
-        If the device is not known, or has no such experiment.
+        If the device or the experiment is unknown.
     ParameterError
         If a value is out of range.
     UsageError
@@ -176,7 +176,7 @@ def simulate(
 
 
 def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[str, Any]) -> pd.DataFrame:
-    """Return one step response, shape (rows, 5), with its conditions in ``attrs``."""
+    """Return a step response, shape (rows, 5), with its conditions in ``attrs``."""
     rows = len(samples["time_s"])
     columns = {name: np.full(rows, np.nan) if samples.get(name) is None else samples[name] for name in SAMPLES}
     frame = pd.DataFrame(columns)
@@ -202,13 +202,13 @@ def _frame(sweep: SimulatedSweep, trial: Trial, verdict: str) -> pd.DataFrame:
 
 
 def _chosen(logs: Sequence[Log], label: str | None, path: PathLike) -> Log:
-    """Return the log with a label, or the only one."""
+    """Return the log with the given label, or the only log of the file."""
     if label is None and len(logs) == 1:
         return logs[0]
     labels = ", ".join(str(log.label) for log in logs)
     named = [log for log in logs if label is not None and log.label == label]
     if len(named) != 1:
-        raise UsageError(f"{path}: contains the trials {labels}; expected one of them as label, found {label!r}.")
+        raise UsageError(f"{path}: contains the trials {labels}. Expected one of these labels, found {label!r}.")
     return named[0]
 
 

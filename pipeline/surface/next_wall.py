@@ -1,4 +1,4 @@
-"""The next walls of an experiment, as `pipeline plan` names them."""
+"""Recommendation of the next walls of an experiment, as printed by `pipeline plan`."""
 
 from __future__ import annotations
 
@@ -23,42 +23,42 @@ def plan(
     gentle: bool = False,
     limits: Mapping[str, float] | None = None,
 ) -> Plan:
-    """Return which walls to try next, and whether the limits are known, as `pipeline plan` does.
+    """Recommend which walls to try next, and state whether the limits are known, as `pipeline plan` does.
 
     Parameters
     ----------
     device : str or path
-        Name as in the logs, or a device file (.toml).
+        Device name as in the logs, or a device file (.toml).
     processed : path
-        Folder of the stored tables; without trials in it, the device file gives the range to start from. The named
-        walls are stored there, so that the next plan can compare them with those that the rig set.
+        Folder of the stored tables. Without stored trials, the device file gives the initial range. The recommended
+        walls are stored in the folder, so that the next plan can compare them with the walls that the rig used.
     experiment : str, optional
-        By default the only stored one, otherwise the first of the device file.
+        By default, the only stored experiment, or without stored trials the first experiment of the device file.
     goal : str
-        ``boundary``, ``optimum`` (the best wall by settle_2pct), or a criterion.
+        ``boundary``, ``optimum`` (the best wall by settle_2pct), or the name of a criterion.
     count : int
-        Number of walls to name at once.
+        Number of walls to recommend.
     dampings : sequence of float
-        B at which limits are wanted [Ns/m, Nms/rad]; by default some over the range.
+        B at which the limits are to be found [Ns/m, Nms/rad]. The default is a set that covers the range.
     gentle : bool
         Whether to prefer stable walls and approach limits from below.
     limits : mapping, optional
-        Bounds on what is tried: ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``force`` [N, Nm] of the
-        command, ``travel`` [m, rad] of the start from the centre.
+        Bounds of the recommended walls: ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``force`` [N, Nm] of
+        the command, ``travel`` [m, rad] of the start from the centre.
 
     Returns
     -------
     Plan
-        ``next`` (walls with ``stiffness``, ``damping``, ``expected`` and ``why``), ``done``, ``boundary`` (limits so
-        far with ``damping``, ``estimate``, ``low`` and ``high``), ``trials_used``, ``trials_expected``, ``remarks``,
-        ``optimum``, ``left_out``; ``model_dump()`` gives plain values, `print` a summary.
+        ``next`` (walls with ``stiffness``, ``damping``, ``expected`` and ``why``), ``done``, ``boundary`` (limits found
+        so far, with ``damping``, ``estimate``, ``low`` and ``high``), ``trials_used``, ``trials_expected``,
+        ``remarks``, ``optimum``, ``left_out``. ``model_dump()`` returns plain values, `print` shows a summary.
 
     Raises
     ------
     DeviceError
-        If neither a device file nor a log gives a range to start from, or the experiment is unknown.
+        If neither a device file nor a log gives an initial range, or the experiment is unknown.
     UsageError
-        If several experiments are stored and none is named, a bound leaves no wall to try, or an argument is wrong.
+        If several experiments are stored and none is named, the bounds exclude every wall, or an argument is invalid.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The loop of device and virtual wall in SI, while `pipeline theory` uses normalised parameters."""
+"""The public `Loop` of device and virtual wall in SI units. `pipeline theory` uses normalised parameters instead."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import Margins, margins
 from pipeline.theory.reachable import Reachable, reachable
 
-if TYPE_CHECKING:  # takes longer to load than most results take to compute
+if TYPE_CHECKING:  # loading it takes longer than computing most results
     from matplotlib.axes import Axes
     from scipy.signal import StateSpace
 
 
 _FEWEST_SAMPLES = 50
-"""Smallest number of samples of a simulated log that shows a limit."""
+"""Smallest number of samples of a simulated log from which a limit can be estimated."""
 
 _DRAWN_LIMITS = 24
 """Number of dampings at which a limit with friction is drawn."""
 
 _ROUNDING = 1e-15
-"""Rounding error of a limit, as a share of the device stiffness."""
+"""Rounding error of a limit, relative to the stiffness of the device."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class LoopOptimum:
     """Best virtual wall of a loop by a criterion.
 
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
-    fraction, energies dimensionless; None if the criterion has none. ``reason`` states why, or that the optimum is a
-    limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, of a region of equally
-    good walls. ``note``: stable walls that were not searched, a negative stiffness, or an unstable tuning.
-    ``left_out``: parts of the loop that theory does not include.
+    fraction, energies dimensionless; None if the criterion defines no cost. ``reason``: why there is no cost, or that
+    the optimum is a limit that no stable wall reaches. ``box``: smallest and largest stiffness, then smallest and
+    largest damping, of a region of equally good walls. ``note``: mentions stable walls that were not searched, a
+    negative stiffness, or an unstable tuning. ``left_out``: parts of the loop that theory does not include.
     """
 
     criterion: str
@@ -82,37 +82,38 @@ class Loop(device_loop.Loop):
     stiffness : float
         Stiffness k of the device [N/m, Nm/rad], >= 0.
     motion : {"translation", "rotation"}
-        Determines the units in data frames.
+        Motion of the device, which determines the units in data frames.
     velocity : mapping, optional
-        Velocity filter: ``kind`` and its parameters, as in a device file (docs/devices.md), like the parts below.
+        Velocity filter with its ``kind`` and parameters. The keys of all parts are those of a device file
+        (docs/devices.md).
     actuator_lag_s : float
         Time constant of the drive [s], >= 0.
     force_gain : float
-        Force over command, > 0.
+        Ratio of force to command, > 0.
     mode : mapping, optional
-        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (part of the device's mass),
-        ``sensor`` (``motor`` or ``load``), ``load_damping`` (part of the device's damping).
+        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the load (included in the device's mass),
+        ``sensor`` (``motor`` or ``load``), ``load_damping`` (included in the device's damping).
     operator : mapping, optional
-        Rigidly attached to the motor: ``mass``, ``damping``, ``stiffness``, in addition to those of the device.
+        Operator, rigidly attached to the motor: ``mass``, ``damping``, ``stiffness``, which add to those of the device.
     friction : mapping, optional
-        On the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
+        Friction on the motor side: ``coulomb``, ``stiction``, ``stribeck_velocity``.
     sensor : mapping, optional
         ``quantum`` (resolution) and ``noise`` of the position sensor [m, rad].
     jitter_samples : sequence of int, optional
-        Delays from which that of each command is drawn; ``delay_samples`` is their mean.
+        Delays from which the delay of each command is drawn. ``delay_samples`` is their mean.
     constant_force, force_limit : float
-        Constant force on the motor, such as gravity, and largest command [N, Nm]. The former only shifts the rest
-        position, the latter only affects large motions: neither is part of linear theory.
+        Constant force on the motor, such as gravity, and largest command [N, Nm]. The constant force only shifts the
+        rest position, and the force limit only affects large motions. Linear theory includes neither.
 
     Raises
     ------
     ParameterError
-        If a parameter is out of range; delay plus filter may be at most 96 samples long.
+        If a parameter is out of range. The delay and the filter together may be at most 96 samples long.
 
     Notes
     -----
-    Theory is that of the linear loop. Parts that it cannot include (an adaptive velocity filter, friction or jitter)
-    are named in ``left_out``, also in ``attrs`` of data frames, optima, margins and designs.
+    Results describe the linear loop. Parts that linear theory cannot include (an adaptive velocity filter, friction or
+    jitter) are listed in ``left_out``, and in ``attrs`` of data frames, optima, margins and designs.
 
     Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5; docs/definitions.md, "Devices that are not ideal".
 
@@ -132,16 +133,16 @@ class Loop(device_loop.Loop):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.units, self.normalised_loop  # noqa: B018 - reject a parameter out of range here, not at the first result
+        self.units, self.normalised_loop  # noqa: B018 - an invalid parameter raises its error here
 
     @classmethod
     def of(cls, loop: device_loop.Loop) -> Loop:
-        """Return a loop from a device file, a simulation or logs as an instance of this class."""
+        """Return a copy of a loop, such as that of a device file, as an instance of this class."""
         return cls(**{each.name: getattr(loop, each.name) for each in fields(loop)})
 
     @cached_property
     def units(self) -> LoopUnits:
-        """Stiffness and damping for alpha = 1 and beta = 1."""
+        """Stiffness and damping that correspond to alpha = 1 and beta = 1."""
         return LoopUnits.of(self)
 
     @cached_property
@@ -150,14 +151,14 @@ class Loop(device_loop.Loop):
         return NormalisedLoop.of(self)
 
     def plot_boundary(self, ax: Axes) -> Axes:
-        """Draw the stability boundary (abscissa stiffness, ordinate damping); return the axes."""
+        """Draw the stability boundary (abscissa stiffness, ordinate damping), and return the axes."""
         border, units = self.boundary(), UNITS[self.motion]
         ax.plot(border["stiffness"], border["damping"])
         ax.set(xlabel=f"stiffness K [{units.stiffness}]", ylabel=f"damping B [{units.damping}]")
         return ax
 
     def plot_response(self, ax: Axes, stiffness: float, damping: float, step: float = 1.0, samples: int = 200) -> Axes:
-        """Draw the exact motion at a wall after a force step; return the axes.
+        """Draw the exact motion at a wall after a force step, and return the axes.
 
         Parameters
         ----------
@@ -166,14 +167,14 @@ class Loop(device_loop.Loop):
         stiffness, damping : float
             K [N/m, Nm/rad], B [Ns/m, Nms/rad].
         step : float
-            F_0 [N, Nm].
+            Force step F_0 [N, Nm].
         samples : int
             Length [samples].
 
         Raises
         ------
         ParameterError
-            For a wall whose motion overflows.
+            If the motion exceeds the range of floating-point numbers.
         """
         motion = self.response(stiffness, damping, samples=samples)
         ax.plot(motion["time_s"], motion["position"] * step)
@@ -191,16 +192,16 @@ class Loop(device_loop.Loop):
         Returns
         -------
         pandas.DataFrame
-            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; a row of nan lies
-            between separate regions. ``attrs`` has its extremes: ``stiffness_max``,
-            ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``; and ``islands``, stable
-            intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which
-            occur only for loops with filter, lag or mode.
+            ``damping`` B [Ns/m, Nms/rad] and ``stiffness`` K [N/m, Nm/rad], in order along the boundary. A row of nan
+            lies between separate regions. ``attrs`` has the extremes ``stiffness_max``, ``damping_at_stiffness_max``,
+            ``damping_max`` and ``stiffness_at_damping_max``. It also has ``islands``, stable intervals of stiffness
+            beyond an unstable gap (``damping``, ``stiffness_low``, ``stiffness_high``), which occur only for loops with
+            filter, lag or mode.
 
         Raises
         ------
         ParameterError
-            If fewer than 8 points are asked for, or no wall is stable.
+            If ``points`` is less than 8, or no wall is stable.
 
         Source: Hulin 2017, sec. 3.4.
         """
@@ -223,20 +224,21 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         stiffness, damping : float or array_like, shape (n,)
-            K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number is used for all.
+            K [N/m, Nm/rad] and B [Ns/m, Nms/rad]. A scalar is broadcast to the length of the other array.
         criteria : sequence of str
-            Criteria such as ``settle_2pct``, ``energy_step_w0_discrete``; by default all costs.
+            Criteria such as ``settle_2pct`` or ``energy_step_w0_discrete``. The default is all costs.
 
         Returns
         -------
         pandas.DataFrame
-            ``stiffness``, ``damping``, ``stable``, ``spectral_radius``, a column for each criterion (continuous, and
-            ``_discrete``: settling times in samples; NaN if missing), ``reason`` (why it is missing).
+            ``stiffness``, ``damping``, ``stable``, ``spectral_radius``, a column for each criterion (NaN if missing),
+            and ``reason`` (why a cost is missing). Names of discrete criteria end in ``_discrete``; settling times are
+            in samples.
 
         Raises
         ------
         ParameterError
-            If lengths differ, a value is not finite, or a criterion is unknown.
+            If the lengths differ, a value is not finite, or a criterion is unknown.
         """
         K, B = _as_walls(stiffness, damping)
         walls = costs_of_walls(Case(self.normalised_loop, self.units), np.stack([K, B], axis=1), criteria)
@@ -245,25 +247,27 @@ class Loop(device_loop.Loop):
         return self._frame({"stiffness": K, "damping": B, **stability, **walls.costs, "reason": reason})
 
     def limits(self, damping: object, *, step: float | None = None, samples: int = 400) -> pd.DataFrame:
-        """Return the limits of stability at dampings.
+        """Return the limits of stability at given dampings.
 
         Parameters
         ----------
         damping : float or array_like, shape (n,)
             B of the wall [Ns/m, Nms/rad].
         step : float, optional
-            Step of the command F_0 [N, Nm], > 0, for which the limits with friction and jitter are simulated, too.
+            Step F_0 of the command [N, Nm], > 0. If given, the limits with friction and jitter for this step are
+            simulated.
         samples : int
-            Length of these simulations.
+            Length of the simulated logs [samples].
 
         Returns
         -------
         pandas.DataFrame
             ``damping`` B, and ``stiffness`` K [N/m, Nm/rad] below which all walls are stable in linear theory, accurate
-            to 1e-9 (nan without any). With a ``step`` also ``stiffness_step``, the softest wall that is unstable for
-            this step, as shown with measured limits in a report, and ``stiffness_step_open``, half of the range that
-            simulated logs leave undecided; nan if no wall up to 1.5 times the largest linear limit above the linear one
-            is unstable. A harder push makes softer walls unstable, down to ``stiffness``.
+            to 1e-9 (nan if no wall is stable). With a ``step``, also ``stiffness_step``, the softest wall that is
+            unstable for this step, which reports show with the measured limits; and ``stiffness_step_open``, half of
+            the range in which the simulated logs are undecided. ``stiffness_step`` is nan if the search, from the
+            linear limit upwards by 1.5 times the largest linear limit, meets no unstable wall. A larger step makes
+            softer walls unstable, down to ``stiffness``.
 
         Raises
         ------
@@ -299,21 +303,21 @@ class Loop(device_loop.Loop):
         return self._frame(columns)
 
     def picture(self, path: str | os.PathLike[str], *, step: float | None = None, samples: int = 400) -> None:
-        """Draw the limit of stability over damping, passive walls, and the limit with friction for a step.
+        """Draw the limit of stability over damping, the passive walls, and the limit with friction for a step.
 
         Parameters
         ----------
         path : path
             File to write: .svg, .pdf or .png.
         step, samples
-            As in `limits`; without a step only the linear limit.
+            As in `limits`. Without a step, only the linear limit is drawn.
 
         Raises
         ------
         UsageError
-            For another extension.
+            If the file has another extension.
         ParameterError
-            As of `limits`, or if no wall is stable.
+            As in `limits`, or if no wall is stable.
         """
         unit = UNITS[self.motion]
         border = self.boundary()
@@ -334,7 +338,7 @@ class Loop(device_loop.Loop):
         Raises
         ------
         ParameterError
-            For an unknown criterion; the message lists all.
+            If the criterion is unknown. The message lists all criteria.
 
         Source: Hulin 2017, ch. 5.
         """
@@ -357,12 +361,12 @@ class Loop(device_loop.Loop):
         -------
         pandas.DataFrame
             ``stiffness``, ``damping``, ``cost``, ``damping_low``, ``damping_high`` (ends of the range of equally good
-            dampings, with ``damping`` in the middle). NaN if no damping makes the wall stable.
+            dampings; ``damping`` is its middle). Values are NaN if no damping makes the wall stable.
 
         Raises
         ------
         ParameterError
-            For an unknown criterion, or values that are not finite.
+            If the criterion is unknown, or a value is not finite.
 
         Source: Hulin 2017, secs. 5.1 and 5.2.
         """
@@ -371,7 +375,7 @@ class Loop(device_loop.Loop):
         return self._curve("stiffness", "damping", found)
 
     def best_stiffness(self, damping: object, criterion: str) -> pd.DataFrame:
-        """Return the best stiffness for each damping: like `best_damping`, with both exchanged."""
+        """Return the best stiffness for each damping. See `best_damping`, with stiffness and damping exchanged."""
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
         found = best_stiffness(self.normalised_loop, criterion, B / self.units.damping)
         return self._curve("damping", "stiffness", found)
@@ -382,13 +386,13 @@ class Loop(device_loop.Loop):
         Returns
         -------
         pandas.DataFrame
-            ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary and closed; ``attrs``
-            has ``stiffness_max`` and ``damping_at_stiffness_max``. All zero for a device without damping.
+            ``damping`` [Ns/m, Nms/rad] and ``stiffness`` [N/m, Nm/rad], in order along the closed boundary. ``attrs``
+            has ``stiffness_max`` and ``damping_at_stiffness_max``. All are zero for a device without damping.
 
         Raises
         ------
         ParameterError
-            If the position is sensed beyond a vibration mode: no wall is passive then.
+            If the position is sensed beyond a vibration mode, because then no wall is passive.
 
         Source: Hulin 2017, ch. 4; for non-integer delays see docs/definitions.md.
         """
@@ -402,22 +406,22 @@ class Loop(device_loop.Loop):
         return frame
 
     def robust(self) -> pd.DataFrame:
-        """Return the boundary of the walls that are stable with every spring in parallel to the device.
+        """Return the boundary of the walls that are stable with any spring in parallel to the device.
 
-        The device's own stiffness counts as one of these springs, so the result does not depend on it. Passive walls
-        are also robust.
+        The stiffness of the device is one of these springs, so that the result does not depend on it. Passive walls are
+        robust in this sense.
 
         Returns
         -------
         pandas.DataFrame
-            ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary, and ``spring``, the
-            spring for which the boundary is reached [N/m, Nm/rad]; ``attrs`` has ``stiffness_max`` and
-            ``damping_at_stiffness_max``. Empty for a device without damping.
+            ``damping`` [Ns/m, Nms/rad] and ``stiffness`` [N/m, Nm/rad], in order along the boundary, and ``spring``,
+            the spring that limits the wall there [N/m, Nm/rad]. ``attrs`` has ``stiffness_max`` and
+            ``damping_at_stiffness_max``. The frame is empty for a device without damping.
 
         Raises
         ------
         ParameterError
-            If the loop has more than mass, damper, spring and delay: the region is unknown for other parts.
+            If the loop has parts other than mass, damper, spring and delay, for which the region is unknown.
 
         Source: Hulin 2017, sec. 4.3.3, eq. 4.15, Fig. 4.5.
         """
@@ -433,17 +437,17 @@ class Loop(device_loop.Loop):
         return frame
 
     def reachable(self, criterion: str) -> Reachable:
-        """Return the lowest cost that the delay of this loop allows, for any mass and any wall.
+        """Return the lowest cost that is reachable with the delay of this loop, over all masses and walls.
 
         Parameters
         ----------
         criterion : str
-            As of `theory.reachable.reachable`: ``settle_2pct``, ``energy_step_w0``, ``pole_radius`` and similar ones.
+            A criterion of `theory.reachable.reachable`, such as ``settle_2pct``, ``energy_step_w0`` or ``pole_radius``.
 
         Raises
         ------
         ParameterError
-            For an unknown criterion, or one whose optimal cost does not depend on delay.
+            If the criterion is unknown, or its optimal cost does not depend on the delay.
 
         Source: Hulin 2017, eqs. 5.19 and 5.20.
 
@@ -465,21 +469,21 @@ class Loop(device_loop.Loop):
         signal: Literal["step", "impulse"] = "step",
         per_sample: int = 20,
     ) -> pd.DataFrame:
-        """Return the motion after a unit force step or a unit impulse, also exact between samples.
+        """Return the motion after a unit force step or a unit impulse, exact at and between the samples.
 
-        At time 0 the command step, or the impact, arrives at the actuator, after the delay. In `to_state_space` the
-        controller sends the command at time 0, that is ``delay_samples`` earlier.
+        At time 0 the command step, after the delay, or the impact arrives at the device. In `to_state_space` time 0 is
+        when the controller sends the command, which is ``delay_samples`` earlier.
 
         Parameters
         ----------
         stiffness, damping : float
-            K and B of a wall, stable or not.
+            K and B of a wall. It need not be stable.
         samples : int
             Length in sampling periods.
         signal : {"step", "impulse"}
-            1 N (1 Nm) of the command, or an impact of 1 Ns (1 Nms) on the device.
+            A command step of 1 N (1 Nm), or an impact of 1 Ns (1 Nms) on the device.
         per_sample : int
-            Number of points per sampling period; ``frame[::per_sample]`` are the samples.
+            Number of points per sampling period. ``frame[::per_sample]`` contains the samples.
 
         Returns
         -------
@@ -489,11 +493,11 @@ class Loop(device_loop.Loop):
         Raises
         ------
         ParameterError
-            For another signal, or if sizes are out of range.
+            If the signal is unknown, or a size is out of range.
         """
         alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
         chi = response(self.normalised_loop, alpha, beta, signal, samples, per_sample)
-        # an impact acts on the mass directly, a command through the gain
+        # An impact acts on the mass directly. A command passes the force gain first.
         unit = self.units.stiffness if signal == "step" else self.units.damping * self.force_gain
         time = np.arange(len(chi)) * self.sampling_period_s / per_sample
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
@@ -506,15 +510,15 @@ class Loop(device_loop.Loop):
         Parameters
         ----------
         stiffness, damping : float
-            Of one wall.
+            K and B of the wall.
 
         Returns
         -------
         Margins
-            ``gain``, ``gain_down``: factors of K and B together, above and below 1, at the limit; ``phase`` [rad] at
-            unit loop gain; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample] at which the position
-            after a command falls to 1/sqrt(2) of its static value (divided by 2 pi T, it is in Hz). None: no limit.
-            ``left_out``: parts of the loop that theory does not include.
+            ``gain``, ``gain_down``: factors above and below 1 by which K and B together reach the limit. ``phase``
+            [rad] at unit loop gain. ``delay`` [samples] that may be added. ``bandwidth`` [rad/sample] at which the
+            position after a command falls to 1/sqrt(2) of its static value; divide it by 2 pi T to obtain Hz. A margin
+            is None if there is no limit. ``left_out``: parts of the loop that theory does not include.
 
         Raises
         ------
@@ -525,20 +529,20 @@ class Loop(device_loop.Loop):
         return replace(known, left_out=self.left_out)
 
     def to_state_space(self, stiffness: float = 0.0, damping: float = 0.0) -> StateSpace:
-        """Return the loop as a discrete system of scipy, from a command [N, Nm] to the sensed position [m, rad].
+        """Return the loop as a discrete scipy system from the command [N, Nm] to the sensed position [m, rad].
 
         Parameters
         ----------
         stiffness, damping : float
-            K and B of the wall that closes the loop; the default is the open loop.
+            K and B of the wall that closes the loop. The default is the open loop.
 
         Returns
         -------
         scipy.signal.StateSpace
-            System with ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` converts it to python-control. The command
-            passes gain, delay and lag like that of the wall: the step response starts when the controller sends the
-            command, and the motion ``delay_samples`` later, while `response` starts when the command arrives. The parts
-            in ``left_out`` are not included.
+            System with ``dt``. ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` converts it to python-control. The command
+            passes gain, delay and lag, like the command of the wall. Time 0 is when the controller sends the command,
+            so the motion starts ``delay_samples`` later. In `response` time 0 is when the command arrives. The parts in
+            ``left_out`` are not included.
         """
         from scipy.signal import StateSpace
 
@@ -551,26 +555,26 @@ class Loop(device_loop.Loop):
         return StateSpace(loop.matrix(*wall)[0], command, position[None], 0.0, dt=self.sampling_period_s)
 
     def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
-        """Return costs on a grid over the bounding box of the stable region, both ends included.
+        """Return costs on a grid over the bounding box of the stable region, including both ends.
 
         Parameters
         ----------
-        size : int
+        Number of points along each axis, 2 to 4001.
             Points along each axis, 2 to 4001.
         criteria : sequence of str
-            Criteria such as ``settle_2pct``, ``overshoot``, ``energy_step_w0``, ``pole_radius``.
+            Criteria such as ``settle_2pct``, ``overshoot``, ``energy_step_w0`` or ``pole_radius``.
 
         Returns
         -------
         pandas.DataFrame
-            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN without a cost;
-            ``damping_ratio`` for the criterion ``damping``); damping changes slowest:
-            ``frame["overshoot"].to_numpy().reshape(size, size)`` has one row per damping.
+            ``stiffness``, ``damping``, ``stable``, and a column for each criterion (NaN without a cost;
+            ``damping_ratio`` for the criterion ``damping``). Damping changes slowest:
+            ``frame["overshoot"].to_numpy().reshape(size, size)`` has one row for each damping.
 
         Raises
         ------
         ParameterError
-            For an unknown criterion or a size out of range.
+            If a criterion is unknown, or the size is out of range.
 
         Source: Hulin 2017, ch. 5, footnote 1.
         """
@@ -579,7 +583,7 @@ class Loop(device_loop.Loop):
         grid = CostMap(self.normalised_loop, size, criteria)
         blocks = list(grid.blocks())
         costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
-        if "damping" in costs:  # also the column name of the walls' damping
+        if "damping" in costs:  # this name is also the column of the walls' damping
             costs["damping_ratio"] = costs.pop("damping")
         return self._frame(
             {
@@ -591,7 +595,7 @@ class Loop(device_loop.Loop):
         )
 
     def _curve(self, given: str, best: str, found: Curve) -> pd.DataFrame:
-        """Return an optimal curve in SI."""
+        """Return a curve of optima in SI units."""
         unit, columns = getattr(self.units, best), {given: found.given * getattr(self.units, given)}
         columns |= {best: found.best * unit, "cost": found.cost}
         return self._frame({**columns, f"{best}_low": found.low * unit, f"{best}_high": found.high * unit})
@@ -612,7 +616,7 @@ def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:
             np.atleast_1d(np.asarray(stiffness, dtype=np.float64)), np.atleast_1d(np.asarray(damping, dtype=np.float64))
         )
     except ValueError as error:
-        raise ParameterError(f"stiffness and damping are no lists of numbers of one length: {error}.") from error
+        raise ParameterError(f"stiffness and damping: expected lists of numbers of equal length: {error}.") from error
     if K.ndim != 1 or not (np.isfinite(K).all() and np.isfinite(B).all()):
         raise ParameterError(f"stiffness and damping, shape {K.shape}: expected lists of finite numbers.")
     return K.copy(), B.copy()

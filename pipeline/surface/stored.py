@@ -1,4 +1,4 @@
-"""Stored logs, and results of the measured branch, as data frames."""
+"""Stored logs, and results from them, as data frames."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterio
 
 
 def devices(processed: PathLike = "processed") -> pd.DataFrame:
-    """Return the devices with stored trials, one row each.
+    """Return the devices with stored trials, one row for each.
 
     Returns
     -------
     pandas.DataFrame
-        ``device``, ``title``, ``motion``, ``known`` (whether a device file describes it), ``experiments``, ``trials``
-        (numbers).
+        ``device``, ``title``, ``motion``, ``known`` (whether a device file describes it), ``experiments`` and
+        ``trials`` (counts).
 
     Raises
     ------
@@ -64,13 +64,14 @@ def devices(processed: PathLike = "processed") -> pd.DataFrame:
 
 
 def experiments(processed: PathLike = "processed", device: str | None = None) -> pd.DataFrame:
-    """Return the experiments with stored trials, one row each, in natural order (2 before 10).
+    """Return the experiments with stored trials, one row for each, in natural order (2 before 10).
 
     Returns
     -------
     pandas.DataFrame
-        ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip`` (of several
-        values, the smallest or first), ``simulated`` (any), ``trials`` (number).
+        ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip``,
+        ``simulated`` (true if any trial is simulated), ``trials`` (count). If trials differ, the smallest period and
+        delay and the first grip are given.
 
     Raises
     ------
@@ -93,16 +94,17 @@ def experiments(processed: PathLike = "processed", device: str | None = None) ->
 
 
 def trials(processed: PathLike = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
-    """Return the stored trials: all, those of a device, or those of one experiment.
+    """Return the stored trials: all, those of a device, or those of an experiment.
 
     Returns
     -------
     pandas.DataFrame
-        One row per trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
-        ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s`` [s],
-        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of trials
-        excluded by hand, which are not used in any estimate, boundary or cost, else ""; ``verdict`` (stable, unstable
-        or undecided) and ``outcome``, None if no comparison has computed them (`costs` computes verdicts).
+        One row for each trial, with the columns of the stored table: ``trial_id``, ``device``, ``experiment``,
+        ``motion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s``
+        [s], ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ... In addition,
+        ``exclusion_reason`` of manually excluded trials, which no estimate, boundary or cost uses (otherwise "");
+        ``verdict`` (stable, unstable or undecided) and ``outcome``, which are None if no comparison has computed them
+        (`costs` computes verdicts).
 
     Raises
     ------
@@ -132,12 +134,12 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (NaN if the log lacks it),
-        one row per sample; the trial's conditions are in ``attrs``, as in `read_log`.
+        one row for each sample. ``attrs`` has the trial's conditions, as in `read_log`.
 
     Raises
     ------
     UsageError
-        If there is no such trial.
+        If there is no trial with this id.
     StoreError
         If the folder is missing, or a stored file is damaged.
     """
@@ -145,7 +147,7 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     table = read_trials(folder)
     table = table.take(np.flatnonzero([name == trial_id for name in table.column("trial_id").to_pylist()]))
     if not table.num_rows:
-        raise UsageError(f"{folder}: no trial {trial_id!r}. `trials` lists them in its column trial_id.")
+        raise UsageError(f"{folder}: no trial {trial_id!r}. `trials` lists all ids in its column trial_id.")
     (row,) = table.slice(0, 1).to_pylist()
     trial = load_trials(folder, table.slice(0, 1))[0]
     return response_frame(
@@ -158,7 +160,7 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
 def estimates(
     processed: PathLike, device: str, experiment: str | None = None, *, all_methods: bool = False
 ) -> pd.DataFrame:
-    """Return delay, mass, damping and all other estimates, of one or all experiments of a device.
+    """Return delay, mass, damping and all other estimates for one or all experiments of a device.
 
     Parameters
     ----------
@@ -166,22 +168,22 @@ def estimates(
     device : str
     experiment : str, optional
     all_methods : bool
-        Whether the values by other methods follow the recommended one.
+        Whether the values by other methods follow the recommended value.
 
     Returns
     -------
     pandas.DataFrame
         ``experiment``, ``quantity`` (``delay_samples``, ``mass``, ``damping``, ...), ``value``, ``low``, ``high`` (95 %
-        interval), ``unit``, ``method``, ``recommended``, ``reason`` (why the value is missing, i.e. NaN),
-        ``trials`` (number used), ``spread``, ``within`` (standard deviation between trials, median error of one),
-        ``warning``.
+        interval), ``unit``, ``method``, ``recommended``, ``reason`` (why the value is missing, that is, NaN),
+        ``trials`` (number of used trials), ``spread``, ``within`` (standard deviation between trials, median error of a
+        trial), ``warning``.
 
     Raises
     ------
     DeviceError
         If the device or experiment has no trials.
     StoreError
-        If a stored file is damaged, or trials of one experiment do not belong together.
+        If a stored file is damaged, or trials of an experiment are inconsistent.
     """
     return estimates_frame(_results(_open(processed, device, experiment)), all_methods=all_methods)
 
@@ -192,12 +194,12 @@ def boundary(processed: PathLike, device: str, experiment: str | None = None) ->
     Returns
     -------
     pandas.DataFrame
-        ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the largest stable
-        stiffness below the smallest unstable one, and the smallest unstable one (NaN if missing), ``censored``,
-        ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
-        ``undecided`` (number of those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: if
-        friction was found, the other limits are valid only for the applied step; under a harder push, walls are
-        unstable from this stiffness on. One row per damping.
+        One row for each damping: ``experiment``, ``damping`` [Ns/m, Nms/rad], ``unstable`` (smallest unstable
+        stiffness) and ``stable`` (largest stable stiffness below it) [N/m, Nm/rad], NaN if missing, ``censored``,
+        ``stiffness``, ``low``, ``high`` [N/m, Nm/rad] (limit from the growth rates, 95 % interval), ``trials``,
+        ``undecided`` (number of undecided trials below ``stable``), ``stiffness_large_motion`` [N/m, Nm/rad]. If
+        friction was found, the other limits are valid only for the applied step; with a larger step, walls may be
+        unstable from ``stiffness_large_motion`` on.
 
     Raises
     ------
@@ -216,8 +218,8 @@ def optima(processed: PathLike, device: str, experiment: str | None = None) -> p
     pandas.DataFrame
         ``experiment``, ``criterion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``cost`` with its 95 %
         interval ``cost_low`` to ``cost_high``, ``trial_id``, ``ties``, ``censored`` (at the edge of the tested range),
-        ``cost_s`` [s], ``reason`` (why there is none; numbers are NaN then). Settling times are in samples (in seconds
-        in ``cost_s``), overshoot is a fraction.
+        ``cost_s`` [s], ``reason`` (why there is no best trial; then numbers are NaN). Settling times are in samples,
+        and in seconds in ``cost_s``. Overshoot is a fraction.
 
     Raises
     ------
@@ -234,9 +236,9 @@ def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd
     Returns
     -------
     pandas.DataFrame
-        ``experiment``, ``trial_id``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``verdict`` (stable,
-        unstable or undecided), ``criterion``, ``cost``, ``low``, ``high`` (95 % interval), ``reason`` (if the cost is
-        missing or uncertain). One row per trial and criterion.
+        One row for each trial and criterion: ``experiment``, ``trial_id``, ``stiffness`` [N/m, Nm/rad], ``damping``
+        [Ns/m, Nms/rad], ``verdict`` (stable, unstable or undecided), ``criterion``, ``cost``, ``low``, ``high`` (95 %
+        interval), ``reason`` (why the cost is missing or uncertain).
 
     Raises
     ------
@@ -269,7 +271,7 @@ def _open(processed: PathLike, device: str, experiment: str | None) -> StoredDat
 
 
 def _computed(data: StoredData) -> StoredData:
-    """Compute missing stages, by several processes if that saves time."""
+    """Compute missing stages. Several processes are used if that saves time."""
     compute_stages(data.experiments, needed_stages(data))
     return data
 
@@ -279,17 +281,15 @@ def _results(data: StoredData) -> Iterator[ExperimentNumbers]:
 
 
 def folder_of(processed: PathLike) -> Path:
-    """Return the folder of stored tables as a path; it must exist."""
+    """Return the folder of stored tables as a path. The folder must exist."""
     folder = Path(processed)
     if not folder.is_dir():
-        raise StoreError(
-            f"{folder}: no such folder of stored tables. Ingest logs first: pipeline.ingest(logs, {str(folder)!r})."
-        )
+        raise StoreError(f"{folder}: does not exist. Ingest logs first: pipeline.ingest(logs, {str(folder)!r}).")
     return folder
 
 
 def _read(folder: Path, device: str | None, experiment: str | None, columns: list[str] | None) -> Any:
-    """Return rows of the trials table; a name without stored trials is an error."""
+    """Return rows of the trials table. A device or experiment without stored trials raises an error."""
     if device is None and experiment is not None:
         raise UsageError(f"experiment {experiment!r} is given without its device. Give both.")
     if device is not None and device not in (stored := list_devices(folder)):
@@ -300,14 +300,14 @@ def _read(folder: Path, device: str | None, experiment: str | None, columns: lis
 
 
 def _frame(table: pa.Table) -> pd.DataFrame:
-    """Return rows of the trials table, with the units of the motions that occur."""
+    """Return rows of the trials table as a data frame, with the units for the motions of the trials."""
     frame = table.to_pandas()
     frame.attrs = {"units": units_of(table.column_names, table.column("motion").unique().to_pylist() or FORCED)}
     return frame
 
 
 def human_arms() -> pd.DataFrame:
-    """Return published parameters of human arms; the numbers of a row can be passed to `Loop` as ``operator``.
+    """Return published parameters of human arms. The values of a row can be passed to `Loop` as ``operator``.
 
     Returns
     -------

@@ -61,7 +61,7 @@ def test_a_store_that_is_killed_is_whole_when_it_is_back(tmp_path, monkeypatch):
                 time.sleep(0.02)
                 assert not run.done()
             s3.process.kill()
-            with pytest.raises(StoreError, match=r"the store does not answer.*repeat the command"):
+            with pytest.raises(StoreError, match=r"a request failed.*repeat the command"):
                 run.result()
         with server.running():
             before = stages_stored(url)

@@ -322,7 +322,7 @@ def theory_by_command(cell: Cell) -> None:
         document = json.loads(found)
         document = document[0] if command[0] == "points" else document
         cell.reports(document["left_out"])
-        assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
+        assert f"not included in linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
         if command[0] == "points":
             assert document["spectral_radius"] == pytest.approx(radius(cell.loop, *cell.wall), abs=1e-9)
         else:
@@ -344,7 +344,7 @@ def theory_documents(cell: Cell) -> None:
 def boundary_by_command_and_rest(cell: Cell) -> None:
     command = ["theory", "boundary", "--device", str(cell.file)]
     text, found = (CliRunner().invoke(application("theory"), [*command, *more]).stdout for more in ((), ("--json",)))
-    assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
+    assert f"not included in linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PIPELINE_DEVICES", str(cell.file.parent))
         served = rest("boundary", ("arm", None))
@@ -403,7 +403,7 @@ def planned(cell: Cell) -> None:
     answer = plan(str(cell.file), cell.folder / "processed")
     cell.reports(answer.left_out)
     text = str(answer)
-    assert f"left out of linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
+    assert f"not included in linear theory: {', '.join(cell.loop.left_out)}" in text or not cell.loop.left_out
     wall, limit = answer.next[0], cell.loop.limits(answer.next[0].damping)["stiffness"][0]
     cell.is_limit(limit, wall.damping)
     assert 0.4 * limit < wall.stiffness < 0.51 * limit

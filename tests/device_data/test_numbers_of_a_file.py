@@ -180,7 +180,7 @@ def test_every_surface_names_jitter(jittering: Path, call, monkeypatch: pytest.M
     for name, command in commands.items():
         status, text, _ = call(*command)
         assert status == 0, name
-        assert "left out of linear theory: friction, jitter" in text.lower()
+        assert "not included in linear theory: friction, jitter" in text.lower()
         assert "jitters from" in text
         shown = json.loads(call(*command, "--json")[1])
         assert (shown[0] if name == "points" else shown)["left_out"] == ["friction", "jitter"]

@@ -77,7 +77,7 @@ def test_a_deleted_table_of_corrections_is_named(lab):
     for file in corrections_files(processed):
         file.unlink()
     (told,) = check(processed).gone
-    assert told.startswith(f"Experiment 1 of bench: 1 exclusion ({excluded}) that stored results")
+    assert told.startswith(f"Experiment 1 of bench: stored results are based on 1 exclusion ({excluded})")
     assert told in compare("bench", processed, criteria=("overshoot",)).result.warnings
 
 
@@ -92,7 +92,7 @@ def test_a_deleted_batch_is_named(lab):
     assert check(processed).gone == ()
     new.unlink()
     (told,) = check(processed).gone
-    assert told.startswith(f"Experiment 1 of bench: 1 trial ({ids[0]}) that")
+    assert told.startswith(f"Experiment 1 of bench: stored results are based on 1 trial ({ids[0]})")
     assert told in compare("bench", processed, criteria=("overshoot",)).result.warnings
 
 

@@ -101,7 +101,7 @@ def test_a_corrected_name_gives_its_conditions(named):
     report = named.ingest()
     assert named.rows() == [("K900_a.csv", 900.0)]
     assert [(source.path, source.outcome) for source in report.changed] == [
-        (str(log), f"is now {corrected}; its trials were read again")
+        (str(log), f"was renamed to {corrected}; its trials were read again")
     ]
     assert report.removed == ()
     # results that rest on the trial are told apart by its id

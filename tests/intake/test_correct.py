@@ -116,13 +116,13 @@ def test_a_log_with_other_content_is_another_trial(store):
 def test_unknown_and_ambiguous_words(store):
     trial = ids(store)["2.csv"]
     wrong = trial[:-1] + ("0" if trial[-1] != "0" else "1")
-    with pytest.raises(UsageError, match=r"not found\. Among the stored trials.*4 trials are stored"):
+    with pytest.raises(UsageError, match=r"not found\. No id.*4 trials are stored"):
         exclude(store, wrong, WHY)
-    with pytest.raises(UsageError, match=r"22\.csv: not found\. Among the stored trials"):
+    with pytest.raises(UsageError, match=r"22\.csv: not found\. No id.*stored trials"):
         exclude(store, str(store.parent / "logs" / "22.csv"), WHY)
-    with pytest.raises(UsageError, match=r"not found\. Among the excluded trials"):
+    with pytest.raises(UsageError, match=r"not found\. No id.*excluded trials"):
         use_again(store, trial)
-    with pytest.raises(UsageError, match=r"not found\. Among the stored trials"):
+    with pytest.raises(UsageError, match=r"not found\. No id.*stored trials"):
         exclude(store, "", WHY)
     with pytest.raises(UsageError, match="--reason"):
         exclude(store, trial, " \n ")

@@ -62,7 +62,7 @@ def test_the_store_is_left_out_by_whatever_name_it_is_reached(logs, processed, t
     for searched, store in ((logs, linked / "store"), (linked, logs / "store"), (logs, logs / "store")):
         report = ingest([searched], store, jobs=1)
         assert (report.found, report.quarantined) == (1, ())
-    with pytest.raises(UsageError, match="where results are kept"):
+    with pytest.raises(UsageError, match="the folder of results"):
         ingest([logs / "store" / "trials"], linked / "store")
 
 

@@ -220,7 +220,7 @@ def test_processed_inside_the_searched_folder_is_left_out(logs):
     inside = logs / "processed"
     assert ingest([logs], inside).ingested == 6
     assert counts(ingest([logs], inside)) == (6, 0, 6, 0)
-    with pytest.raises(UsageError, match="where results are kept"):
+    with pytest.raises(UsageError, match="the folder of results"):
         ingest([inside], inside)
 
 
@@ -232,7 +232,7 @@ def test_dry_run_counts_and_writes_nothing(logs, run, processed):
 
 
 def test_wrong_arguments(logs, processed):
-    with pytest.raises(UsageError, match="no such file or folder"):
+    with pytest.raises(UsageError, match="does not exist or cannot be read"):
         ingest([logs / "nowhere"], processed)
     assert not processed.exists()
     with pytest.raises(UsageError, match="jobs must be at least 1"):
@@ -272,7 +272,7 @@ def test_what_is_too_large_or_no_regular_file_is_not_read(logs, run, monkeypatch
     reasons = {Path(r.path).name: r.reason for r in report.quarantined}
     assert counts(report) == (9, 6, 0, 3)
     assert "bytes; expected a log of one step response, at most 10000" in reasons["large.csv"]
-    assert "no regular file" in reasons["pipe.csv"]
+    assert "not a regular file" in reasons["pipe.csv"]
     assert "too long for a folder name" in reasons["long.csv"]
 
 

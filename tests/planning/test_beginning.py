@@ -55,8 +55,8 @@ def test_a_declared_lag_lowers_the_first_wall(begun):
 def test_parts_that_limits_of_a_file_leave_out_are_named_in_words_as_in_json(tmp_path, name, parts):
     answer = plan(name, tmp_path)
     assert answer.left_out == parts
-    lines = [line for line in str(answer).splitlines() if line.startswith("left out of linear theory")]
-    assert lines == ([f"left out of linear theory: {', '.join(parts)}"] if parts else [])
+    lines = [line for line in str(answer).splitlines() if line.startswith("not included in linear theory")]
+    assert lines == ([f"not included in linear theory: {', '.join(parts)}"] if parts else [])
 
 
 def test_no_device_and_no_log_says_what_is_needed_by_example(tmp_path):
@@ -65,7 +65,7 @@ def test_no_device_and_no_log_says_what_is_needed_by_example(tmp_path):
 
 
 def test_a_travel_that_no_allowed_wall_keeps_is_refused(begun):
-    with pytest.raises(UsageError, match="no wall is left to try"):
+    with pytest.raises(UsageError, match="Allow more travel or stiffness"):
         plan_of(begun(), PlanOptions(travel=1e-4, largest_stiffness=1000.0))
 
 

@@ -205,8 +205,8 @@ def test_a_plan_names_what_a_rig_set_in_place_of_the_wall_that_was_stored_as_ask
     store(tmp_path, body, [(got, 15.0)])
     for _ in range(2):  # asked once more without new logs it says the same
         remarks = plan("dev", processed, remembered=True).remarks
-        said = f"asked for K = {asked.stiffness:g} N/m, B = 15 Ns/m, the rig set K = {got:g} N/m "
-        said += "(others than asked for: 1 of 1 wall so far)"
+        said = f"requested K = {asked.stiffness:g} N/m, B = 15 Ns/m, the rig set K = {got:g} N/m "
+        said += "(deviating walls: 1 of 1 wall so far)"
         assert (said in remarks) is (got != asked.stiffness)
 
 
@@ -256,7 +256,7 @@ def test_plan_dampings_no_walls(tmp_path, stiffness):
 def test_plan_dampings_no_walls_and_no_motion(tmp_path):
     processed = store(tmp_path, Body(0.5, 3.0, 2.4), [(0.0, 0.0), (0.0, 5.0)], still=True)
     for options in (PlanOptions(), PlanOptions(dampings=(0.0, 20.0))):
-        with pytest.raises(PipelineError, match=r"position does not change.*larger steps.*range to start from"):
+        with pytest.raises(PipelineError, match=r"position does not change.*larger steps.*initial range"):
             plan("dev", processed, None, options)
 
 
@@ -367,7 +367,9 @@ def test_contradictory_walls_are_named():
     answer = plan_of(course_of(tried), PlanOptions())
     assert (answer.next[0].stiffness, answer.done) == (1000.0, False)
     assert "logs contradict each other at B = 15 Ns/m" in answer.next[0].why
-    assert "as many stable as unstable trials at 1000, 4000 N/m; measured again first" in answer.next[0].why
+    assert (
+        "equal numbers of stable and unstable trials at 1000, 4000 N/m; repeat these walls first" in answer.next[0].why
+    )
 
 
 def test_an_estimate_needs_a_stable_or_an_unstable_trial_and_without_a_device_both():

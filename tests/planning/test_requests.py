@@ -96,15 +96,15 @@ def test_a_rig_that_rounds_is_not_asked_for_one_wall_three_times(tmp_path, name,
     for limit in answer.boundary:
         assert (limit.low or 0.0) <= SHARE * LIMIT(np.array([limit.damping]))[0] <= (limit.high or inf)
     if not np.allclose(asked, got, rtol=1e-3):
-        assert any(remark.startswith("asked for K = ") and "the rig set " in remark for remark in said)
+        assert any(remark.startswith("requested K = ") and "the rig set " in remark for remark in said)
 
 
 def test_the_answer_of_a_rig_is_named_with_the_step_that_follows(tmp_path):
     *_, said = campaign(RIGS["K to 250"], PlanOptions(dampings=NAMED), tmp_path)
-    assert any(remark.startswith("asked for K = 5510 N/m, B = 60 Ns/m, the rig set K = 5500 N/m (") for remark in said)
-    assert "the rig sets multiples of 250 N/m: next walls are such" in said
+    assert any(remark.startswith("requested K = 5510 N/m, B = 60 Ns/m, the rig set K = 5500 N/m (") for remark in said)
+    assert "the rig sets multiples of 250 N/m; so are the next walls" in said
     *_, said = campaign(RIGS["2 K"], PlanOptions(dampings=NAMED), tmp_path)
-    assert "the rig sets 2 times the K that it is asked for: next walls are divided by it" in said
+    assert "the rig sets 2 times the requested K; next walls are divided by this factor" in said
     *_, said = campaign(RIGS["K at most 5000"], PlanOptions(dampings=NAMED), tmp_path)
     assert "the rig sets no K above 5000 N/m" in said
 
@@ -112,7 +112,7 @@ def test_the_answer_of_a_rig_is_named_with_the_step_that_follows(tmp_path):
 def test_a_rig_that_sets_what_it_is_asked_for_has_no_answer_to_name(tmp_path):
     _, asked, got, said = campaign(lambda K, B: (K, B), PlanOptions(dampings=NAMED), tmp_path)
     assert asked == got
-    assert not any("asked for" in remark for remark in said)
+    assert not any("requested" in remark for remark in said)
 
 
 @pytest.mark.parametrize("step", [50.0, 130.0, 1000 / 3, 0.02])

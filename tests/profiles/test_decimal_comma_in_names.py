@@ -63,7 +63,7 @@ def test_a_comma_that_the_pattern_asks_for_is_a_separator(name, pattern, expecte
 
 
 def test_a_number_that_begins_behind_a_comma_is_refused():
-    with pytest.raises(ParameterError, match="leaves out '2,' before it"):
+    with pytest.raises(ParameterError, match="omits '2,' before it"):
         conditions_in_name(r"(?P<stiffness>[0-9.]+)N", "K2,5N.csv")
     assert conditions_in_name(r"2,(?P<stiffness>[0-9.]+)N", "K2,5N.csv") == {"stiffness": "5"}
 

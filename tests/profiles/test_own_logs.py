@@ -93,8 +93,8 @@ def test_a_draft_says_what_the_file_says_and_suggests_each_column_once(call, tmp
     text = draft_profile(tmp_path / "logs" / "wall_K600_B10.csv")
     assert 'files = ["wall_K*_B*.csv"]' in text
     assert re.findall(r'^(?:# )?name = "(.*/.*)"', text, re.MULTILINE) == ["t/ms", "F/N", "x/mm"]
-    assert re.findall(r"the file says '(.*?)'", text) == ["ms", "N", "mm"]
-    assert '\nunit = "ms" # the file says' in text
+    assert re.findall(r"the file states '(.*?)'", text) == ["ms", "N", "mm"]
+    assert '\nunit = "ms" # the file states' in text
     assert find_questions(text) == []
     assert '\nstiffness = "N/m" # by the wall law of the command\n' in text
     pattern = json.loads(re.search(r'^name_pattern = (".*") # ', text, re.MULTILINE)[1])
@@ -130,7 +130,7 @@ def test_the_wall_law_tells_a_wrong_unit_or_sign(call, tmp_path, old, new, said)
     samples = json.loads(call("profile", "check", "mine.toml", "logs", "--json")[1])["samples"]
     # each log says so, the first as well as the others
     assert all(said in trial["other_gains"] for sample in samples for trial in sample["trials"])
-    assert ("but the file says" in out) == ('unit = "m' in new and "sign" not in new)
+    assert ("but the file states" in out) == ('unit = "m' in new and "sign" not in new)
 
 
 def test_equal_reasons_are_told_once_with_what_helps(call):

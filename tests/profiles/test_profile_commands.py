@@ -115,8 +115,8 @@ def test_check_shows_what_ingest_stores(call, lab):
     [
         ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'help in the profile: decimal = "."'),
         ("K300.csv", LOG.replace("8;0,25", ";0,25"), 5, 'blanks = "skip"'),
-        ("run.csv", LOG, None, "fits none of files = ['K*.csv']"),
-        ("Kx.csv", LOG, None, "does not fit name_pattern"),
+        ("run.csv", LOG, None, "matches none of files = ['K*.csv']"),
+        ("Kx.csv", LOG, None, "does not match name_pattern"),
     ],
 )
 def test_check_shows_the_refusal_that_ingest_would_give(call, lab, name, text, row, words):
@@ -222,7 +222,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     text = (tmp_path / "lab.toml").read_text(encoding="utf-8")
     assert call("profile", "draft", "K300.csv")[1] == text
     # what the file states is set with where it does, and nothing that would change a number silently
-    assert re.findall(r'^unit = "(.*?)" # the file says', text, re.MULTILINE) == ["ms", "N", "um"]
+    assert re.findall(r'^unit = "(.*?)" # the file states', text, re.MULTILINE) == ["ms", "N", "um"]
     assert "sampling_period_s = 0.001 # the time between rows" in text
     assert not re.search(r"^(step|stiffness|damping|motion) *=", text, re.MULTILINE)
     for command in (("profile", "check", "lab.toml", "K300.csv"), ("ingest", ".", "--profile", "lab.toml")):
@@ -232,7 +232,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
         told = re.findall(r"^lab\.toml:(\d+): key '(.*?)': open question", err, re.MULTILINE)
         assert told == [(str(q.line), ".".join(map(str, q.place))) for q in find_questions(text)]
     status, _, err = call("profile", "draft", "K300.csv", "--out", "lab.toml")
-    assert (status, "lab.toml: exists" in err) == (2, True)
+    assert (status, "lab.toml: already exists" in err) == (2, True)
     (tmp_path / "lab.toml").write_text(answer(text, {"units.stiffness": '"N/m"'}), encoding="utf-8")
     status, out, _ = call("profile", "check", "lab.toml", "K300.csv", "--json")
     assert status == 0
@@ -362,7 +362,7 @@ def test_quarantine_is_listed_and_shown(call, refused, tmp_path):
 def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp_path):
     status, out, err = call("quarantine", *words, "--processed", "procesed")
     assert (status, out) == (2, "")
-    assert err.startswith("Error: procesed: no such folder.")
+    assert err.startswith("Error: procesed: folder not found.")
     assert not (tmp_path / "procesed").exists()
 
 
@@ -431,5 +431,5 @@ def test_documents_beside_logs_are_no_logs(call, tmp_path):
 @pytest.mark.parametrize("text", ["x\n1.0\n2.0\n3.5\n", "1.0\n2.0\n3.5\n", "0.1;\n0.2;\n0.3;\n"])
 def test_a_file_of_one_column_is_called_so(text):
     """It was said to be no table of numbers, to be exported as CSV."""
-    with pytest.raises(LogError, match=r"one column of numbers .* needs the command and the position, or the velocity"):
+    with pytest.raises(LogError, match=r"one column of numbers .* needs the command, and the position or velocity"):
         text_layout("one.csv", text.encode())

@@ -88,7 +88,7 @@ def test_shipped_profiles_are_found_by_name():
 
 def test_a_file_name_without_its_constants_is_refused(profile_file):
     error = read_one(load_profile(profile_file(TOML)), TEXT, names=("run_7.txt",))
-    assert "does not fit name_pattern" in str(error)
+    assert "does not match name_pattern" in str(error)
 
 
 def test_files_of_a_pair_need_the_same_rows(profile_file):
@@ -106,9 +106,9 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
-        ("decimal", "decimals", 6, "key 'decimals': not known; did you mean 'decimal'"),
-        ("decimal", "origin", 6, "key 'origin': not known; expected one of .*'decimal'"),
-        ('unit = "ms"', 'units = "ms"', 12, "key 'columns.time.units': not known; did you mean 'unit'"),
+        ("decimal", "decimals", 6, "key 'decimals': unknown; did you mean 'decimal'"),
+        ("decimal", "origin", 6, "key 'origin': unknown; expected one of .*'decimal'"),
+        ('unit = "ms"', 'units = "ms"', 12, "key 'columns.time.units': unknown; did you mean 'unit'"),
         (
             'unit = "ms"',
             "",
@@ -121,7 +121,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
             'unit = "mN"',
             'unit = "cnt"',
             15,
-            "unit 'cnt' is not known; expected force.*of a drive one of .'V', 'mV', 'A'",
+            "unit 'cnt' is not known; expected force.*for a drive, use one of .'V', 'mV', 'A'",
         ),
         (
             'unit = "µm"',
@@ -139,7 +139,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
         ("sign = -1", "counts_per_unit = 0", 16, "counts_per_unit.*greater than 0, found 0"),
         ('name = "F"', "", 13, "'columns.command.name': missing. Add name = "),
         ("skip_rows = 1", 'header_at = "["', 7, "'header_at': no regular expression"),
-        ("skip_rows = 1", 'records = "x"', 7, "'records': for format json"),
+        ("skip_rows = 1", 'records = "x"', 7, "'records': only for format json"),
         ("skip_rows = 1", "step_row = 1", 9, "'step_at': given in addition to step_row"),
         (
             "skip_rows = 1",
@@ -147,7 +147,7 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
             7,
             "'units.stiffness'.*rotational stiffness; expected stiffness",
         ),
-        ("skip_rows = 1", 'file = [{ match = "a", matc = "b" }]', 7, "'file.0.matc': not known; did you mean 'match'"),
+        ("skip_rows = 1", 'file = [{ match = "a", matc = "b" }]', 7, "'file.0.matc': unknown; did you mean 'match'"),
         ("skip_rows = 1", 'attributes = { stifness = "K" }', 7, "'attributes.stifness'.*'stiffness'"),
         (
             'unit = "ms"',
@@ -156,12 +156,12 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
             "'columns.time.blanks': Input should be 'refuse' or 'skip'",
         ),
         ('format = "delimited"', "", 1, "key 'format': missing"),
-        ('format = "delimited"', 'format = "parquet"', 5, "'delimiter': for format delimited, found parquet"),
-        ('format = "delimited"', 'format = "native"', 3, "'format': a native log brings all of .*'columns'"),
+        ('format = "delimited"', 'format = "parquet"', 5, "'delimiter': only for format delimited, found parquet"),
+        ('format = "delimited"', 'format = "native"', 3, "'format': a native log contains .*'columns'"),
         ("(?P<stiffness>", "(?P<mass>", 8, "unknown groups"),
         ("(?P<stiffness>", "(?P<stiffness>(", 8, "no regular expression"),
         ('decimal = ","', 'decimal = ";"', 6, "key 'decimal'"),
-        ('name = "lab"', "name = lab", None, "no valid TOML.*line 2"),
+        ('name = "lab"', "name = lab", None, "not valid TOML.*line 2"),
     ],
 )
 def test_a_wrong_profile_is_explained(profile_file, old, new, line, words):
@@ -275,7 +275,7 @@ def test_signs_decimal_mark_and_step_are_never_guessed(profile_file):
     ]
     words = {key: text for _, key, text in found}
     assert words["decimal"].startswith('decimal = "." or decimal = ","')
-    assert all(words[key].startswith("sign = 1 or sign = -1 (-1 where ") for key in words if key.endswith("sign"))
+    assert all(words[key].startswith("sign = 1 or sign = -1 (-1 if ") for key in words if key.endswith("sign"))
     for line in ('step_at = "command edge"', 'step_at = "first row"', "step_row = ", "step_time_s = "):
         assert line in words["step_at"]
     # the lines that it asks for are enough

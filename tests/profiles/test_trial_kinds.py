@@ -73,7 +73,7 @@ def test_another_wall_than_stated_is_named_where_there_is_no_step(call, tmp_path
     walls_of = ("--stiffness", "K:N/mm", "--damping", "B:Ns/m", "--kind", "hit" if "hit" in way else "release")
     status, _, err = call("ingest", "bench", *options, *walls_of)
     assert status == 1
-    assert "K50_B20.csv: the command obeys stiffness 500, the options say 5e+04 (factor 0.01)" in err
+    assert "K50_B20.csv: the command follows stiffness 500, the options state 5e+04 (factor 0.01)" in err
 
 
 PROFILE = """
@@ -96,8 +96,12 @@ sampling_period_s = 0.001
 @pytest.mark.parametrize(
     ("kind", "more", "message"),
     [
-        ("hit", "stiffness = 100\ndamping = 2\nstep = 4", "'constants.step': step: a trial of kind 'hit' has none"),
-        ("free", "stiffness = 100", "'constants.stiffness': stiffness: a trial of kind 'free' has none"),
+        (
+            "hit",
+            "stiffness = 100\ndamping = 2\nstep = 4",
+            "'constants.step': step: a trial of kind 'hit' has no such condition",
+        ),
+        ("free", "stiffness = 100", "'constants.stiffness': stiffness: a trial of kind 'free' has no such condition"),
         ("release", "stiffness = 100", "'constants.damping': missing"),
         ("bang", "", "Input should be 'step', 'release', 'hit', 'free' or 'staircase'|'bang'"),
     ],
@@ -111,7 +115,7 @@ def test_conditions_that_a_kind_has_not_are_refused(tmp_path, kind, more, messag
 def test_a_stated_row_of_a_step_is_none_of_a_release(tmp_path):
     text = PROFILE.replace("KIND", "release").replace("columns.time", 'step_at = "first row"\ncolumns.time')
     (tmp_path / "lab.toml").write_text(text + "stiffness = 100\ndamping = 2\n")
-    with pytest.raises(ProfileError, match="'step_at': a trial of kind 'release' has no step that is stated"):
+    with pytest.raises(ProfileError, match="'step_at': a trial of kind 'release' has no declared step"):
         read_profile(tmp_path / "lab.toml")
 
 
@@ -124,7 +128,7 @@ def test_a_kind_that_the_motion_contradicts_is_warned_of(call, tmp_path):
     for kind, told in (("release", True), ("hit", False)):
         (tmp_path / "lab.toml").write_text(PROFILE.replace("KIND", kind) + walls_of)
         _, out, _ = call("profile", "check", "lab.toml", "a.csv")
-        assert ("kind is 'release', but the log shows a hit: which is right?" in out) == told
+        assert ("kind is 'release', but the log shows a hit. Check which is right" in out) == told
         assert "none: the device is hit at 0.012 s" in out
 
 
@@ -144,7 +148,7 @@ def test_each_step_of_a_staircase_is_a_trial(call, tmp_path):
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.csv").write_text(stairs([0, 1, 3, -2]))
     text = draft_profile(tmp_path / "logs" / "a.csv")
-    assert 'kind = "staircase" # no wall law is seen, and the command steps 3 times at most' in text
+    assert 'kind = "staircase" # no wall law was found, and the command has at most 3 steps' in text
     (tmp_path / "lab.toml").write_text(PROFILE.replace("KIND", "staircase"))
     assert call("ingest", "logs", "--profile", "lab.toml")[0] == 0
     rows = read_trials(tmp_path / "processed").to_pylist()
@@ -161,9 +165,9 @@ def test_each_step_of_a_staircase_is_a_trial(call, tmp_path):
 def test_a_command_that_goes_on_to_change_is_free_and_no_staircase(call, tmp_path):
     (tmp_path / "logs").mkdir()
     (tmp_path / "logs" / "a.csv").write_text(stairs(np.sin(np.arange(300) / 9), rows=1))
-    assert 'kind = "free" # no wall law is seen in the command' in draft_profile(tmp_path / "logs" / "a.csv")
+    assert 'kind = "free" # no wall law was found in the command' in draft_profile(tmp_path / "logs" / "a.csv")
     (tmp_path / "lab.toml").write_text(PROFILE.replace("KIND", "staircase"))
     status, out, err = call("ingest", "logs", "--profile", "lab.toml")
-    assert (status, "the command changes 299 times and is kept as one log" in out + err) == (0, True)
+    assert (status, "the command changes 299 times; the log is kept undivided" in out + err) == (0, True)
     (row,) = read_trials(tmp_path / "processed").to_pylist()
     assert (row["stiffness"], row["damping"], row["step"]) == (0, 0, 0)

@@ -388,7 +388,7 @@ def test_options_without_effect_on_the_page_of_two_are_refused(call, course, opt
     words = ("compare", "--device", "lwr", "-e", "delay-8", "--against", *options.split())
     status, out, err = call(*words, "--processed", course)
     assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
-    assert "do not go together" in err
+    assert "cannot be combined" in err
 
 
 # theory
@@ -428,7 +428,7 @@ def test_theory_optimum(call):
     assert status == 0
     header, row = (line.split() for line in out.splitlines()[:2])
     assert header == ["criterion", "alpha", "beta", "cost"]
-    assert "with this delay no wall costs less" in out
+    assert "with this delay, no wall costs less" in out
     assert (row[0], row[1][:6]) == ("energy_step_w0", "0.0305")  # 5796 Nm/rad on 0.19 kg m^2
 
 
@@ -450,7 +450,7 @@ def test_theory_map(call, tmp_path):
         ("simulate none.toml", 1, "none.toml: device file cannot be read"),
         ("simulate falcon -e 9", 1, "no experiment '9'"),
         ("simulate falcon --coarsen 0", 1, "coarsen = 0"),
-        ("ingest nowhere", 2, "nowhere: no such file"),
+        ("ingest nowhere", 2, "nowhere: does not exist"),
         ("ingest . --jobs 0", 2, "jobs must be at least 1"),
         ("theory boundary --delay -1 --json", 1, "delay = -1"),
         ("theory boundary --delay nan --json", 1, "delay = nan"),

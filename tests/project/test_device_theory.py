@@ -60,7 +60,7 @@ def test_a_map_holds_the_optimum(call, arm):
 def test_text_names_what_is_left_out(call, arm):
     status, out, _ = call("theory", "boundary", "--device", arm)
     assert status == 0
-    assert "left out of linear theory: friction" in out
+    assert "not included in linear theory: friction" in out
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,6 @@ EXCEPTIONS = {
     "pipeline/planning/cost_search.py": (["holds"], "name of a field, in its description"),
     "pipeline/simulation/setup.py": (["held"], "name of an array, in its description"),
     "pipeline/surface/identify.py": (["told"] * 2, "key of the JSON document, and a column"),
-    "pipeline/shell/console.py": (["tell"], "name of a function"),
     "schemas/device.json": (["held"], "title of the key held_samples"),
     "schemas/experiment.json": (["held"], "title of the key held_samples"),
     "pipeline/service/catalogue.py": (["said"] * 4, "name of a column in SQL"),

@@ -285,4 +285,4 @@ def test_ctrl_c_is_answered_on_stderr(tmp_path, logs):
     _, told = process.communicate(timeout=60)
     assert process.returncode != 0
     assert "Traceback" not in told
-    assert "Each file is complete or as it was before: run the command again for what is left." in told
+    assert "Each file is complete or unchanged. Run the command again for the remaining work." in told

@@ -79,7 +79,7 @@ def test_the_pictures_of_the_session_are_small_and_on_the_page(made):
 
 def test_the_session_asks_and_ends_with_the_commands_that_repeat_it():
     (shown,) = [content for _, name, content in BLOCK.findall(SECTION) if name == "session"]
-    assert shown.count("2 questions open; Enter accepts the proposal in brackets.") == 1
+    assert shown.count("2 open questions. Enter accepts the proposal in brackets.") == 1
     assert "[mm]: mm\n" in shown
     assert shown.endswith("  pipeline ingest bare --profile bare.toml\n  pipeline compare --device bare\n")
 

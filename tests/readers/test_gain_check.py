@@ -87,7 +87,7 @@ def test_a_column_that_is_not_in_si_is_named_before_the_header(columns, cure):
     found = log((3200.0, 18.0, STEP), command * sent, position * seen)
     native = next(each for each in shipped_profiles() if each.format == "native")
     warning = gain_mismatch(native, replace(found, time=time * found.time))
-    assert warning.endswith(f"To cure it: {cure}")
+    assert warning.endswith(f"Remedy: {cure}")
 
 
 PROFILE = """

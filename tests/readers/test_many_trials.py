@@ -108,14 +108,14 @@ def test_a_group_without_a_column_is_no_trial_and_none_is_refused(call, tmp_path
     text = (tmp_path / "lab.toml").read_text()
     (tmp_path / "lab.toml").write_text(text.replace('name = "x"', 'name = "y"'))
     status, out, _ = call("profile", "check", "lab.toml", "a.json")
-    assert (status, "no group has the columns 't', 'F', 'y'. It has: runs[0].t" in out) == (3, True)
+    assert (status, "no group has the columns 't', 'F', 'y'. Columns of the file: runs[0].t" in out) == (3, True)
 
 
 def test_groups_are_of_formats_that_have_some(tmp_path):
     (tmp_path / "lab.toml").write_text(
         'name = "lab"\nformat = "delimited"\nfiles = ["*.csv"]\ndecimal = "."\ntrials = "each group"\n'
     )
-    with pytest.raises(ProfileError, match=r"'trials': for formats with groups \(json, matlab, hdf5, tdms, mdf\)"):
+    with pytest.raises(ProfileError, match=r"'trials': for formats \(json, matlab, hdf5, tdms, mdf\)"):
         read_profile(tmp_path / "lab.toml")
 
 

@@ -155,14 +155,14 @@ def test_a_terminal_log_with_banner_labels_and_a_cut_last_line(lab):
     trial, samples, warnings = lab.one(toml, text)
     assert (trial["stiffness"], trial["damping"]) == (3200, 18)
     close(samples["position"], [0, 0, 0.5e-3, 1.2e-3])
-    assert warnings == ["line 11 is the last one and has no line end: its last value may be cut"]
+    assert warnings == ["the last line (11) has no line end: its last value may be incomplete"]
     assert trial["extra"]["file.Port"] == "/dev/ttyUSB0"
     assert trial["extra"]["file.Warning"] == "hot"
 
     (lab.logs / "run.txt").unlink()
     report = lab.ingest(toml, {"cut.txt": text[:-6]})
     assert [w.warning for w in report.warnings if w.code is None] == [
-        "last row is cut: '3, ' (line 11) was left out and is kept verbatim"
+        "the last row (line 11) is incomplete and was omitted: '3, '"
     ]
     trial = next(trial for trial in lab.trials if trial["rows"] == 3)
     assert trial["extra"]["file.cut_last_row"] == "3, "
@@ -217,7 +217,7 @@ def test_sparse_columns_of_several_rates_with_rows_out_of_order(lab):
     row, reason = lab.refused(toml, SPARSE)
     assert row == 4
     assert "command has no value: column 'F' is blank" in reason
-    assert '"hold" for the value before it' in reason
+    assert '"hold" to repeat the value before' in reason
     held = toml.replace('"N"', '"N", blanks = "hold"').replace('"mm"', '"mm", blanks = "skip"')
     row, reason = lab.refused(held, SPARSE)
     assert row == 3
@@ -354,7 +354,9 @@ def test_a_file_whose_step_nobody_declared_is_refused(lab):
     assert [trial["extra"]["step_row"] for trial in lab.trials] == ["1"]
     (refusal,) = report.quarantined
     assert refusal.path.endswith("b.txt")
-    assert "does not say when the step of this file happens. At the top, or in the [[file]]" in refusal.reason
+    assert (
+        "does not state the time of the step for this file. At the top, or in the matching [[file]]" in refusal.reason
+    )
     # where none was commanded there is nothing to declare
     lab.ingest(toml.replace("step = 8", "step = 0").replace("step_row = 1", "step = 8\nstep_row = 1"), {})
     assert len(lab.trials) == 2
@@ -377,7 +379,7 @@ def test_conditions_come_from_the_most_special_place(lab):
     assert values == {"stiffness": 77, "damping": 2500, "step": 8, "sampling_period_s": 0.001}
     assert trial["extra"]["step_row"] == "1"
     odd, other = (refusal.reason for refusal in report.quarantined)
-    assert "fits 2 entries [[file]]" in odd
+    assert "matches 2 [[file]] entries" in odd
     assert 'help in the profile: [[file]]; match = "B3_a.txt"; step = <value>' in other
 
 

@@ -67,10 +67,10 @@ RUN = [(k, 8 * (k > 1), k) for k in range(6)]
 def test_a_point_in_a_condition_of_a_file_with_decimal_commas_is_refused(value):
     body = "t;F;x{}\n0;0;0,5{}\n1;8;1,5{}\n"
     label = profile(GERMAN | BANNER)
-    assert "the point may part thousands" in reason(label, f"K: {value}\n" + body.format("", "", ""))
+    assert "the point may separate thousands" in reason(label, f"K: {value}\n" + body.format("", "", ""))
     column = profile(GERMAN, condition_columns={"stiffness": "K"})
     cells = body.format(";K", f";{value}", f";{value}")
-    assert "the point may part thousands" in reason(column, cells)
+    assert "the point may separate thousands" in reason(column, cells)
     log = read(column, cells.replace(".", ","))
     assert log.header.stiffness == {"1.200": 1.2, "1.200 N/m": 1.2, "0.5 N/mm": 500.0}[value]
 
@@ -142,7 +142,7 @@ def test_times_whose_type_states_the_unit_take_no_other(which):
     refusal = read(of(wrong), data)
     assert isinstance(refusal, LogError)
     assert refusal.code == "profile-wrong"
-    assert f"columns.time.unit is '{wrong}', but the file says '{right}'" in refusal.reason
+    assert f"columns.time.unit is '{wrong}', but the file states '{right}'" in refusal.reason
     assert refusal.profile_line == f'[columns.time]\nunit = "{right}"'
     log = read(of(right), data)
     assert isinstance(log, Log), log
@@ -196,7 +196,7 @@ def test_packed_json_is_read_and_drafted(pack, tmp_path):
             "time must be a number (column 't', decimal sign '.'), found '0'",
         ),
         ("t,F,x\n12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
-        ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "columns.time.unit is 'ms', but the file says 'ns'"),
+        ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "columns.time.unit is 'ms', but the file states 'ns'"),
     ],
 )
 def test_times_in_words_are_refused_by_what_they_are(data, kind, words):
@@ -241,7 +241,7 @@ sampling_period_s = 0.001
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('name = "x"', 'name = "F"', ":9: key 'columns.position.name': 'F' is columns.command, too"),
+        ('name = "x"', 'name = "F"', ":9: key 'columns.position.name': 'F' is also columns.command"),
         ("sign = 1 }\nposition", "sign = true }\nposition", ":8: key 'columns.command.sign': Input should be 1 or -1"),
         ("stiffness = 300", 'stiffness = "300"', ":13: key 'constants.stiffness': Input should be a valid number"),
         ("damping = 2", "damping = true", ":14: key 'constants.damping': Input should be a valid number"),
@@ -272,9 +272,9 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
     (warning, *implausible) = checked(tmp_path, micro, rows)
     assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
-    assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
+    assert warning == "columns.time.unit is 'us', but the file states 'ms'. Check which is right"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
-    assert warning == "the command jumps by 8 in row 5, but the step is 9: which is right?"
+    assert warning == "the command jumps by 8 in row 5, but the step is 9. Check which is right"
     (warning,) = checked(tmp_path, TOML.replace('"mm", sign = 1', '"mm", sign = -1'), rows)
     assert warning.startswith("The position moves against its command, first in row")
 
@@ -285,8 +285,8 @@ def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
     assert read_file(chosen, ("a",), (text.encode(),)).hints == {"t": "ms", "F": "N", "x": "mm"}
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     draft = draft_profile(tmp_path / "a.txt")
-    assert "unit = \"ms\" # the file says 'ms'" in draft
-    assert "unit = \"N\" # the file says 'N'" in draft
+    assert "unit = \"ms\" # the file states 'ms'" in draft
+    assert "unit = \"N\" # the file states 'N'" in draft
 
 
 def test_labels_in_remarks_are_read_by_the_draft(tmp_path):

@@ -74,7 +74,7 @@ def test_a_command_that_no_column_holds_is_stated(tmp_path, start):
         ('{ value = 6.0, unit = "N", sign = 1 }', "from_row"),
         ('{ from_row = 3, unit = "N", sign = 1 }', "value"),
         ('{ value = 6.0, from_row = 3, name = "t", unit = "N", sign = 1 }', "together with the column"),
-        ('{ unit = "N", sign = 1 }', "value and from_row"),
+        ('{ unit = "N", sign = 1 }', "value with from_row"),
     ],
 )
 def test_half_a_statement_is_none(tmp_path, command, said):
@@ -88,7 +88,7 @@ def test_a_velocity_alone_is_offered_to_be_integrated(tmp_path):
     text = draft_profile(log)
     assert "'v_mm_s' is a velocity" in text
     assert '# integrate = "difference"' in text
-    assert '\nunit = "mm/s" # the file says' in text
+    assert '\nunit = "mm/s" # the file states' in text
 
 
 @pytest.mark.parametrize("unit", ["mm/s", "cm/s"])
@@ -142,7 +142,7 @@ def test_a_piecewise_constant_command_is_parted_at_its_changes(tmp_path):
         np.testing.assert_array_equal(trial.command, FOUR[start:end])
     done = pipeline("profile", "check", lab, log)
     assert "4 trials would be stored" in done.output
-    assert "step 3 of 4 found in the command, by -6 in row 250" in done.output
+    assert "step 3 of 4 found in the command: -6 in row 250" in done.output
 
 
 @pytest.mark.parametrize("command", ["relay", "sweep"])
@@ -152,7 +152,7 @@ def test_any_command_gets_in_as_one_log(tmp_path, command):
     lab = profile(tmp_path / "lab.toml", COMMAND='{ name = "F", unit = "N", sign = 1 }')
     report = ingest([log], tmp_path / "processed", lab)
     assert (report.ingested, report.quarantined) == (1, ())
-    assert any("kept as one log" in str(warning) for warning in report.warnings)
+    assert any("kept undivided" in str(warning) for warning in report.warnings)
     assert len(read_trials(tmp_path / "processed")) == 1
 
 
@@ -311,8 +311,8 @@ def test_other_samples_are_held_against_the_first(tmp_path):
     done = pipeline("profile", "draft", *files, semicolons)
     assert done.exit_code == 0
     assert "# K200_B1.csv" not in done.output
-    assert '# K300_B1.csv is laid out otherwise: columns = ["t", "F", "x", "note"]' in done.output
-    assert "# K400_B1.csv is laid out otherwise: " in done.output
+    assert '# K300_B1.csv has another layout: columns = ["t", "F", "x", "note"]' in done.output
+    assert "# K400_B1.csv has another layout: " in done.output
     assert 'delimiter = ";"' in done.output
 
 

@@ -51,7 +51,7 @@ def test_wanted_columns_keep_their_order(kind):
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [
-        ("tt", "no column 'tt'.*It has: t, stamp"),
+        ("tt", "no column 'tt'.*Columns of the file: t, stamp"),
         ("raw", "is binary"),
         ("q", "Name one element"),
         ("q[3]", "Name one element"),

@@ -23,7 +23,7 @@ from pipeline.readers.isolation import isolated
     "data", [b"", b"\0", b"\0" * 5000, b"time_s,command,position\n0,0,0\n", b"PK\x03\x04" + b"\0" * 600]
 )
 def test_files_of_another_kind_are_refused(form, data):
-    with pytest.raises(LogError, match=r"^log: .*(expected|cut|Correct|Record|mended)"):
+    with pytest.raises(LogError, match=r"^log: .*(expected|cut|Correct|Record|Repair)"):
         read_frame(form, "log", data, ["t"])
 
 
@@ -35,9 +35,9 @@ def test_limits_grow_with_the_file():
 
 def test_a_worker_that_hangs_or_crashes_costs_only_its_file():
     for function, words in (
-        ("hang", "cannot be read as a file: the library that reads it does not come to an end"),
-        ("crash", "cannot be read as a file: the library that reads it crashes .status -11"),
-        ("starve", "takes more memory than a file of its size may"),
+        ("hang", "cannot be read as a file: its library does not come to an end"),
+        ("crash", "cannot be read as a file: its library crashes .status -11"),
+        ("starve", "needs more memory than a file of its size may use"),
     ):
         with pytest.raises(LogError, match=f"^log: {words}"):
             isolated(f"{misbehaving.__name__}:{function}", "a file", 0, "log", b"")

@@ -82,7 +82,7 @@ def test_what_is_no_column_is_refused_with_the_reason():
         frame(hdf5_file(write), "t", "z")
     with pytest.raises(LogError, match="'/nothing' is empty"):
         frame(hdf5_file(write), "nothing")
-    with pytest.raises(LogError, match=r"no column 'tt'.*It has: /t\. Not readable: '/nothing'"):
+    with pytest.raises(LogError, match=r"no column 'tt'.*Columns of the file: /t\. Not readable: '/nothing'"):
         frame(hdf5_file(write), "tt")
 
 

@@ -54,11 +54,11 @@ def test_one_record_a_line_with_a_cut_last_line():
     assert read.columns["x"].tolist() == [1, 2]
     assert read.row.tolist() == [1, 3]
     assert read.row_name == "line"
-    assert read.warnings == ('last row is cut: \'{"t": 2, "x"\' (line 4) was left out and is kept verbatim',)
+    assert read.warnings == ('the last row (line 4) is incomplete and was omitted: \'{"t": 2, "x"\'',)
 
 
 def test_a_damaged_line_in_between_is_refused_with_its_line():
-    with pytest.raises(LogError, match="one record a line") as error:
+    with pytest.raises(LogError, match="one record per line") as error:
         frame('{"t": 0}\n{"t" 1}\n{"t": 2}\n')
     assert error.value.row == 2
 
@@ -98,7 +98,7 @@ def test_refusals_say_what_to_do(text, wanted, records, words, row):
 
 def test_records_that_share_no_names_take_no_table():
     text = json.dumps([{f"n{i}": i} for i in range(5000)])
-    with pytest.raises(LogError, match=r"claims more than .* values|takes more memory"):
+    with pytest.raises(LogError, match=r"has more than .* values|needs more memory"):
         frame(text)
 
 

@@ -98,11 +98,11 @@ def opaque(name, kind):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        ("timeseries", "there: s = struct('time', ts.Time, 'data', ts.Data); save('log.mat', 's', '-v7')"),
-        ("Simulink.SimulationData.Dataset", "there for each of its elements: ts = logsout{1}.Values; s = struct("),
-        ("Simulink.SimulationOutput", "there for each of its elements: ts = out.logsout{1}.Values; s = struct("),
-        ("timetable", "there: s = table2struct(timetable2table(T), 'ToScalar', true); save("),
-        ("lab.Recording", "there: s = struct('time', <its times>, 'data', <its values>); save("),
+        ("timeseries", "in MATLAB: s = struct('time', ts.Time, 'data', ts.Data); save('log.mat', 's', '-v7')"),
+        ("Simulink.SimulationData.Dataset", "in MATLAB for each of its elements: ts = logsout{1}.Values; s = struct("),
+        ("Simulink.SimulationOutput", "in MATLAB for each of its elements: ts = out.logsout{1}.Values; s = struct("),
+        ("timetable", "in MATLAB: s = table2struct(timetable2table(T), 'ToScalar', true); save("),
+        ("lab.Recording", "in MATLAB: s = struct('time', <its times>, 'data', <its values>); save("),
     ],
 )
 def test_the_hint_is_for_the_class_of_the_object(kind, words):
@@ -125,7 +125,7 @@ def test_objects_in_version_5_are_refused_by_their_own_name():
     [
         ("z", "complex numbers"),
         ("log", "no column 'log'.*log.q"),
-        ("T", "no column 'T'.*It has: t, log.q"),
+        ("T", "no column 'T'.*Columns of the file: t, log.q"),
         ("log.q", r"Name one element in columns.*: log.q\[0\] to log.q\[2\]"),
         ("log.q[3]", "Name one element"),
         ("K", "different lengths"),
@@ -146,7 +146,7 @@ def test_signals_are_listed_with_their_labels():
 def test_other_files_are_refused():
     with pytest.raises(LogError, match=r"version 4 file must be saved again"):
         frame(bytes(200))
-    with pytest.raises(LogError, match="no MATLAB file; expected version 5 or 7"):
+    with pytest.raises(LogError, match="not a MATLAB file; expected version 5 or 7"):
         frame(b"time_s,command\n")
 
 

@@ -98,13 +98,13 @@ def test_a_mapping_names_column_condition_and_unit(lab):
 @pytest.mark.parametrize(
     ("old", "new", "profile", "message"),
     [
-        ("K [N/mm]", "K", "", r"column 'K' has no unit. Write it behind the name, \"K \[N/mm\]\""),
-        ("run_a", "run_b", "", r"row 3 \(run_b\): row 2 names this log, too"),
-        ("run_", "walk_", "", "no column of the sheet names the logs .such as run_a.txt.. It has: Nr, Datei"),
+        ("K [N/mm]", "K", "", r"column 'K' has no unit. Write it after the name, \"K \[N/mm\]\""),
+        ("run_a", "run_b", "", r"row 3 \(run_b\): row 2 also names this log"),
+        ("run_", "walk_", "", "no column of the sheet names the logs .such as run_a.txt.. Columns: Nr, Datei"),
         ("1,5", "x", "", r"row 3 \(run_b\): the stiffness is 'x'; expected a number"),
         ("1,5", "1.500,5", "", "points and commas may separate thousands"),
         ("note", "Datei", "", "names 'Datei' twice"),
-        ("", "", 'name = "File"', "no column 'File'. It has: Nr, Datei"),
+        ("", "", 'name = "File"', "no column 'File'. Columns: Nr, Datei"),
         ("", "", 'columns = ["K:stiffness:N/mm"]', "names no column of the sheet"),
         ("", "", 'columns = ["Nr:weight"]', "'weight' is not a condition; expected one of device"),
         ("", "", 'columns = ["Nr:stiffness:kg"]', "'kg' is not a unit of the stiffness"),
@@ -166,7 +166,7 @@ def test_rows_without_a_log_and_logs_without_a_row_are_listed(call, lab):
     status, out, _ = call("ingest", "logs", "--profile", "logs/lab.toml", "--json")
     found = json.loads(out)
     assert (status, found["ingested"], len(found["quarantined"])) == (3, 2, 1)
-    assert "no entry [[file]] and no row of its sheet names it" in found["quarantined"][0]["reason"]
+    assert "no [[file]] entry or row of its sheet names it" in found["quarantined"][0]["reason"]
     told = [warning["warning"] for warning in found["warnings"]]
     assert told == [
         "1 row without a log: run_z (row 4).",
@@ -215,7 +215,7 @@ def test_a_wrong_row_is_warned_of_with_what_the_command_obeys(call, lab):
     _, out, _ = call("ingest", "logs", "--profile", "logs/lab.toml", "--json")
     (warning,) = json.loads(out)["warnings"]
     assert "run_b.txt" in warning["path"]
-    assert "obeys stiffness 1500, the header says 2600" in warning["warning"]
+    assert "follows stiffness 1500, the header states 2600" in warning["warning"]
 
 
 def test_an_entry_of_a_file_corrects_its_row(call, lab):

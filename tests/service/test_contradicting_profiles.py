@@ -46,7 +46,7 @@ def test_rest_refuses_a_contradiction_and_says_what_was_expected_and_found(empty
     assert answer.headers["content-type"] == "application/problem+json"
     assert "K2.5_B6.txt" in answer.content["where"]
     assert stated in answer.content["expected"][0]
-    assert f"the command obeys {obeyed}" in answer.content["found"][0]
+    assert f"the command follows {obeyed}" in answer.content["found"][0]
     assert obeyed in answer.content["detail"]
     assert empty.get("profiles/lab").status == 404
     assert put(empty, text, sample=sample, confirmation="  ").status == 422
@@ -70,7 +70,7 @@ def test_a_confirmation_is_kept_with_the_profile_and_in_the_audit(empty):
     kept = empty.get("profiles/lab").content["profile"]
     assert answer.content["profile"] == kept
     assert WORDS in kept
-    assert "the command obeys stiffness 2500" in kept
+    assert "the command follows stiffness 2500" in kept
     assert tomllib.loads(kept) == tomllib.loads(text), "words are remarks alone"
     (entry,) = entries(empty)
     assert entry["confirmed"].startswith(WORDS)
@@ -114,7 +114,7 @@ def test_the_form_keeps_nothing_until_the_contradiction_is_confirmed(empty):
     page = html.unescape(refused.content.decode())
     assert (refused.status, 'name="confirmation"' in page) == (200, True)
     assert "the profile states stiffness 2.5 N/m" in page
-    assert "the command obeys stiffness 2500" in page
+    assert "the command follows stiffness 2500" in page
     assert re.search(r'<textarea[^>]*>name = "lab"', page), "the text is still there"
     assert empty.get("profiles/lab").status == 404
     kept = sent(browser, **fields, act="keep", confirmation=WORDS)

@@ -36,7 +36,7 @@ def test_push_prints_the_warnings_of_ingest(raw, tmp_path):
     assert wanted.returncode == 0, wanted.stderr
     lines = {line.replace(f"{raw}/", "") for line in wanted.stdout.splitlines() if line.startswith("warning: ")}
     assert len(lines) == 4
-    assert sum("the command obeys" in line for line in lines) == 2
+    assert sum("the command follows" in line for line in lines) == 2
     with serving(Settings(tmp_path / "processed", tmp_path / "reports", renew=False)) as client:
         to = ("--to", f"http://127.0.0.1:{client.port}", "--profile", tmp_path / "lab.toml")
         done = run("push", raw, *to)

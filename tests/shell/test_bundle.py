@@ -125,7 +125,7 @@ def test_a_changed_sample_or_document_in_it_is_named(away, tmp_path):
 
     found = verify_bundle(changed(away, tmp_path / "sample.zip", ".parquet", another))
     assert not found.equal
-    assert [problem.problem for problem in found.logs] == ["its samples are not those of the report"]
+    assert [problem.problem for problem in found.logs] == ["its samples differ from those of the report"]
     stable = b'"stable": '
     two = changed(away, tmp_path / "json.zip", "bench.json", lambda text: text.replace(stable, stable + b"1", 1))
     assert [d.kind for d in verify_bundle(two).differences] == ["value"]
@@ -144,7 +144,7 @@ def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_pat
     (tmp_path / "other.toml").write_text(text.replace('title = "', 'title = "Other ', 1))
     monkeypatch.setenv("PIPELINE_DEVICES", str(tmp_path))
     found = verify(bench.report, bench.folder / "processed", [bench.profile])
-    assert lines_of(found)[0].startswith("device bench: its device file is not the one that the report used")
+    assert lines_of(found)[0].startswith("device bench: its device file differs from the one that the report used")
 
 
 def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):
@@ -157,14 +157,16 @@ def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypa
     monkeypatch.setattr("pipeline.shell.bundle.stored_place", lambda *_: tmp_path / "processed")
     log = sorted(bench.logs.glob("*.csv"))[5]
     delete(tmp_path / "processed", str(log))
-    with pytest.raises(StoreError, match=r"is not stored as it was when the report was made. Ingest its log again"):
+    with pytest.raises(
+        StoreError, match=r"its stored data have changed since the report was written. Ingest its log again"
+    ):
         bundle(lone)
     assert not (tmp_path / "lone.zip").exists()
 
 
 def test_other_files_are_no_bundle(tmp_path):
     (tmp_path / "x.zip").write_text("no zip")
-    with pytest.raises(UsageError, match="is no zip that can be read"):
+    with pytest.raises(UsageError, match="cannot be read as a zip"):
         verify_bundle(tmp_path / "x.zip")
     with zipfile.ZipFile(tmp_path / "y.zip", "w") as archive:
         archive.writestr("a.txt", "a")

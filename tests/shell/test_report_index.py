@@ -103,13 +103,13 @@ def test_the_newest_log_is_the_end_of_the_range(tmp_path):
 
 
 DAMAGES = {
-    "no JSON": (lambda f: (f / "bad.json").write_text('{"device":'), "bad.json is no document"),
+    "no JSON": (lambda f: (f / "bad.json").write_text('{"device":'), "bad.json is not a document"),
     "another document": (lambda f: (f / "bad.json").write_text("[]"), "bad.json"),
     "an entry missing": (lambda f: (f / "bad.json").write_text('{"device": "a"}'), "title"),
     "no document": (lambda f: (f / "bad.json").unlink(), "bad.json is missing"),
     "an empty document": (lambda f: (f / "bad.json").write_text(""), "bad.json"),
     "a deep document": (lambda f: (f / "bad.json").write_text("[" * 100_000), "bad.json"),
-    "a page that is cut": (lambda f: os.truncate(f / "bad.html", 20_000), "not complete"),
+    "a page that is cut": (lambda f: os.truncate(f / "bad.html", 20_000), "incomplete"),
     "an empty page": (lambda f: os.truncate(f / "bad.html", 0), "is empty"),
     "a pipe for a document": (lambda f: ((f / "bad.json").unlink(), os.mkfifo(f / "bad.json")), "is missing"),
 }

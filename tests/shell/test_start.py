@@ -47,7 +47,7 @@ def test_a_folder_is_stored_by_what_its_data_prove(call, tmp_path):
     assert "pipeline ingest bench --profile bench.toml" in out
     assert re.search(r"sheet +1 +runs\.csv", err)
     assert re.search(r"ignored +1 +README\.md", err)
-    assert "its numbers fall where the command pushes" in err
+    assert "the command pushes towards smaller numbers" in err
     profile = read_profile(tmp_path / "bench.toml")
     assert (profile.columns.position.sign, profile.units.stiffness, profile.constants.device) == (-1, "N/mm", "bench")
     # the printed command knows the logs
@@ -59,7 +59,7 @@ def test_the_unit_of_a_sheet_is_proved_by_the_wall_law(call, tmp_path):
     status, _, err = call("start", "bench", "--yes", "--store-only")
     assert status == 0, err
     assert walls_of(tmp_path) == sorted(WALLS)
-    assert "column 'Kw' of the sheet: what 5 commands obey" in err
+    assert "column 'Kw' of the sheet: agrees with 5 commands" in err
 
 
 def test_a_workbook_is_a_sheet_too(call, tmp_path):
@@ -75,7 +75,7 @@ def test_what_is_open_is_listed_and_nothing_is_done(call, tmp_path):
     write(tmp_path / "bench", "Zeit;Kraft;Weg")
     status, out, err = call("start", "bench", "--yes")
     assert (status, out) == (2, "")
-    assert "2 questions open:\n  columns.command.unit: " in err
+    assert "2 open questions:\n  columns.command.unit: " in err
     assert "columns.position.unit: " in err
     assert not (tmp_path / "processed").exists()
     assert not (tmp_path / "bench.toml").exists()
@@ -84,9 +84,9 @@ def test_what_is_open_is_listed_and_nothing_is_done(call, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("Kraft [N]", "Kraft [mN]", "'B' in the names is 1000 times the damping that the commands obey"),
+        ("Kraft [N]", "Kraft [mN]", "'B' in the names is 1000 times the damping that the commands follow"),
         ("Weg [mm]", "Weg [m]", "Are the units of force, position and time in the files right"),
-        ("F0 [N]", "F0 [mN]", "obeys step"),
+        ("F0 [N]", "F0 [mN]", "follows step"),
         ("Kraft [N];Weg [mm]", "Weg [mm];Kraft [N]", "open|obeys"),
     ],
 )
@@ -115,9 +115,9 @@ def test_a_log_that_contradicts_its_name_is_left_out_with_the_cure(call, tmp_pat
     status, out, err = call("start", "bench", "--yes", "--store-only")
     assert status == 3
     assert len(read_trials(tmp_path / "processed")) == 9
-    assert "run7 K29_B10.csv: the command obeys stiffness 2900, the header says 2.9e+04 (factor 0.1)" in err
-    assert "If this log alone is at fault: stiffness 2.9 N/mm in its name" in err
-    assert out.startswith("Warning: 1 log left out: run7 K29_B10.csv\n")
+    assert "run7 K29_B10.csv: the command follows stiffness 2900, the header states 2.9e+04 (factor 0.1)" in err
+    assert "If only this log is wrong: stiffness 2.9 N/mm in its name" in err
+    assert out.startswith("Warning: 1 log omitted: run7 K29_B10.csv\n")
     assert "pipeline ingest bench --profile bench.toml --ignore 'run7 K29_B10.csv'" in out
     assert (
         json.loads(call("ingest", "bench", "--profile", "bench.toml", "--ignore", "run7*", "--json")[1])["skipped"] == 9
@@ -180,8 +180,8 @@ def test_a_terminal_asks_what_is_open_and_enter_accepts(tmp_path):
     write(tmp_path / "bench", "Zeit;Kraft;Weg")
     status, shown, left = in_terminal(tmp_path, ["", "mm"], "bench", "--store-only")
     assert (status, left) == (0, []), shown
-    assert "2 questions open; Enter accepts the proposal in brackets." in shown
-    assert "columns.command.unit: the file does not say it." in shown
+    assert "2 open questions. Enter accepts the proposal in brackets." in shown
+    assert "columns.command.unit: the file does not state it." in shown
     assert walls_of(tmp_path) == sorted(WALLS)
     assert "To repeat it without questions:\n  pipeline ingest bench --profile bench.toml" in shown
 
@@ -191,7 +191,7 @@ def test_a_wrong_answer_is_stopped_by_the_wall_law(tmp_path):
     write(tmp_path / "bench", "Zeit;Kraft;Weg")
     status, shown, _ = in_terminal(tmp_path, ["kN", "mm"], "bench", "--store-only")
     assert status in (1, 2)
-    assert "obeys step" in shown
+    assert "follows step" in shown
     assert not (tmp_path / "processed").exists()
 
 
@@ -200,7 +200,7 @@ def test_what_a_command_obeys_may_be_taken_for_a_wrong_number(tmp_path):
     many(tmp_path / "bench")
     status, shown, left = in_terminal(tmp_path, ["y"], "bench", "--store-only")
     assert (status, left) == (0, []), shown
-    assert "1 log with a wrong number: store what the command obeys? Else left out [y/N]: y" in shown
+    assert "1 log with a wrong number: store the gains that the command follows? Otherwise omitted [y/N]: y" in shown
     stored = {row["damping"]: row["stiffness"] for row in read_trials(tmp_path / "processed").to_pylist()}
     assert (len(stored), stored[10.0]) == (10, 2900.0)
     assert read_profile(tmp_path / "bench.toml").file[0].stiffness == 2.9

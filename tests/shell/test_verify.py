@@ -91,9 +91,9 @@ def recomputed(verified) -> str:
 def quick(original, recomputed, monkeypatch):
     """Verification that takes the recomputed page from memory: the comparison of the pages is what is tested."""
 
-    monkeypatch.setattr(verify, "_compare_anew", page_again(original, recomputed))
+    monkeypatch.setattr(verify, "_compare_again", page_again(original, recomputed))
     fresh = SimpleNamespace(problems=(), notes=(), read=1, kept=0)
-    monkeypatch.setattr(verify, "read_anew", lambda *_: fresh)
+    monkeypatch.setattr(verify, "read_again", lambda *_: fresh)
 
 
 def page_again(original: Desk, page: str):
@@ -185,7 +185,7 @@ def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(original, 
 
     def elsewhere(text):
         """The page as computed anew has another number in that cell."""
-        monkeypatch.setattr(verify, "_compare_anew", page_again(original, change_text(recomputed, name, text)))
+        monkeypatch.setattr(verify, "_compare_again", page_again(original, change_text(recomputed, name, text)))
         return verify.verify(desk.report, desk.processed)
 
     assert elsewhere(last).equal

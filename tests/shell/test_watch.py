@@ -426,7 +426,7 @@ def test_once_tells_in_words_and_in_json(call, tmp_path, compared):
     stamped = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ "
     lines = out.splitlines()
     assert all(re.match(stamped, line) for line in lines)
-    assert "logs: 4 new, 4 in all" in lines[0]
+    assert "logs: 4 new, 4 in total" in lines[0]
     (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
     (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
     os.utime(tmp_path / "raw" / "broken.csv", (1e9, 1e9))
@@ -453,7 +453,7 @@ def test_once_leaves_with_1_where_a_report_failed(call, tmp_path, compared):
     [
         (["none"], "Directory 'none' does not exist"),
         (["raw", "--settle", "-1"], "--settle -1: expected a time of 0 s or more"),
-        ([".", "--once"], "reports: lies in the watched folder"),
+        ([".", "--once"], "reports: is inside the watched folder"),
         (["raw", "--scene", "none.toml"], "'none.toml' does not exist"),
     ],
 )

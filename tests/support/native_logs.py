@@ -37,7 +37,7 @@ FAULTS = {
     "fourth value": (with_cell(GOOD, 13, "0.002,0,0,0"), 13, "expected 3 values, found 4"),
     "second value missing": (with_cell(GOOD, 13, "0.002,0"), 13, "expected 3 values, found 2"),
     "blank line": (with_cell(GOOD, 13, ""), 13, "a blank line between rows"),
-    "time stands still": (with_cell(GOOD, 14, "0.002,0,0"), 14, "expected it to increase"),
+    "time stands still": (with_cell(GOOD, 14, "0.002,0,0"), 14, "expected time to increase"),
     "carriage return": (with_cell(GOOD, 15, "0.004,0,0\r0.0041,0,0"), 15, "expected 3 values.*0.004"),
     "digit separator": (with_cell(GOOD, 16, "0.005,1_0,0"), 16, "'1_0'"),
     "no stiffness": (GOOD.replace("# stiffness", "# stiff"), 1, "no 'stiffness'.*# stiffness: <value>"),

@@ -71,8 +71,8 @@ def test_of_wall_trials_a_free_run_is_said_to_drift(staircase, found, tmp_path):
     (tmp_path / "wall.csv").write_text(f"{head}# stiffness: 500\n{names}{rows}")
     document = pipeline.identify(tmp_path / "wall.csv").document
     assert document["replay"]["behind_walls"] is True
-    assert "drifts" in document["loop"]["reason"]
-    assert "drifts" not in found.document["loop"]["reason"]
+    assert "free runs drift" in document["loop"]["reason"]
+    assert "drift" not in found.document["loop"]["reason"]
 
 
 def test_the_walls_are_those_of_the_linear_loop(found):
@@ -218,7 +218,7 @@ def test_a_copy_of_a_log_counts_once_and_is_named(tmp_path):
     assert (found["trials"], [Path(name).name for name in found["copies"]]) == (3, ["copy.csv"])
     assert found["parameters"] == alone["parameters"]
     shown = CliRunner().invoke(application("identify"), ["identify", str(tmp_path)])
-    assert "1 log with the samples of another one counts once" in shown.output
+    assert "1 log with the same samples as another log counts once" in shown.output
 
 
 def test_a_refused_log_among_others_is_named_once(tmp_path):

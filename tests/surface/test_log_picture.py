@@ -70,7 +70,7 @@ def test_a_file_that_no_profile_reads_is_shown_as_it_stands(call):
     assert columns["kraft"]["jumps"] == [50]
     assert columns["weg"]["rests"][0] == [0, 53]
     assert columns["weg"]["rests"][-1][1] == 295
-    assert "Shown as it stands" in found["notes"][0]
+    assert "Shown as recorded" in found["notes"][0]
     page = Path(found["page"]).read_text(encoding="utf-8")
     assert page.count("<svg") == 3
     assert "rows missing before row 100" in page
@@ -104,7 +104,7 @@ def test_no_more_columns_are_drawn_than_can_be_looked_at(call):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["nowhere.csv"], "no such file"),
+        (["nowhere.csv"], "does not exist"),
         (["words.dat"], "no table of numbers"),
         (["two"], "found 2"),
         (["a.dat", "--profile", "other.toml"], "kraft"),

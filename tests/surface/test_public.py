@@ -145,7 +145,7 @@ def test_a_log_that_is_refused_is_named_with_its_row(tmp_path):
     )
     with pytest.raises(LogError, match=r"a\.csv") as refused:
         pipeline.read_log(log)
-    with pytest.raises(UsageError, match="no such file"):
+    with pytest.raises(UsageError, match="does not exist"):
         pipeline.read_log(tmp_path / "b.csv")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UsageError, match="expected one log, found 0"):
@@ -180,7 +180,7 @@ def test_a_plan_is_that_of_the_command(tmp_path, falcon):
     ("wrong", "reason"),
     [
         ({"goal": "nicest"}, "goal nicest: expected boundary, optimum or a criterion"),
-        ({"count": 0}, "0 walls: expected 1 or more"),
+        ({"count": 0}, "0 walls: expected at least 1"),
         ({"limits": {"speed": 1.0}}, "limit of speed: expected one of stiffness, damping, force, travel"),
         ({"limits": {"force": float("nan")}}, "limit of force: expected a number above 0, found nan"),
         ({"dampings": [-1.0]}, "dampings -1: expected numbers of 0 or more"),
@@ -203,7 +203,7 @@ def test_documents_of_others_are_refused(tmp_path):
         pipeline.load(tmp_path / "missing.html")
     for text in ("{}", "no JSON", '{"pairs": []}'):
         (tmp_path / "a.json").write_text(text)
-        with pytest.raises(UsageError, match=r"a\.json: is no document of a comparison"):
+        with pytest.raises(UsageError, match=r"a\.json: is not a comparison document"):
             pipeline.load(tmp_path / "a.json")
 
 

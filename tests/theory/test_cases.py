@@ -139,7 +139,7 @@ def test_missing_and_binary_files_are_named(tmp_path):
     with pytest.raises(ParameterError, match=r"none\.csv: cannot be read"):
         read_cases(tmp_path / "none.csv")
     (tmp_path / "cases.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterError, match="no CSV file in UTF-8"):
+    with pytest.raises(ParameterError, match="not a CSV file in UTF-8"):
         read_cases(tmp_path / "cases.csv")
 
 

@@ -1,9 +1,9 @@
-"""One table of file formats: each row has its module, the first bytes that identify it, and its extra.
+"""Table of file formats. Each row has the format's module, the first bytes that identify it, and its extra.
 
-A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
-`FileColumns`, by the keys of a profile (``settings``). It runs in a separate process with limited time and memory
-(`isolation`); any exception that it raises means a damaged file. Native logs have a separate reader, which
-parses many files at once.
+A module of this folder has ``read(path, settings, contents)``, which adds the arrays of the file at ``path`` to the
+`FileColumns`. ``settings`` is the profile. The function runs in a separate process with limited time and memory
+(`isolation`), and every exception that it raises means a damaged file. Native logs have a separate reader, which parses
+many files together.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ _OTHERS = {
     rb"%PDF-|{\\rtf|\xd0\xcf\x11\xe0": "a document (PDF, RTF, old Excel or Word)",
     rb"(\xef\xbb\xbf)?\s*<(!doctype html|html|\?xml|svg)": "a web page or other markup (HTML, XML)",
 }
-"""File types that contain no samples, by their first bytes."""
+"""Types of files without samples, by their first bytes."""
 
 _PROBE = 1 << 16
-"""Number of bytes inspected at the beginning and the end, where a ZIP archive lists its parts."""
+"""Number of bytes inspected at the beginning and at the end. A ZIP archive lists its parts at the end."""
 
 
 class FileFormat(NamedTuple):
-    """How a format is read.
+    """Description of a format and its reader.
 
     Parameters
     ----------
     module, function : str
         Module of this folder, and its function.
     title : str
-        Its name in messages.
+        Name of the format in messages.
     magic : tuple of bytes
-        First bytes; empty for text.
+        First bytes of such files. Empty for text.
     extra : str
-        Extra of this package that installs its library; empty if the library is always installed.
+        Extra of this package that installs the library. Empty if the library is always installed.
     library : str
         Library that the function imports.
     """
@@ -81,11 +81,11 @@ FORMATS: dict[Format, FileFormat] = {
     "npz": FileFormat("archives", "a numpy archive", function="read_npz"),
     "sheet": FileFormat("archives", "a sheet (XLSX, ODS)", (), "sheets", "read_sheet", "python_calamine"),
 }
-"""Formats inside ZIP archives: all begin with the same bytes; the names of their parts decide (`format_of`)."""
+"""Formats inside ZIP archives. All begin with the same bytes; the names of their parts differ (`format_of`)."""
 
 
 def packed_kind(data: bytes) -> Format | None:
-    """Return the format of a ZIP archive by the names of its first and last parts; None if it is not a ZIP archive."""
+    """Return the format of a ZIP archive from the names of its first and last parts, or None for other files."""
     probe = data[:_PROBE] + data[-_PROBE:]
     if re.search(rb"xl/work(book|sheets)|opendocument\.spreadsheet", probe):
         return "sheet"
@@ -93,18 +93,18 @@ def packed_kind(data: bytes) -> Format | None:
 
 
 def format_of(name: str, data: bytes) -> Format:
-    """Return the format of a file by its first bytes; delimited text if they are unknown.
+    """Return the format of a file from its first bytes. The default is delimited text.
 
     Parameters
     ----------
     name : str
-        File name, which decides for bags that are compressed as a whole.
+        File name, which determines the format of bags that are compressed as a whole.
     data : bytes
     """
     for kind, form in FORMATS.items():
         if form.magic and data.startswith(form.magic):
             return kind
-    # a MATLAB 7.3 file may lack its text header, and the first bytes of a compressed database do not show its content
+    # A MATLAB 7.3 file may lack its text header. The first bytes of a compressed database do not show its content.
     if HDF5 in (data[512:520], data[1024:1032]):
         return "matlab" if name.lower().endswith(".mat") else "hdf5"
     if ".db3" in name.lower():
@@ -120,7 +120,7 @@ def format_of(name: str, data: bytes) -> Format:
 
 
 def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
-    """Refuse a file that is clearly not a log of its format.
+    """Refuse a file that is clearly not a log of the expected format.
 
     Parameters
     ----------
@@ -133,19 +133,19 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     Raises
     ------
     LogError
-        If it is an archive, a picture, a document, a web page, or a log of another format.
+        If the file is an archive, a picture, a document, a web page, or a log of another format.
     """
     probe = data[:_PROBE] + data[-_PROBE:]
     if kind == packed_kind(data):
         return
     what = next((what for begin, what in _OTHERS.items() if re.match(begin, probe, re.DOTALL | re.IGNORECASE)), "")
     if what:
-        cure = "Unpack it, or export the recorded samples as CSV, and ingest that."
-        raise refusal("unsupported", name, f"is {what}, whatever its name says", f"a log of format {kind!r}", cure)
+        cure = "Unpack it, or export the recorded samples as CSV, and ingest the result."
+        raise refusal("unsupported", name, f"is {what}, although its name differs", f"a log of format {kind!r}", cure)
     if FORMATS[kind].magic and data.startswith(tuple(PACKED)):
-        raise refusal("unsupported", name, "is packed as a whole", cure=f"Unpack it: zstd -d {name}")
+        raise refusal("unsupported", name, "is compressed as a whole", cure=f"Unpack it: zstd -d {name}")
     actual = "native" if data[:1].isspace() else format_of(name, data[:2048])
-    # a MATLAB 7.3 file is also an HDF5 file
+    # A MATLAB 7.3 file is also an HDF5 file.
     if actual != kind and FORMATS[actual].magic and {actual, kind} != {"matlab", "hdf5"}:
-        line, text = f'format = "{actual}"', f"is a file of format {actual!r}, whatever its name says"
+        line, text = f'format = "{actual}"', f"is a file of format {actual!r}"
         raise refusal("unsupported", name, text, repr(kind), line=line)

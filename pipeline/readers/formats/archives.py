@@ -1,6 +1,7 @@
-"""Numpy archives (``.npz``) and sheets (XLSX, ODS): arrays by name, columns by the names in the first line.
+"""Reader of numpy archives (``.npz``) and sheets (XLSX, ODS).
 
-Of a numpy archive, arrays of Python objects are not read: they could run code. A single number is an attribute.
+Arrays of a numpy archive have their names. Columns of a sheet have the names in its first line. Arrays of Python
+objects are not read, because they could run code. A single number is an attribute.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from pipeline.readers.file_columns import Array, FileColumns, library
 
 
 def read_npz(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the arrays."""
+    """Add the arrays of a numpy archive."""
     with np.load(path, allow_pickle=False) as archive:
         for name in archive.files:
-            if contents.asks(name) or archive[name].size == 1:
+            if contents.wants(name) or archive[name].size == 1:
                 contents.add(name, partial(archive.__getitem__, name))
 
 
 def read_sheet(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the columns of the first sheet that has a line of names and rows of numbers below it."""
+    """Add the columns of the first sheet that has a line of names with rows of numbers below it."""
     book: Any = library("python_calamine", "sheets").CalamineWorkbook.from_filelike(BytesIO(path.read_bytes()))
     for title in book.sheet_names:
         rows = book.get_sheet_by_name(title).to_python(skip_empty_area=False)
@@ -38,13 +39,13 @@ def read_sheet(path: Path, settings: Profile, contents: FileColumns) -> None:
         names = [str(cell).strip() for cell in rows[top]]
         units = rows[top + 1] if not any(isinstance(cell, float) for cell in rows[top + 1]) else []
         first = top + 1 + bool(units)
-        for row in rows[:top]:  # labels above the table
+        for row in rows[:top]:  # rows of labels above the table
             if len(row) > 1 and row[0] != "" and row[1] != "":
                 contents.note(str(row[0]).strip(" :"), row[1])
         contents.row_name = "row"
         contents.row = np.arange(first + 1, len(rows) + 1)
         for at, name in enumerate(names):
-            if name and contents.asks(name):
+            if name and contents.wants(name):
                 cells = [row[at] if at < len(row) else "" for row in rows[first:]]
                 contents.add(name, _column(cells), str(units[at]).strip(" []()") if at < len(units) else "")
         return
@@ -60,7 +61,7 @@ def _is_float(cell: object) -> bool:
 
 
 def _column(cells: list[Any]) -> Array:
-    """Return cells as numbers, with NaN for blank cells; as texts if any cell is a text."""
+    """Return cells as numbers, with NaN for blank cells. If any cell is a text, return texts."""
     if any(isinstance(cell, str) and cell != "" for cell in cells):
         return np.array([str(cell) for cell in cells], np.str_)
     return np.array([np.nan if cell == "" else float(cell) for cell in cells])

@@ -1,6 +1,7 @@
-"""Parquet and Feather (Arrow IPC) files: fields of structs by dotted path, elements of lists in brackets, from 0.
+"""Reader of Parquet and Feather (Arrow IPC) files.
 
-Time stamps and durations are whole nanoseconds; a null is NaN, or an empty text.
+Fields of structs have dotted paths, elements of lists an index in brackets, counted from 0. Time stamps and durations
+are integers in nanoseconds. A null is NaN, or an empty text.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     contents.row_name = "record"
     footer = parquet.read_metadata(path) if path.read_bytes()[:4] == b"PAR1" else None
     schema = footer.schema.to_arrow_schema() if footer else pa.ipc.open_file(pa.OSFile(str(path))).schema
-    asked = [name for name in schema.names if contents.asks(name)]
-    for name in asked:
+    chosen = [name for name in schema.names if contents.wants(name)]
+    for name in chosen:
         if schema.names.count(name) > 1:
-            text = f"column {name!r} stands {schema.names.count(name)} times in the file"
-            cure = "Give the columns different names where the file is written."
+            text = f"column {name!r} occurs {schema.names.count(name)} times in the file"
+            cure = "Give the columns different names in the program that writes the file."
             raise refusal("header-missing", contents.name, text, "it once, since it is ambiguous", cure)
-    # the library crashes when memory runs out; constant columns are compressed without limit
-    contents.claim(footer.num_rows * len(asked) if footer else 0)
+    # The library crashes if memory runs out, and constant columns are compressed without limit.
+    contents.claim(footer.num_rows * len(chosen) if footer else 0)
     read_table = parquet.read_table if footer else feather.read_table
-    table = read_table(path, columns=asked, use_threads=False)
-    # a damaged file may point outside its buffers; only this call checks it
+    table = read_table(path, columns=chosen, use_threads=False)
+    # A damaged file may point outside its buffers. Only this call checks it.
     table.validate(full=True)
     for prefix, metadata in [("", schema.metadata), *((f"{field.name}@", field.metadata) for field in schema)]:
         for key, value in (metadata or {}).items():
             if key not in (b"ARROW:schema", b"pandas"):
                 contents.note(prefix + key.decode("utf-8", "replace"), value)
-    for name in asked:
+    for name in chosen:
         hints = (contents.attributes.get(f"{name}@{unit}") for unit in ("unit", "units"))
         _add(contents, name, table.column(name).combine_chunks(), str(next(filter(None, hints), "")))
 
@@ -62,7 +63,7 @@ def _values(column: Any) -> Array:
     kind = column.type
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         if column.null_count or len(lengths := pc.list_value_length(column).unique()) > 1:
-            raise TypeError(f"is {kind}, whose lists have several lengths; expected numbers or texts")
+            raise TypeError(f"is {kind} with lists of different lengths; expected numbers or texts")
         width = lengths[0].as_py() if len(lengths) else 0
         return _values(column.flatten()).reshape(len(column), width)
     if pa.types.is_dictionary(kind):

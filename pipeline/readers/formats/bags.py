@@ -1,7 +1,7 @@
-"""Bags of ROS 1 and ROS 2 (``.bag``, ``.db3``, ``.mcap``) as columns ``/topic.field.sub[3]``, stamps in ns.
+"""Reader of ROS 1 and ROS 2 bags (``.bag``, ``.db3``, ``.mcap``), with columns such as ``/topic.field.sub[3]``.
 
-``/topic.header.stamp`` and every other ROS time or duration is a whole number of nanoseconds; ``/topic.@received`` is
-the time at which the message was recorded. ``@stamp`` and ``@received`` without a topic are the time of the rows.
+``/topic.header.stamp`` and every other ROS time or duration is an integer in nanoseconds. ``/topic.@received`` is the
+time at which the message was recorded. ``@stamp`` and ``@received`` without a topic are the times of the rows.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 _ENDINGS = {b"#ROS": ".bag", b"SQLi": ".db3", b"\x89MCA": ".mcap"}
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _CLOSE = (
-    "A recording that was not closed is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`; others are "
-    "converted by `ros2 bag convert` where their message types are installed."
+    "Repair a recording that was not closed with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`. Convert other "
+    "recordings with `ros2 bag convert` on a machine where their message types are installed."
 )
 
 
 class Nanoseconds(int):
-    """A time or duration."""
+    """A ROS time or duration [ns]."""
 
 
 class _Topic(NamedTuple):
-    """Messages of a topic: their type, number in the bag, time of reception [ns], and fields."""
+    """Messages of a topic: their type, numbers in the bag, times of reception [ns], and fields."""
 
     kind: str
     number: list[int]
@@ -47,10 +47,10 @@ class _Topic(NamedTuple):
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the fields of messages.
+    """Add the fields of messages as columns.
 
-    Columns of one topic keep the order of recording. If columns of several topics are wanted, the rows are the union of
-    their times in increasing order, with NaN (an empty text) where a topic has no message; nothing is interpolated.
+    Columns of a single topic keep the order of recording. For columns of several topics, the rows are the union of
+    their times in increasing order, with NaN (or an empty text) if a topic has no message. Nothing is interpolated.
     """
     contents.row_name = "message"
     paths = [
@@ -61,7 +61,7 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     for name, topic in topics.items():
         contents.note(f"{name}@type", topic.kind)
         for key, cells in columns_of(topic.messages).items():
-            if contents.asks(path_of := f"{name}.{key}"):
+            if contents.wants(path_of := f"{name}.{key}"):
                 unit = "ns" if isinstance(next(iter(cells.values())), Nanoseconds) else ""
                 array = column(f"{contents.name}: column {path_of!r}", cells, len(topic.messages))
                 contents.add(path_of, array, topic.kind, unit)
@@ -70,24 +70,24 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
 
 
 def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
-    """Return the topics of a bag, with the messages of those that are asked for."""
+    """Return the topics of a bag. Messages are only read for topics with wanted columns."""
     topics: dict[str, _Topic] = {}
     try:
         with AnyReader(paths, default_typestore=get_typestore(Stores.LATEST)) as bag:
             topics |= {one.topic: _Topic(one.msgtype, [], [], []) for one in bag.connections}
-            asked = {name for name in topics if contents.asks(name)}
+            chosen = {name for name in topics if contents.wants(name)}
             for number, (connection, received, data) in enumerate(bag.messages(), start=1):
                 topic = topics[connection.topic]
                 topic.number.append(number)
                 topic.received.append(received)
-                if connection.topic not in asked:
+                if connection.topic not in chosen:
                     continue
                 try:
-                    # no valid message begins like this: CDR begins with two bytes that give its encoding
+                    # A valid message does not begin with these bytes: the first two bytes of CDR give its encoding.
                     data = zstd.decompress(data) if data.startswith(_ZSTD) else data
                     message = bag.deserialize(data, connection.msgtype)
                 except (AnyReaderError, KeyError) as error:
-                    asked.discard(connection.topic)
+                    chosen.discard(connection.topic)
                     topic.messages.clear()
                     reason = f"has messages of type {topic.kind!r} that cannot be read ({error}). {_CLOSE}"
                     contents.refused[connection.topic] = reason
@@ -102,7 +102,7 @@ def _recorded(contents: FileColumns, paths: list[Path]) -> dict[str, _Topic]:
 
 
 def _plain(value: Any, most: int | None) -> Any:
-    """Return a message as dicts and lists, with only the first elements of each list."""
+    """Return a message as dicts and lists, with at most the given number of elements of each list."""
     if getattr(value, "__msgtype__", None) in _TIMES:
         return Nanoseconds(value.sec * 10**9 + value.nanosec)
     if hasattr(value, "__dataclass_fields__"):
@@ -113,7 +113,7 @@ def _plain(value: Any, most: int | None) -> Any:
 
 
 def _join(contents: FileColumns, topics: dict[str, _Topic]) -> None:
-    """Merge columns of several topics on the union of their times, and add the time of the rows."""
+    """Merge columns of several topics on the union of their times, and add the times of the rows."""
     axis = STAMP if STAMP in contents.wanted else RECEIVED
     names = {path: max((name for name in topics if path.startswith(f"{name}.")), key=len) for path in contents.columns}
     used = {name: topics[name] for name in dict.fromkeys(names.values())}
@@ -147,7 +147,8 @@ def _times(where: str, axis: str, name: str, topic: _Topic) -> Integers:
 
 
 def _numbered(times: Integers) -> Integers:
-    """Return times with the number of equal ones before each, so that equal times of a topic remain separate rows."""
+    """Return times, each with the number of equal times before it, so that equal times of a topic stay separate
+    rows."""
     order = np.argsort(times, kind="stable")
     number = np.empty_like(times)
     number[order] = np.arange(len(times)) - np.searchsorted(times[order], times[order])

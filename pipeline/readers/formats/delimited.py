@@ -1,4 +1,4 @@
-"""Delimited text (CSV, TSV, semicolons, runs of blanks, terminal logs; gzip, zstd), as a profile lays it out."""
+"""Reader of delimited text (CSV, TSV, semicolons, blanks, terminal logs; gzip, zstd) in the layout of a profile."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from pipeline.readers.file_columns import LONGEST_ATTRIBUTE, Array, FileColumns,
 from pipeline.readers.formats import PACKED
 
 LONGEST_CHARACTER = 4
-"""Bytes of the longest character in UTF-8 and UTF-16: a truncated file lacks fewer than that."""
+"""Number of bytes of the longest character in UTF-8 and UTF-16. A truncated file lacks fewer bytes."""
 
 _BLOCK = 1 << 22
-"""Number of bytes that are unpacked at once."""
+"""Number of bytes that are unpacked at a time."""
 
 MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
-"""A label begins with a letter: "12:30" is a time of day."""
+"""Pattern of a label. It begins with a letter, because "12:30" is a time of day."""
 
 
 PROBE_LINES = 400
-"""Number of lines inspected: banners have a few dozen, and a hundred rows show the form of a table."""
+"""Number of inspected lines. A banner has a few dozen lines, and a hundred rows show the form of a table."""
 
 FEWEST_ROWS = 2
 """Smallest number of rows of a table."""
 
 FEW_KEYS, LEAST_TABLE = 3, 10
-"""Largest number of numeric lines above a table that do not belong to it, and smallest number of rows of such a
-table."""
+"""Largest number of numeric lines above a table that do not belong to it, and smallest number of rows of the table
+below such lines."""
 
 NUMERIC_SHARE = 0.5
-"""Smallest share of numbers among the cells of a row of samples: some columns may be texts."""
+"""Smallest share of numbers among the cells of a row of samples. Some columns may contain texts."""
 
 _GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
 """Thousands separators: blanks and apostrophes, as in French and Swiss numbers."""
@@ -54,18 +54,18 @@ _NUMBER = re.compile(
     rf"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|{_GROUPED_NUMBER}|[+-]?(?:nan|inf)", re.IGNORECASE
 )
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
-"""Numbers whose point or comma may also be a thousands separator: "1,234"."""
+"""Pattern of numbers whose point or comma may be a thousands separator, such as "1,234"."""
 
 _LABELLED = re.compile(r"\s*([^\W\d][^:=]*?)\s*([:=])\s*(\S.*)")
 _DELIMITERS = (";", "\t", "|", ",", BLANKS)
-"""Delimiters in order of preference, for lines that several of them fit."""
+"""Delimiters in order of preference, for lines that several delimiters fit."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
     """Add the columns of the table.
 
-    An incomplete last row (fewer cells than the others, or no line end and a cell that is not a number) is omitted with
-    a warning and kept verbatim as the attribute ``cut_last_row``.
+    An incomplete last row is omitted with a warning, and its text is kept as the attribute ``cut_last_row``. Such a row
+    has fewer cells than the others, or it has no line end and a cell that is not a number.
     """
     contents.row_name = "line"
     text, whole = plain_text(settings, contents.name, path.read_bytes())
@@ -84,7 +84,7 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
             contents.cut_row(lines[row.pop() - 1], row[-1] + 1)
             columns = shorter
         else:
-            contents.warnings = (f"line {row[-1]} is the last one and has no line end: its last value may be cut",)
+            contents.warnings = (f"the last line ({row[-1]}) has no line end: its last value may be incomplete",)
     contents.row = np.array(row, np.int64)
     for (key, place), values in zip(places.items(), columns, strict=True):
         stamps = date_stamps(values)
@@ -96,11 +96,11 @@ _DATE = re.compile(
     r"(?:(?P<y>\d{4})-(?P<m>\d\d)-(?P<d>\d\d)|(?P<D>\d\d)\.(?P<M>\d\d)\.(?P<Y>\d{4}))[T ]+"
     r"(?P<time>\d\d:\d\d:\d\d)(?:[.,](?P<rest>\d{1,9}))?(?P<zone>Z|[+-]\d\d:?\d\d)?"
 )
-"""Dates with a time of day: ISO 8601 and the German order; 03/04/2026 is ambiguous and not accepted."""
+"""Pattern of dates with a time of day, in ISO 8601 or German order. 03/04/2026 is ambiguous and not accepted."""
 
 
 def date_stamps(values: Array) -> Array | None:
-    """Return dates as whole nanoseconds since 1970; None if a cell is not a date.
+    """Return dates as integer nanoseconds since 1970, or None if a cell is not a date.
 
     >>> date_stamps(np.array(["2026-03-29T10:00:00.001Z", "29.03.2026 10:00:00,5"])).tolist()
     [1774778400001000000, 1774778400500000000]
@@ -112,7 +112,7 @@ def date_stamps(values: Array) -> Array | None:
         return None
     texts, rests = list[str](), list[int]()
     for match in matches:
-        assert match is not None, "all are dates"
+        assert match is not None, "every cell is a date"
         year, month, day = (match[a] or match[b] for a, b in (("y", "Y"), ("m", "M"), ("d", "D")))
         texts.append(f"{year}-{month}-{day}T{match['time']}")
         zone = match["zone"] or "Z"
@@ -120,19 +120,19 @@ def date_stamps(values: Array) -> Array | None:
         rests.append(int((match["rest"] or "0").ljust(9, "0")) - 60_000_000_000 * minutes)
     try:
         seconds = np.array(texts, "datetime64[s]").astype(np.int64)
-    except ValueError:  # a day that does not exist
+    except ValueError:  # the day does not exist
         return None
     stamps: Array = seconds * 1_000_000_000 + np.array(rests, np.int64)
     return stamps
 
 
 def unpacked(name: str, data: bytes) -> bytes:
-    """Return the bytes of a text file, decompressed if it is gzip or zstd.
+    """Return the bytes of a text file after decompression with gzip or zstd, if it is compressed.
 
     Raises
     ------
     LogError
-        If it cannot be unpacked, or contains more than a file of its size may.
+        If the file cannot be decompressed, or contains more than its size allows.
     """
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
@@ -143,21 +143,21 @@ def unpacked(name: str, data: bytes) -> bytes:
             while len(text) <= most and (part := stream.read(_BLOCK)):
                 text += part
     except (OSError, pa.ArrowException) as error:
-        raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
+        raise refusal("damaged", name, f"cannot be decompressed ({codec}): {error}") from error
     if len(text) > most:
         raise refusal("unpacks-too-large", name, f"unpacks to more than {most} bytes", "a log")
     return bytes(text)
 
 
 def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
-    """Return the text of a file without trailing blank lines, and whether the last line had a line end.
+    """Return the text of a file without trailing blank lines, and whether its last line had a line end.
 
-    Every line, including the last, ends with one line feed. A byte order mark determines the encoding.
+    Every line of the text, including the last, ends with one line feed. A byte order mark determines the encoding.
 
     Raises
     ------
     LogError
-        If the file cannot be unpacked, or its encoding differs from that of the profile.
+        If the file cannot be decompressed, or its encoding differs from that of the profile.
     """
     data = unpacked(name, data)
     codec = next((codec for mark, codec in MARKS.items() if data.startswith(mark)), layout.encoding)
@@ -165,14 +165,14 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
         if error.end < len(data) or error.start <= max(len(data) - LONGEST_CHARACTER, 0):
-            found = f"is no {codec.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
+            found = f"is not {codec.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
             row = data.count(b"\n", 0, error.start) + 1
             raise refusal("encoding", name, found, row=row, line='encoding = "latin-1"') from error
-        # the recording ends inside a character; its row is then found to be incomplete, too
+        # The recording ends inside a character. Its row is then also found to be incomplete.
         text = data[: error.start].decode(codec)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     end = len(text.rstrip(" \t\n"))
-    # blank cells at the end of the last row are kept, blank lines below it are removed
+    # Blank cells at the end of the last row are kept, blank lines below it are removed.
     last, line_end, _ = text[end:].partition("\n")
     return (text[:end] + last + "\n", bool(line_end)) if end else ("", True)
 
@@ -180,7 +180,7 @@ def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
 def _top(layout: Profile, contents: FileColumns, lines: list[str]) -> int:
     """Return the index of the header line, or of the first data row if there is no header.
 
-    Lines above it are skipped, or read as labels.
+    Lines above it are skipped or read as labels.
     """
     at = layout.header_at
     for number, line in enumerate(lines):
@@ -200,9 +200,9 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
 
 
 def _take_label(layout: Profile, contents: FileColumns, line: str, row: int) -> bool:
-    """Store a line "label: value" as an attribute; return whether it is such a line.
+    """Store a line "label: value" as an attribute, and return whether the line has this form.
 
-    The last value of a repeated label is kept, but a condition must not change.
+    If a label is repeated, its last value is kept. The value of a condition must not change.
     """
     line = line.lstrip()[len(layout.comment or "") :] if _is_comment(layout, line) else line
     label, sign, value = (part.strip() for part in line.partition(layout.labels or "\n"))
@@ -229,14 +229,14 @@ def _split(layout: TextLayout, contents: FileColumns, line: str, row: int) -> li
     try:
         return next(csv.reader([line], delimiter=layout.delimiter, strict=True))
     except csv.Error as error:
-        text = f"is a quotation mark not closed here ({error})?"
+        text = f"a quotation mark may be unclosed ({error})"
         raise refusal("row-length", contents.name, text, row=row) from error
 
 
 def _rows(
     layout: Profile, contents: FileColumns, lines: list[str], first: int, names: list[str], places: list[int]
 ) -> tuple[list[int], list[list[str]]]:
-    """Return the number of each row, and cells by column; an incomplete last row is omitted, and its text kept."""
+    """Return the numbers of the rows, and the cells by column. An incomplete last row is omitted, and its text kept."""
     row, cells, width = list[int](), list[list[str]](), len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":
@@ -263,7 +263,7 @@ def _rows(
 
 
 def _places(profile: Profile, contents: FileColumns, names: list[str], row: int) -> dict[str, int]:
-    """Return the position of each wanted column, counted from 0; of all columns if none is named."""
+    """Return the position of each wanted column, counted from 0. By default, return the positions of all columns."""
     if not contents.wanted:
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
@@ -274,21 +274,21 @@ def _places(profile: Profile, contents: FileColumns, names: list[str], row: int)
         fits = [i for i, name in enumerate(names) if (str(i + 1) if numbered else name) == column]
         if len(fits) != 1:
             wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
-            found = f"{wants} once, found it {len(fits)} times among {len(names)} columns: {str(names)[:1000]}"
+            found = f"{wants} once, but it occurs {len(fits)} times in {len(names)} columns: {str(names)[:1000]}"
             raise refusal("column-missing", contents.name, found, cure=cure, row=row)
         places[column] = fits[0]
     return places
 
 
 def _is_spoilt(values: Array, shorter: Array) -> bool:
-    """Return whether all cells of a column except the last are numbers, with none missing."""
+    """Return whether all cells of a column are numbers except the last cell, with none missing."""
     if values.dtype.kind == "f":
         return bool(np.isnan(values[-1]) and not np.isnan(values[:-1]).any())
     return values.dtype.kind == "U" != shorter.dtype.kind
 
 
 def _values(layout: TextLayout, cells: list[str]) -> Array:
-    """Return cells as integers if all are whole numbers, as float64 if all are numbers or blank, else as text."""
+    """Return cells as integers if all are integers, as float64 if all are numbers or blank, otherwise as texts."""
     text = pc.utf8_trim_whitespace(pa.array(cells, pa.string()))
     blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
     number, kinds = pc.if_else(blank, None, text), [pa.float64()]
@@ -296,12 +296,12 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
         whole = pc.replace_substring_regex(number, f"[{_GROUP_SIGNS}]", "")
         number = pc.if_else(pc.match_substring_regex(number, f"^{_GROUPED_NUMBER}$"), whole, number)
     if layout.decimal == ",":
-        # a point may be a thousands separator
+        # A point may be a thousands separator.
         number = pc.if_else(pc.match_substring(number, "."), "point", pc.replace_substring(number, ",", "."))
     if pc.all(pc.fill_null(pc.match_substring_regex(number, _INTEGER), False)).as_py():
         number, kinds = pc.utf8_ltrim(number, "+"), [pa.int64(), pa.uint64(), pa.float64()]
     for kind in kinds:
-        with suppress(pa.ArrowInvalid):  # not of this type
+        with suppress(pa.ArrowInvalid):  # the cells have another type
             return np.asarray(pc.cast(number, kind).to_numpy(zero_copy_only=False))
     shown = pc.utf8_slice_codeunits(pc.if_else(blank, "", text), 0, LONGEST_ATTRIBUTE)
     return np.array(shown.to_pylist(), dtype=np.str_)
@@ -309,8 +309,11 @@ def _values(layout: TextLayout, cells: list[str]) -> Array:
 
 @dataclass
 class Layout:
-    """Layout keys of a profile, open questions and evidence by key; and column names found in comment lines, with units
-    in brackets, by the name in `FileColumns`."""
+    """Layout of a text file that was inspected.
+
+    ``keys``: layout keys of a profile. ``questions`` and ``evidence``: open questions and evidence, by key. ``titles``:
+    column names found in comment lines, with units in brackets, by the name in `FileColumns`.
+    """
 
     keys: dict[str, Any] = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)
@@ -319,7 +322,7 @@ class Layout:
 
 
 def text_layout(name: str, data: bytes) -> Layout:
-    """Find the layout of a text file.
+    """Determine the layout of a text file.
 
     Raises
     ------
@@ -329,7 +332,7 @@ def text_layout(name: str, data: bytes) -> Layout:
     layout = Layout()
     lines = _guessed(name, data, layout).split("\n")[:-1]
     probe = lines[:PROBE_LINES]
-    # the last line of a recording may be incomplete
+    # The last line of a recording may be incomplete.
     delimiter, rows = _table(probe[:-1] if len(probe) > FEWEST_ROWS else probe, name)
     keys = layout.keys
     keys["delimiter"] = delimiter
@@ -339,7 +342,7 @@ def text_layout(name: str, data: bytes) -> Layout:
     cells = [_parted(lines[row], delimiter) for row in rows]
     above = lines[: rows[0]]
     named = _parted(above[-1], delimiter) if above else []
-    # a blank last column with a name is a column, such as remarks
+    # A blank last column with a name, such as remarks, is a column.
     if delimiter != BLANKS and all(not row[-1] for row in cells) and not (len(named) == len(cells[0]) and named[-1]):
         keys["trailing_delimiter"] = True
         cells = [row[:-1] for row in cells]
@@ -356,11 +359,11 @@ def text_layout(name: str, data: bytes) -> Layout:
     outside = (*above[:skipped], *between)
     if found := [(line, match[2]) for line in outside if (match := _LABELLED.fullmatch(line.lstrip("#%/ ")))]:
         keys["labels"] = sign = Counter(sign for _, sign in found).most_common(1)[0][0]
-        # labels in comment lines are read if the profile states the comment sign
+        # Labels in comment lines are read if the profile states the comment sign.
         marks = {mark[1] for line, of in found if of == sign and (mark := re.match(r"\s*([#%/]+)", line))}
         keys |= {"comment": marks.pop()} if len(marks) == 1 else {}
     if heads and (mark := keys.get("comment")) and any(line.lstrip().startswith(mark) for line in heads):
-        # names in comment lines are not part of the table: its columns are read by position
+        # Names in comment lines are not part of the table. Its columns are selected by position.
         keys.pop("unit_line", None)
         *units, names = ([cell.strip(mark + " ") for cell in _parted(line, delimiter)] for line in heads)
         behind = [f" [{unit.strip('[]() ')}]" if unit else "" for unit in units[0]] if units else [""] * len(names)
@@ -371,7 +374,7 @@ def text_layout(name: str, data: bytes) -> Layout:
 
 def _guessed(name: str, data: bytes, layout: Layout) -> str:
     """Decode the text, and store its encoding in the layout."""
-    # UTF-16 without a byte order mark: every second byte of most texts is zero
+    # In UTF-16 without a byte order mark, every second byte of most texts is zero.
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or data[1:64:2].count(0) > len(data[1:64:2]) // 2:
         layout.keys["encoding"] = "utf-16"
     try:
@@ -379,7 +382,7 @@ def _guessed(name: str, data: bytes, layout: Layout) -> str:
     except LogError as error:
         if "UTF-8" not in error.reason:
             raise
-    # both have the same letters; only cp1252 has characters such as the dash where latin-1 has control characters
+    # Both have the same letters. Only cp1252 has characters such as the dash where latin-1 has control characters.
     with suppress(LogError):
         text = plain_text(TextLayout(encoding="cp1252"), name, data)[0]
         layout.keys["encoding"] = "cp1252"
@@ -392,7 +395,7 @@ def _parted(line: str, delimiter: str) -> list[str]:
     if delimiter == BLANKS:
         return line.split()
     if '"' in line:
-        # a name in quotation marks may contain the delimiter
+        # A name in quotation marks may contain the delimiter.
         with suppress(csv.Error):
             return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, strict=True))]
     return [cell.strip() for cell in line.split(delimiter)]
@@ -403,7 +406,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
-    """Return the delimiter and the indices of the rows of numbers, all with the same number of cells."""
+    """Return the delimiter and the indices of the rows of numbers. All rows have the same number of cells."""
     best: tuple[str, list[int]] = ("", [])
     for delimiter in _DELIMITERS:
         widths: dict[int, list[int]] = {}
@@ -412,22 +415,22 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
             if len(cells) > 1 and sum(map(_is_number, cells)) >= max(NUMERIC_SHARE * sum(map(bool, cells)), 2):
                 widths.setdefault(len(cells), []).append(number)
         rows = _block(max(widths.values(), key=len, default=[]))
-        # several delimiters fit: take the one that gives more rows, or the earlier one if they give equally many
+        # If several delimiters fit, take the delimiter with more rows. If they have equally many, take the earlier one.
         if len(rows) > len(best[1]):
             best = delimiter, rows
     if len(best[1]) < FEWEST_ROWS:
         alone = sum(_is_number(line.strip().rstrip(";,").strip()) for line in lines)
         if alone >= FEWEST_ROWS:
-            found = f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command and "
-            found += "the position, or the velocity, in each row"
+            found = f"has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the "
+            found += "command, and the position or velocity, in each row"
             raise refusal("column-missing", name, found, cure="Export them together, or describe them by [partner].")
-        found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of as many cells"
+        found, expected = f"no table of numbers was found among the first {len(lines)} lines", "rows of equal length"
         raise refusal("header-missing", name, found, expected, "Export other formats as CSV.")
     return best
 
 
 def _block(rows: list[int]) -> list[int]:
-    """Return rows without the few numeric lines above a table, such as settings of a recorder."""
+    """Return the rows of the table, without a few numeric lines above it, such as settings of a recorder."""
     runs: list[list[int]] = []
     for row in rows:
         if runs and row == runs[-1][-1] + 1:
@@ -441,7 +444,7 @@ def _block(rows: list[int]) -> list[int]:
 
 
 def _decimal(cells: list[str], layout: Layout) -> None:
-    """Store the decimal sign in the layout; ask if none occurs or if it may be a thousands separator."""
+    """Store the decimal sign in the layout. Add a question if no sign occurs or if it may be a thousands separator."""
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
     seen = points[:1] + commas[:1]
@@ -450,15 +453,15 @@ def _decimal(cells: list[str], layout: Layout) -> None:
     ):
         layout.keys["decimal"] = "," if commas else "."
         return
-    shown = f"the table has {' and '.join(map(repr, seen))}" if seen else "the first rows have whole numbers only"
-    layout.questions["decimal"] = f'{shown}. Which is the decimal sign of its logs, "." or ","?'
+    shown = f"the table contains {' and '.join(map(repr, seen))}" if seen else "the first rows have whole numbers only"
+    layout.questions["decimal"] = f'{shown}. Is the decimal sign of the logs "." or ","?'
 
 
 def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
-    """Return whether a line consists of names or units for that number of columns."""
+    """Return whether a line consists of names or units for the given number of columns."""
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:
         cells.pop()
-    # a comment in words may have as many blanks as the table has columns; a label has its sign after the first word
+    # A comment may have as many blanks as the table has columns. In a label, the sign follows the first word.
     remark = keys["delimiter"] == BLANKS and _LABELLED.fullmatch(line)
     return len(cells) == width and any(cells) and not remark and not any(map(_is_number, cells))

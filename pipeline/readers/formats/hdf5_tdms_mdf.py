@@ -1,9 +1,13 @@
-"""Files of measuring systems: HDF5, TDMS of LabVIEW, MDF of dSPACE, CANape and INCA.
+"""Reader of files from measuring systems: HDF5, TDMS of LabVIEW, and MDF of dSPACE, CANape and INCA.
 
-HDF5: datasets by path (``/arm/q``), fields of compound datasets (``/log.t``), elements (``/arm/q[3]``); values in
-other files are not opened. TDMS: channels as ``/group/channel``; ``@time`` is the time [s] that the waveform properties
-of the wanted channels imply, row times ``wf_increment`` plus ``wf_start_offset``, if they are the same for all of them;
-stamps are whole nanoseconds since 1970. MDF: channels as ``0/name`` by the number of their group, time ``0/@time`` [s].
+HDF5: columns are paths of datasets (``/arm/q``), fields of compound datasets (``/log.t``), and elements
+(``/arm/q[3]``). Values in other files are not read.
+
+TDMS: columns are channels (``/group/channel``). ``@time`` is the time [s] from the waveform properties of the wanted
+channels, if they are equal: row times ``wf_increment`` plus ``wf_start_offset``. Stamps are integer nanoseconds since
+1970.
+
+MDF: columns are channels with the number of their group (``0/name``). The time is ``0/@time`` [s].
 """
 
 from __future__ import annotations
@@ -22,14 +26,14 @@ from pipeline.readers.file_columns import Array, FileColumns, library
 TIME = "@time"
 _HINTS = ("unit", "units", "Unit", "Units", "unit_string", "description", "long_name")
 _WAVEFORM: dict[str, Any] = {"wf_increment": None, "wf_start_offset": 0.0, "wf_start_time": None}
-"""TDMS properties that determine the sample times of a channel, and their defaults."""
+"""TDMS properties that determine the sample times of a channel, with their defaults."""
 
 _EPOCH_S = 2_082_844_800
 """Seconds from the start of 1904, the origin of TDMS time stamps, to the start of 1970."""
 
 
 def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the datasets; wanted columns are paths, with or without the first slash."""
+    """Add the datasets. Wanted columns are paths, with or without the first slash."""
     h5py = library("h5py", "hdf5")
 
     def values(item: Any, part: str) -> Array:
@@ -44,10 +48,10 @@ def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
         if not isinstance(item, h5py.Dataset):
             return
         if item.shape is None:
-            contents.refused[path] = "is empty: it has no values."
+            contents.refused[path] = "is empty."
         elif item.external or item.is_virtual:
             contents.refused[path] = "has its values in other files, which are not opened. Export it with its values."
-        elif contents.asks(path) or item.size == 1:
+        elif contents.wants(path) or item.size == 1:
             for part in item.dtype.names or ("",):
                 contents.add(f"{path}.{part}" if part else path, partial(values, item, part), _hint(item.attrs))
 
@@ -57,7 +61,7 @@ def read_hdf5(path: Path, settings: Profile, contents: FileColumns) -> None:
 
 
 def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the channels, and their properties as attributes ``/group/channel@property``."""
+    """Add the channels, with their properties as attributes ``/group/channel@property``."""
     with library("nptdms", "tdms").TdmsFile.open(path, raw_timestamps=True) as file:
         _note(contents, "", file.properties)
         for group in file.groups():
@@ -65,7 +69,7 @@ def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
             for channel in group.channels():
                 name = f"/{group.name}/{channel.name}"
                 _note(contents, f"{name}@", channel.properties)
-                if contents.asks(name) or len(channel) == 1 or contents.wanted == (TIME,):
+                if contents.wants(name) or len(channel) == 1 or contents.wanted == (TIME,):
                     unit = "ns" if channel.dtype.kind == "M" else ""
                     contents.add(name, partial(_of_channel, channel), _hint(channel.properties), unit)
     if settings.trials is not None:
@@ -89,12 +93,12 @@ def read_tdms(path: Path, settings: Profile, contents: FileColumns) -> None:
         named = f"{list(_WAVEFORM)[differ]} " if differ else ""
         listing = ", ".join(f"{key!r}: {named}{each[differ]}" for key, each in list(waveforms.items())[:10])
         found = f"{TIME!r} needs one {listed(list(_WAVEFORM))} for all wanted channels, found {listing or 'none'}"
-        cure = "Record the channels in one task; or export them with a channel of times, and name that in columns.time."
+        cure = "Record the channels in one task, or export a channel of times and name it in columns.time."
         raise refusal("time-wrong", contents.name, found, cure=cure)
 
 
 def _add_group_times(contents: FileColumns) -> None:
-    """Add the time of each group whose channels share the same waveform properties."""
+    """Add the time of each group whose channels have the same waveform properties."""
     groups: dict[str, list[str]] = {}
     for name in list(contents.columns):
         groups.setdefault(name.rpartition("/")[0], []).append(name)
@@ -110,15 +114,15 @@ def _add_group_times(contents: FileColumns) -> None:
 
 
 def read_mdf(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the channels of all groups, with their units; times are in seconds from the start of the measurement."""
+    """Add the channels of all groups with their units. Times are in seconds from the start of the measurement."""
     with library("asammdf", "mdf").MDF(path) as file:
         for number, group in enumerate(file.groups):
-            if contents.asks(time := f"{number}/{TIME}"):
+            if contents.wants(time := f"{number}/{TIME}"):
                 contents.add(time, file.get_master(number), "s", "s")
             master = file.masters_db.get(number)
             for index, channel in enumerate(group.channels):
                 name = f"{number}/{channel.name}"
-                if index != master and contents.asks(name):
+                if index != master and contents.wants(name):
                     signal = file.get(group=number, index=index)
                     contents.add(name, signal.samples, signal.unit or "")
 
@@ -127,7 +131,7 @@ def _of_channel(channel: Any) -> Array:
     values = channel[:]
     if not hasattr(values, "second_fractions"):
         return np.asarray(values)
-    # whole seconds and 2^-64 s; the upper half resolves 0.23 ns
+    # A stamp has integer seconds and fractions of 2^-64 s. The upper half of the fractions resolves 0.23 ns.
     upper = np.asarray(values.second_fractions, dtype=np.uint64) >> np.uint64(32)
     fraction = (upper * np.uint64(10**9) + np.uint64(1 << 31)) >> np.uint64(32)
     return (np.asarray(values.seconds, dtype=np.int64) - _EPOCH_S) * 10**9 + fraction.astype(np.int64)
@@ -142,6 +146,6 @@ def _note(contents: FileColumns, prefix: str, attributes: Any) -> None:
         try:
             value = attributes[key]
         except OSError:
-            # skip an attribute of a type unknown to h5py: it is no condition of a log
+            # Skip attributes of types that h5py cannot read. They are not conditions of a log.
             continue
         contents.note(prefix + key, str(value.as_datetime64()) if hasattr(value, "as_datetime64") else value)

@@ -1,7 +1,7 @@
-"""JSON: a list of records, alone or under a key next to a header; one record a line; or one list for each column.
+"""Reader of JSON: a list of records, alone or under a key next to a header; one record per line; or a list per column.
 
-Each value inside the records is a column named by its path: ``state.q[3]``; ``1``, ``2`` for plain lists. A null or
-missing value is NaN, or an empty text; true and false are 1 and 0.
+Each value inside the records is a column named by its path, such as ``state.q[3]``, or ``1``, ``2`` for plain lists.
+A null or missing value is NaN, or an empty text. True and false are 1 and 0.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from pipeline.readers.formats.delimited import unpacked
 from pipeline.records.trials import Integers
 
 Cells = dict[int, Any]
-"""Values of a column by the number of their record, from 0."""
+"""Values of a column by the number of their record, counted from 0."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the keys of records as columns, and single values as attributes."""
+    """Add the values in records as columns, and single values as attributes."""
     data = unpacked(contents.name, path.read_bytes())
     text = data.decode(json.detect_encoding(data)).removeprefix("\ufeff")
     if not text.strip():
@@ -52,15 +52,15 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
         if not columns:
             raise refusal("empty", contents.name, "contains no records with values", "samples", row=1)
     for key, cells in columns.items():
-        if isinstance(next(iter(cells.values()), None), list):  # a matrix
+        if isinstance(next(iter(cells.values()), None), list):  # the column is a matrix
             contents.add(key, partial(np.array, list(cells.values())))
-        elif contents.asks(key):
+        elif contents.wants(key):
             where = f"{contents.name}: column {key!r}"
             contents.add(key, partial(column, where, cells, len(records or cells), contents.row))
 
 
 def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
-    """Return the values in records by path, in the order in which the paths are found."""
+    """Return the values in records by path, in the order in which the paths occur."""
     columns: dict[str, Cells] = {}
     for number, record in enumerate(records):
         if not isinstance(record, dict | list):
@@ -72,7 +72,7 @@ def columns_of(records: Sequence[Any]) -> dict[str, Cells]:
 
 
 def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = ()) -> Array:
-    """Return one value per row; ``row`` gives the position of each row in the file.
+    """Return one value for each row. ``row`` is the position of each row in the file.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def column(where: str, cells: Cells, rows: int, row: Sequence[int] | Integers = 
 
 
 def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str, Any]]:
-    """Yield path and value of everything inside objects, and also inside lists if ``lists``."""
+    """Yield path and value of all values inside objects, and also inside lists if ``lists`` is true."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _flat(part, f"{path}.{key}" if path else key, lists)
@@ -103,7 +103,7 @@ def _flat(value: Any, path: str = "", lists: bool = True) -> Iterator[tuple[str,
 
 
 def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value of all lists of plain values and single values inside objects and lists of objects."""
+    """Yield path and value of single values and of lists of plain values, inside objects and lists of objects."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _grouped(part, f"{path}.{key}" if path else key)
@@ -119,12 +119,12 @@ def _grouped(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _parsed(contents: FileColumns, text: str) -> Any:
-    """Return the parsed file; a list if it has one record a line."""
+    """Return the parsed file. It is a list if the file has one record per line."""
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
         if error.msg != "Extra data" or text.lstrip()[0] not in "{[":
-            found = f"is no JSON: {error.msg} at column {error.colno}"
+            found = f"is not JSON: {error.msg} at column {error.colno}"
             raise refusal("syntax", contents.name, found, row=error.lineno) from error
     lines = [(row, line) for row, line in enumerate(text.split("\n"), start=1) if line.strip()]
     records = []
@@ -135,14 +135,14 @@ def _parsed(contents: FileColumns, text: str) -> Any:
             if row == lines[-1][0] and not text.endswith("\n"):
                 contents.cut_row(line, row)
                 break
-            found = f"is no JSON with one record a line: {error}"
+            found = f"is not JSON with one record per line: {error}"
             raise refusal("syntax", contents.name, found, cure="Repair the line.", row=row) from error
     contents.row = np.array([row for row, _ in lines[: len(records)]], np.int64)
     return records
 
 
 def _records(contents: FileColumns, value: Any, path: str) -> list[Any] | None:
-    """Return the list of records; None if each column is a separate list. Single values become attributes."""
+    """Return the list of records, or None if each column is a separate list. Single values become attributes."""
     if isinstance(value, list):
         value = {"": value}
     if not isinstance(value, dict):
@@ -157,7 +157,7 @@ def _records(contents: FileColumns, value: Any, path: str) -> list[Any] | None:
     if path not in lists and (path or (best and contents.wanted)):
         listing = ", ".join(f"{key!r} ({len(found)} records)" for key, found in lists.items()) or "no key"
         found, line = (
-            f"has lists of records under {listing}, and not under {path!r}",
+            f"has lists of records under {listing}, but not under {path!r}",
             f'records = "{best}"' if best else "",
         )
         raise refusal("profile-wrong", contents.name, found, cure="Correct `records` in the profile.", row=1, line=line)

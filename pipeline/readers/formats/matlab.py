@@ -1,9 +1,11 @@
-"""MATLAB files: arrays by name, fields of structs by dotted path, elements of struct arrays and cells in brackets.
+"""Reader of MATLAB files.
 
-A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries gives
-``ts.Time`` [s] and ``ts.Data``, a table or timetable its variables as ``T.x`` (and ``T.Time``), a Simulink dataset
-its signals as ``logsout.torque.Time`` and ``logsout.torque.Data``. scipy reads version 5
-(``save``, ``-v6``, ``-v7``) without objects, mat-io version 7.3 and objects of both.
+Fields of structs have dotted paths, elements of struct arrays and cells an index in brackets.
+
+A Simulink "Structure with time" is a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries has
+``ts.Time`` [s] and ``ts.Data``. A table or timetable has its variables as ``T.x`` (and ``T.Time``). A Simulink dataset
+has its signals as ``logsout.torque.Time`` and ``logsout.torque.Data``. scipy reads files of version 5 (``save``,
+``-v6``, ``-v7``) without objects. mat-io reads version 7.3, and objects in both versions.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from pipeline.base.errors import refusal
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_columns import Array, FileColumns, library
 
-if find_spec("matio"):  # imported here, where the import time is not charged
+if find_spec("matio"):  # its import time here does not count as reading time
     import_module("matio")
 
 _SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
@@ -32,25 +34,25 @@ _EXPORTS = {
     "table": "s = table2struct(T, 'ToScalar', true)",
     "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
 }
-"""MATLAB commands that convert objects of a private format to plain arrays, by class."""
+"""MATLAB commands that convert objects of private formats to plain arrays, by class."""
 
 
 def read(path: Path, settings: Profile, contents: FileColumns) -> None:
-    """Add the variables; list unreadable ones with the MATLAB command that converts them to plain arrays."""
+    """Add the variables. Unreadable variables are listed with the MATLAB command that converts them to plain arrays."""
     head = path.read_bytes()[:128]
     newer, objects = head[124:126] in (b"\x00\x02", b"\x02\x00"), head[116:124].strip(b" \0") != b""
     if not head.startswith(b"MATLAB") and head[126:128] not in (b"IM", b"MI"):
         cure = "A version 4 file must be saved again: save('log.mat', 't', 'x', '-v7'). Otherwise correct `format`."
-        raise refusal("unsupported", contents.name, "no MATLAB file", "version 5 or 7.3", cure)
+        raise refusal("unsupported", contents.name, "is not a MATLAB file", "version 5 or 7.3", cure)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         variables = _by_matio(contents, path, newer) if newer or objects else dict(loadmat(path))
     for name, value in variables.items():
-        # internal data of objects have a name with # or __
+        # Internal data of objects have a name with # or __.
         if not name.startswith(("#", "__")):
             _add(contents, name, value)
     for name in contents.columns:
-        # Simulink writes the properties of a signal next to its values
+        # Simulink writes the properties of a signal next to its values.
         stem, _, rest = name.rpartition(".values")
         if stem and not rest.strip("[0123456789]") and (label := contents.attributes.get(f"{stem}.label")):
             contents.hints[name] = str(label)
@@ -60,7 +62,7 @@ def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, Any]:
     matio = library("matio", "mat")
     try:
         return dict(matio.load_from_mat(path))
-    except Exception:  # one unreadable variable must not make the others unavailable
+    except Exception:  # an unreadable variable must not affect the others
         found: dict[str, Any] = {}
         for name, kind in _classes(path, newer).items():
             try:
@@ -74,7 +76,7 @@ def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, Any]:
 
 
 def _classes(path: Path, newer: bool) -> dict[str, str]:
-    """Return the class of each variable by name."""
+    """Return the class of each variable, by name."""
     if not newer:
         return {name: kind for name, (_, kind) in library("matio", "mat").whosmat(path).items()}
     with library("h5py", "mat").File(path) as file:
@@ -83,10 +85,10 @@ def _classes(path: Path, newer: bool) -> dict[str, str]:
 
 
 def _advice(kind: str) -> str:
-    """Return why an object of a class is not read, and how to export it."""
+    """Return the reason why an object of a class is not read, and the command that exports it."""
     export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
     each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
-    text = f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: {export}; "
+    text = f"is a MATLAB object of class {kind[:80]}, which only MATLAB can read. Export it in MATLAB{each}: {export}; "
     return text + "save('log.mat', 's', '-v7')."
 
 
@@ -94,18 +96,18 @@ def _add(contents: FileColumns, path: str, value: Any) -> None:
     """Add a variable, a field of a struct, an element of a cell or the properties of an object."""
     if hasattr(value, "properties"):
         _add_object(contents, path, value)
-    elif hasattr(value, "columns"):  # a table or timetable
+    elif hasattr(value, "columns"):  # the value is a table or timetable
         frame = value.reset_index() if value.index.name else value
         for name in frame.columns:
             contents.add(f"{path}.{name}", frame[name].to_numpy())
-    elif type(value).__name__ == "MatlabOpaque":  # as scipy returns it
+    elif type(value).__name__ == "MatlabOpaque":  # scipy returns this type
         own, _, kind, _ = (part.decode("utf-8", "replace") if isinstance(part, bytes) else "" for part in value.flat[0])
         contents.refused[own if path == "None" else path] = _advice(kind)
     elif hasattr(value, "classname"):
         contents.refused[path] = _advice(str(value.classname))
     elif not isinstance(value, np.ndarray):
         sparse = "is a sparse matrix; save full(x)."
-        contents.refused[path] = sparse if hasattr(value, "todense") else f"is {type(value).__name__}, no array."
+        contents.refused[path] = sparse if hasattr(value, "todense") else f"is {type(value).__name__}, not an array."
     elif value.dtype.names:
         for number, element in enumerate(value.reshape(-1, order="F")):
             place = path if value.size == 1 else f"{path}[{number}]"
@@ -122,14 +124,14 @@ def _add(contents: FileColumns, path: str, value: Any) -> None:
 
 
 def _texts(value: Array) -> Array:
-    """Return a cell array of texts as one column, or an empty array if it is not one."""
+    """Return a cell array of texts as one column. Return an empty array for other values."""
     cells = [cell for cell in value.flat if getattr(cell, "dtype", value.dtype).kind == "U" and cell.size <= 1]
     texts = [cell.item() if cell.size else "" for cell in cells]
     return np.array(texts if 1 < len(texts) == value.size else [])
 
 
 def _add_object(contents: FileColumns, path: str, value: Any) -> None:
-    """Add times and values of all timeseries in an object; refuse the object if there are none."""
+    """Add times and values of all timeseries in an object. Mark the object as unreadable if there are none."""
     before = len(contents.columns)
     _add_series(contents, path, value)
     if len(contents.columns) == before:
@@ -137,10 +139,10 @@ def _add_object(contents: FileColumns, path: str, value: Any) -> None:
 
 
 def _add_series(contents: FileColumns, path: str, value: Any) -> None:
-    """Add the timeseries in an object, a cell or a struct, by their names.
+    """Add the timeseries in an object, a cell or a struct under their names.
 
-    A Simulink dataset is an object whose storage has a cell of elements. An element is a signal, an object or a struct,
-    whose values are a timeseries, a struct of them (a bus), or a struct with its samples.
+    A Simulink dataset is an object that stores a cell of elements. An element is a signal (an object or a struct) whose
+    values are a timeseries, a struct of timeseries (a bus), or a struct with samples.
     """
     if isinstance(value, np.ndarray) and value.dtype.names:
         for number, element in enumerate(value.reshape(-1, order="F")):
@@ -156,11 +158,11 @@ def _add_series(contents: FileColumns, path: str, value: Any) -> None:
 
 
 _TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
-"""Internal levels of a Simulink dataset that the user does not see."""
+"""Internal levels of a Simulink dataset that users do not see."""
 
 
 def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
-    """Add samples stored directly in properties or fields, or the timeseries inside them."""
+    """Add samples that properties or fields contain directly, or the timeseries inside them."""
     info = getattr(parts.get("TimeInfo"), "properties", {})
     times = [parts.get("Time_"), parts.get("Time"), info.get("Time_")]
     time = next(
@@ -181,7 +183,7 @@ def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
 
 
 _REGULAR = ("Start_", "Increment_", "Length")
-"""Properties that define equally spaced sample times."""
+"""Properties that define equidistant sample times."""
 
 
 def _regular(start: float, step: float, rows: float) -> Array:
@@ -189,19 +191,19 @@ def _regular(start: float, step: float, rows: float) -> Array:
 
 
 def _unit(parts: dict[str, Any]) -> str:
-    """Return the unit of the samples of a timeseries, if it has one."""
-    said = getattr(parts.get("DataInfo"), "properties", {}).get("Units", parts.get("DataUnits"))
-    return _text(getattr(said, "properties", {}).get("Name", said))
+    """Return the unit of the samples of a timeseries, or an empty text."""
+    unit = getattr(parts.get("DataInfo"), "properties", {}).get("Units", parts.get("DataUnits"))
+    return _text(getattr(unit, "properties", {}).get("Name", unit))
 
 
 def _text(value: Any) -> str:
-    """Return a MATLAB text as str; empty if the value is no text."""
+    """Return a MATLAB text as str, or an empty text for other values."""
     found = np.ravel(value)[0] if np.size(value) else ""
     return str(found) if isinstance(found, str) else ""
 
 
 def _name_of(element: Any) -> str:
-    """Return the name of an element of a dataset; empty if it has no name that is valid in a path."""
+    """Return the name of an element of a dataset. It is empty if no name is valid in a path."""
     named = (
         isinstance(element, np.ndarray) and element.dtype.names and "Name" in element.dtype.names and element.size == 1
     )

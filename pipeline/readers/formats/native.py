@@ -1,6 +1,6 @@
-"""Reads native logs, many at a time: the bodies are parsed as one text, which saves the overhead per file.
+"""Reader of native logs. The bodies of many logs are parsed as one text, which saves the overhead for each file.
 
-If the common parse fails for a body, or its number of rows differs from its number of lines, the body is read
+If the common parser fails for a body, or its number of rows differs from its number of lines, the body is read
 separately, line by line, to find the faulty row.
 """
 
@@ -31,7 +31,7 @@ Columns = tuple[Floats, Floats, Floats]
 
 
 class _Body:
-    """The samples of one log as text, and the line number of the first."""
+    """The samples of a log as text, and the line number of the first sample."""
 
     def __init__(self, raw: RawLog) -> None:
         self.data = data = raw.data[0]
@@ -39,9 +39,9 @@ class _Body:
             refuse_other_kind(raw.names[0], "native", data)
         self.header, start, self.first_row = _split(data)
         if data.endswith(b"\n") and data[-2:-1] not in _BLANK:
-            # the usual case: no copy
+            # usual case, without a copy
             self.view = memoryview(data)[start:]
-            # three times as fast as `bytes.count`
+            # this is three times as fast as `bytes.count`
             self.lines = int(np.count_nonzero(np.frombuffer(self.view, np.uint8) == _LINE_FEED))
         else:
             text = data[start:].rstrip(_BLANK) + b"\n"
@@ -60,7 +60,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
     Returns
     -------
     list of tuple of Log (one each), or LogError
-        In the order given.
+        In the same order.
     """
     outcomes: list[tuple[Log, ...] | LogError | None] = [None] * len(raws)
     bodies: dict[int, _Body] = {}
@@ -83,7 +83,7 @@ def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | Log
 
 
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:
-    """Return the header, the offset of the first sample and its line number."""
+    """Return the header, the offset of the first sample, and its line number."""
     head, start = data[:LONGEST_HEADER], 0
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise refusal("empty", "", "file is empty", "a header, the column line and samples", row=1)
@@ -92,7 +92,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         try:
             text = line.decode("utf-8-sig" if row == 1 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            raise refusal("encoding", "", f"line is no UTF-8 text ({error.reason})", row=row) from error
+            raise refusal("encoding", "", f"line is not UTF-8 text ({error.reason})", row=row) from error
         start += len(line)
         if text and not text.startswith("#"):
             if [cell.strip() for cell in text.split(",")] != _NAMES:
@@ -107,14 +107,14 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
 
 
 def _parse(text: bytes, lines: int) -> Columns | None:
-    """Return the columns, or None if the text is not exactly three numbers on each line."""
+    """Return the columns, or None if the text does not have exactly three numbers on each line."""
     if not lines:
         return np.empty(0), np.empty(0), np.empty(0)
     try:
         table = pacsv.read_csv(
             pa.BufferReader(text),
             pacsv.ReadOptions(column_names=_NAMES, use_threads=False),
-            # blank lines are rows and quotes are text, so that one line is one row
+            # Blank lines count as rows and quotes as text, so that each line is one row.
             pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
             pacsv.ConvertOptions(
                 column_types=dict.fromkeys(_NAMES, pa.float64()), null_values=[], strings_can_be_null=False
@@ -129,7 +129,10 @@ def _parse(text: bytes, lines: int) -> Columns | None:
 
 
 def _parse_alone(body: _Body) -> Columns:
-    """Return the columns of a log that the common parse rejected, if its lines are valid numbers after all."""
+    """Return the columns of a log that the common parser rejected, if its lines are valid numbers.
+
+    Otherwise, the error names the faulty row.
+    """
     rows = []
     for row, line in enumerate(bytes(body.view).decode("utf-8", "replace").split("\n")[:-1], start=body.first_row):
         cells = line.split(",")

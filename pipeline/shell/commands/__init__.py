@@ -1,1 +1,1 @@
-"""One module per group of commands: parse, call, print."""
+"""Modules of commands, one for each group. Each command parses arguments, calls functions and prints the result."""

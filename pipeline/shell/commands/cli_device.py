@@ -1,4 +1,4 @@
-"""Commands of devices: `demo`, `simulate`, `identify`, `design` and `plan`: parse, call, print."""
+"""Commands for devices: `demo`, `simulate`, `identify`, `design` and `plan`."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ if TYPE_CHECKING:
     from pipeline.surface.physical_loop import Loop
 
 _SHOWN = 6
-"""Number of printed names of logs; the document has all."""
+"""Number of printed names of logs. The JSON document has all names."""
 
-UNEXPLAINED = "The command alone does not explain the motion: another force acts, or a part is missing."
+UNEXPLAINED = "The command alone does not explain the motion: another force acts, or the model lacks a part."
 
 COMBINATIONS = {
-    "acceleration": "acceleration by the largest command, friction and constant force included",
+    "acceleration": "acceleration by the largest command, including friction and constant force",
     "damping_per_mass": "damping over mass",
     "stiffness_per_mass": "stiffness over mass",
-    "friction_less_force": "friction less the constant force in the direction of motion",
-    "delay_and_lag": "delay and actuator lag together",
+    "friction_less_force": "friction minus the constant force in the direction of motion",
+    "delay_and_lag": "sum of delay and actuator lag",
 }
-"""Identifiable combinations of parameters that cannot be separated."""
+"""Identifiable combinations of parameters that cannot be separated from each other."""
 
 LIMIT_QUANTITIES = {
     "stiffness": ("stiffness", "rotational stiffness"),
@@ -54,14 +54,14 @@ LIMIT_QUANTITIES = {
     "force": ("force", "torque"),
     "travel": ("length", "angle"),
 }
-"""Options that bound the planned trials, with their physical quantities."""
+"""Options that limit the planned trials, with their physical quantities."""
 
 
 def demo() -> None:
     """Simulate, ingest and compare small experiments with three devices.
 
-    Writes raw/demo/, processed/demo/ and the reports falcon-real, falcon and lwr (reports/*.html) below the current
-    folder, and replaces files of these names.
+    The command writes raw/demo/, processed/demo/ and the reports falcon-real, falcon and lwr (reports/*.html) below the
+    current folder. Files of these names are replaced.
 
     Example: pipeline demo
     """
@@ -69,19 +69,19 @@ def demo() -> None:
 
     check_output(Path("reports/falcon.html"), "", document_beside=True)
     reports, lines = run_demo(report_progress=console.step)
-    console.tell({"reports": [str(path) for path in reports]}, lines)
+    console.show({"reports": [str(path) for path in reports]}, lines)
 
 
 def simulate(
     device: Annotated[str, argument("Device: name or file (.toml).")],
     experiment: Experiments = None,
-    out: Annotated[Path, option("--out", "Folder; logs go to DEVICE/EXPERIMENT in it.")] = Path("raw"),
+    out: Annotated[Path, option("--out", "Folder; logs are written to DEVICE/EXPERIMENT in it.")] = Path("raw"),
     seed: Annotated[int, option("--seed", "Seed of noise and jitter.", min=0)] = 0,
-    coarsen: Annotated[int, option("--coarsen", "Take each n-th damping, n times the step in K.")] = 1,
+    coarsen: Annotated[int, option("--coarsen", "Use every n-th damping, and n times the step in K.")] = 1,
 ) -> None:
     """Write simulated logs of a device, and its true parameters.
 
-    Logs of an earlier simulation in the folder are replaced, other files never.
+    Logs of an earlier simulation in the folder are replaced. Other files are never changed.
 
     Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
     """
@@ -96,23 +96,23 @@ def simulate(
 
     counts = {name: simulated(name) for name in experiment or [e.name for e in record.experiments]}
     lines = (f"{record.name}, experiment {name}: {count} logs in {out}" for name, count in counts.items())
-    console.tell({"device": record.name, "folder": str(out), "seed": seed, "logs": counts}, lines)
+    console.show({"device": record.name, "folder": str(out), "seed": seed, "logs": counts}, lines)
 
 
 @reads_logs("paths", walls=False)
 def identify(
-    paths: Annotated[list[Path], argument("Logs with command and position, or folders with some.")],
+    paths: Annotated[list[Path], argument("Logs with command and position, or folders with such logs.")],
     profile: LogProfile = None,
     period: Annotated[str | None, option("--period", "Sampling period of the walls: 0.0005, '0.5 ms'.")] = None,
     delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
     ignore: Ignore = None,
 ) -> None:
-    """Identify a device from any logs, and the walls it can render.
+    """Identify a device from logs, and compute the walls it can render.
 
-    No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
-    leave out stiffness, damping, step and names. Walls have the period and delay of the logs, where not given. With
-    --out a device file (.toml) is written.
+    Neither a wall nor rest is needed. Steps, staircases, sweeps and wall trials are suitable. A native log without a
+    wall may omit stiffness, damping, step and names. By default, walls have the period and delay of the logs. With
+    --out, a device file (.toml) is written.
 
     Example: pipeline identify logs --out motor.toml
 
@@ -126,10 +126,12 @@ def identify(
     wall_period = None if period is None else quantity("--period", period, "time")
     with console.progress("identify", "logs") as advance:
         document = identified_device(paths, profile, wall_period, delay, ignore or (), advance)
-    console.tell(document, identified_lines(document))
+    console.show(document, identified_lines(document))
     copies = document["copies"]
     if copies:
-        what = f"{counted(len(copies), 'log')} with the samples of another one count{'s' * (len(copies) == 1)} once"
+        what = (
+            f"{counted(len(copies), 'log')} with the same samples as another log count{'s' * (len(copies) == 1)} once"
+        )
         console.note(f"{what}: {', '.join(copies[:_SHOWN])}")
     findings = (each for each in document["findings"] if each["log"] not in copies)
     for line in console.warned((each["log"], each["sentence"], each["code"]) for each in findings):
@@ -146,7 +148,7 @@ def identify(
 
 
 def _with_interval(number: dict[str, Any]) -> str:
-    """Return a number with its interval, in digits that distinguish both ends, and its unit."""
+    """Return a number with interval and unit. It has enough digits to distinguish both ends."""
     from pipeline.rendering.labels import interval_texts
 
     value, low, high = interval_texts(number["value"], number["low"], number["high"])
@@ -154,7 +156,7 @@ def _with_interval(number: dict[str, Any]) -> str:
 
 
 def identified_lines(document: dict[str, Any]) -> Iterator[str]:
-    """Yield the result of an identification: parameters, inseparable combinations, replay, limits."""
+    """Yield the result of an identification as lines: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
     from pipeline.surface.identify import DRIFT
 
@@ -167,36 +169,36 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
     parts = {found: ", ".join(p["name"] for p in document["parts"] if p["found"] is found) for found in (True, False)}
     yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
-        yield f"not excluded by these logs: {parts[False]}"
+        yield f"neither found nor excluded by these logs: {parts[False]}"
     if (drive := document["drive"]) is not None:
         ways = (f"{_with_interval(each)} for {way} commands" for way, each in drive.items() if way != "asymmetry")
         inertia = "Mass" if document["motion"] == "translation" else "Inertia"
         yield f"The gain of the drive differs by direction. {inertia} per unit of command: {', '.join(ways)}."
-        yield "  Intervals above span both. Record the force, or calibrate the drive in each direction."
+        yield "  The intervals above include both. Record the force, or calibrate the drive in each direction."
     if document["assumed_none"]:
-        yield f"assumed zero, since the command never changes: {_words(document['assumed_none'])}"
+        yield f"assumed zero, because the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:
         known = f"{COMBINATIONS[each['combination']]}: {_with_interval(each)}"
-        yield f"cannot be separated: {_words(each['members'])}. Known is {known}."
+        yield f"cannot be separated: {_words(each['members'])}. Identifiable: {known}."
         yield f"  To separate them, record {each['record']}."
     if not document["scatter_in_interval"]:
-        yield "the intervals do not include the scatter between runs, which takes at least 8 logs to estimate"
+        yield "the intervals do not include the scatter between runs, because its estimate needs at least 8 logs"
     if fit is not None:
         naive = document["replay"]["naive_percent"]
         without = f"without the command {naive:.1f} %"
-        yield f"replay of logs left out of the fit: {fit:.1f} % of the velocity (median; {without})"
+        yield f"replayed logs that were left out of the fit: {fit:.1f} % of the velocity (median; {without})"
         if not document["replay"]["follows"]:
             behind_walls = document["replay"]["behind_walls"]
-            yield f"  ({DRIFT})" if behind_walls else f"{UNEXPLAINED} No limit of walls is reported."
+            yield f"  ({DRIFT})" if behind_walls else f"{UNEXPLAINED} No limit of stable walls is reported."
     if limits is not None:
         top, B = limits["stiffness_max"], limits["damping_at_stiffness_max"]
         yield f"walls at T = {limits['sampling_period_s']:g} s and a delay of {limits['delay_samples']:.4g} samples:"
         k, b = unit_of("stiffness", document["motion"]), unit_of("damping", document["motion"])
         ends = f"{top['low']:.5g} to {top['high']:.5g}"
         yield f"  stable up to K = {top['value']:.5g} {k} ({ends}) at B = {B:.5g} {b}"
-        unfiltered = "" if document["velocity_filter"] else ", a velocity filter takes from it"
-        plain = "" if document["loop"]["velocity"] else ", with a velocity by plain difference"
-        yield f"  (linear{plain}: friction adds to it{unfiltered})"
+        unfiltered = "" if document["velocity_filter"] else ", a velocity filter lowers it"
+        plain = "" if document["loop"]["velocity"] else ", with the difference quotient as velocity"
+        yield f"  (linear{plain}: friction raises it{unfiltered})"
     if document["velocity_filter"]:
         yield document["velocity_filter"]
     if "jitter" in document["left_out"]:
@@ -206,7 +208,7 @@ def identified_lines(document: dict[str, Any]) -> Iterator[str]:
             f"({jitter['low']:.3g} to {jitter['high']:.3g})."
         )
     if document["left_out"]:
-        yield f"left out of linear theory: {', '.join(document['left_out'])}"
+        yield f"parts not included in linear theory: {', '.join(document['left_out'])}"
 
 
 def _words(names: list[str]) -> str:
@@ -216,15 +218,21 @@ def _words(names: list[str]) -> str:
 def design(
     device: DeviceName,
     experiment: One = None,
-    stiffness: Annotated[str | None, option("--stiffness", "Wanted K, as 5000 or '5 N/mm'.")] = None,
-    settling: Annotated[str | None, option("--settling", "Longest settling time to 2 %: 0.03, '30 ms'.")] = None,
-    overshoot: Annotated[str | None, option("--overshoot", "Largest overshoot: 0.05, 5%; below 0.001 is none.")] = None,
-    margin: Annotated[float, option("--margin", "Factor on K up to which it stays stable.")] = 1.0,
-    hand: Annotated[str | None, option("--hand", "Arm of Table 3.2, in place of the operator of the file.")] = None,
+    stiffness: Annotated[str | None, option("--stiffness", "Required K, such as 5000 or '5 N/mm'.")] = None,
+    settling: Annotated[
+        str | None, option("--settling", "Longest settling time to 2 %, such as 0.03 or '30 ms'.")
+    ] = None,
+    overshoot: Annotated[
+        str | None, option("--overshoot", "Largest overshoot, such as 0.05 or 5%; less than 0.001 means none.")
+    ] = None,
+    margin: Annotated[float, option("--margin", "Factor on K up to which the wall stays stable.")] = 1.0,
+    hand: Annotated[
+        str | None, option("--hand", "Arm of Table 3.2, which replaces the operator of the device file.")
+    ] = None,
     keep: Annotated[list[str] | None, listed("--keep", "Quantities that cannot change.")] = None,
     picture: Annotated[Path | None, option("--picture", "Picture over T and delay: .svg, .pdf, .png.")] = None,
 ) -> None:
-    """Find the smallest changes of a rig that reach the wanted wall.
+    """Find the smallest changes of a rig that reach the required wall.
 
     Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
 
@@ -267,11 +275,11 @@ def design(
     document["guidelines"] = guidelines(loop).document()
     document["reachable"] = asdict(reachable("settle_2pct", loop.delay_samples))
     document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
-    console.tell(document, [*str(answer).splitlines(), *_design_lines(document, loop)])
+    console.show(document, [*str(answer).splitlines(), *_design_lines(document, loop)])
 
 
 def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
-    """Return the loop of a device, with an arm attached if one is named."""
+    """Return the loop of a device, with an arm attached if an arm is named."""
     from dataclasses import replace
 
     from pipeline.device.parameters import is_rotation
@@ -286,14 +294,14 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     if hand.lower() not in arms:
         raise UsageError(f"--hand {hand}: expected one of {', '.join(arm.source for arm in human_arms())}.")
     if is_rotation(loop.motion):
-        raise UsageError("--hand: arms of Table 3.2 are in kg and N/m. Give an operator in the device file.")
+        raise UsageError("--hand: the arms of Table 3.2 are in kg and N/m. Define an operator in the device file.")
     return replace(loop, operator=Operator(**arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"})))
 
 
 def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
-    """Return the largest stiffness without a limit cycle by sensor resolution, and the resolution needed for K.
+    """Return the largest stiffness without a limit cycle due to the sensor resolution, and the resolution that K needs.
 
-    Friction is per unit of command.
+    ``coulomb`` is the friction per unit of command.
     """
     from pipeline.theory.boundary import quantum_limit
 
@@ -304,7 +312,7 @@ def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[st
 
 
 def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
-    """Yield what follows from the answer: sensitivities, published limits, guidelines."""
+    """Yield the remaining lines of the answer: sensitivities, published limits, guidelines."""
     from pipeline.device.parameters import unit_of
 
     k, b = unit_of("stiffness", loop.motion), unit_of("damping", loop.motion)
@@ -314,42 +322,46 @@ def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
     yield from ("", f"Published limits of K [{k}] at B = {document['wall']['damping']:.4g} {b}:")
     limits = [row for row in document["published"] if row["stiffness"] is not None]
     yield from console.table(limits, ("stiffness", "promises", "condition", "assumes"))
-    yield from ("", "Guidelines (Hulin 2017, 3.6), with the numbers of this rig:")
+    yield from ("", "Guidelines (Hulin 2017, 3.6), evaluated for this rig:")
     yield from (f"  {sentence}" for sentence in document["guidelines"]["sentences"])
     best = document["reachable"]
     yield (
-        f"  No wall settles (2 %) in less than about {best['cost']:.3g} samples at this delay; a sample less saves "
-        f"{best['per_sample']:.2g}. All delays and T must stay below 20 % of a wanted settling time."
+        f"  With this delay, no wall settles (2 %) in less than about {best['cost']:.3g} samples; one sample less "
+        f"saves {best['per_sample']:.2g}. All delays and T must stay below 20 % of the required settling time."
     )
     if (low := document["delay_samples_low"]) < (high := document["delay_samples_high"]):
-        yield f"Delay {document['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}."
+        yield f"Delay {document['delay_samples']:.4g} samples: mean of a delay that jitters from {low:g} to {high:g}."
     if document["left_out"]:
-        yield f"Left out of linear theory: {', '.join(document['left_out'])}."
+        yield f"Parts not included in linear theory: {', '.join(document['left_out'])}."
     if (operator := document["operator_replaced"]) is not None:
-        yield f"The arm takes the place of the device file's operator of {operator['mass']:g} kg."
+        yield f"The arm replaces the operator of {operator['mass']:g} kg in the device file."
     if document["quantum"] is not None:
         limit = document["quantum"]["stiffness"]
-        yield f"No limit cycle by the sensor's quantum up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
+        yield f"The sensor resolution causes no limit cycle up to K = 2 f_c/(g quantum) = {limit:.5g} {k}."
 
 
 def plan(
     device: DeviceName,
-    experiment: Annotated[str | None, option("--experiment", "Experiment (default: the only one).", "-e")] = None,
-    count: Annotated[int, option("--next", "Number of walls to name at once.", min=1)] = 1,
+    experiment: Annotated[
+        str | None, option("--experiment", "Experiment (default: the only stored one).", "-e")
+    ] = None,
+    count: Annotated[int, option("--next", "Number of walls to recommend.", min=1)] = 1,
     goal: Annotated[str, option("--goal", "boundary, optimum, or a criterion.")] = "boundary",
     dampings: Annotated[list[str] | None, listed("--dampings", "Dampings B: 0,20,40 or '0,20,40 Ns/m'.")] = None,
-    gentle: Annotated[bool, option("--gentle", "Prefer stable walls, approach limits from below.")] = False,
-    limit: Annotated[list[str] | None, listed("--limit", "Bound on what is tried.", metavar="KEY=VALUE")] = None,
+    gentle: Annotated[bool, option("--gentle", "Prefer stable walls, and approach limits from below.")] = False,
+    limit: Annotated[
+        list[str] | None, listed("--limit", "Bound of the recommended walls.", metavar="KEY=VALUE")
+    ] = None,
     processed: Processed = Path("processed"),
     watch: Annotated[
         list[Path] | None, option("--watch", "Folder where logs arrive.", exists=True, file_okay=False)
     ] = None,
     profile: ProfileFile = None,
 ) -> None:
-    """Plan which wall (K, B) to try next, and when to stop.
+    """Recommend which wall (K, B) to try next, and when to stop.
 
-    The goal `optimum` is the best wall by settle_2pct. A limit on force leaves out walls stiffer than one whose command
-    exceeded it, one on travel those whose start is further from the centre.
+    The goal `optimum` is the best wall by settle_2pct. A limit on force excludes walls that are stiffer than a wall
+    whose command exceeded it. A limit on travel excludes walls whose start is further from the centre.
 
     Example: pipeline plan --device falcon --experiment 1
 
@@ -369,13 +381,13 @@ def plan(
     if not watch:
         with console.progress("plan"):
             answer = plan_stored(device, processed, experiment, wish, remembered=True)
-        console.tell(answer.model_dump(mode="json"), str(answer).splitlines())
+        console.show(answer.model_dump(mode="json"), str(answer).splitlines())
         return
     from pipeline.shell.watch import plan_beside
 
     with suppress(Ended):
         for answer in plan_beside(watch, device, processed, experiment, wish, profile):
-            console.tell_line(answer.model_dump(mode="json"), str(answer).splitlines())
+            console.show_line(answer.model_dump(mode="json"), str(answer).splitlines())
 
 
 def _share(option: str, text: str) -> float:
@@ -392,7 +404,7 @@ def _share(option: str, text: str) -> float:
 
 
 def _dampings(words: Sequence[str]) -> tuple[float, ...]:
-    """Return dampings; the unit of the last one also applies to earlier ones without a unit."""
+    """Return dampings in SI. The unit of the last damping also applies to earlier ones without a unit."""
     from pipeline.base.units import split_quantity
 
     last = split_quantity(words[-1]) if words else None

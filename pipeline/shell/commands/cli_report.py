@@ -1,4 +1,4 @@
-"""Commands of reports: `compare`, `verify`, `bundle` and `watch`: parse, call, print."""
+"""Commands for reports: `compare`, `verify`, `bundle` and `watch`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: the scene's).")] = None,
+    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: from the scene).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
@@ -46,11 +46,14 @@ def compare(
     scene: Annotated[Path | None, option("--scene", "Scene file (.toml) with the content of the report.")] = None,
     export: Annotated[Path | None, option("--export", "Folder for tables and figures in all formats.")] = None,
     against: Annotated[str | None, option("--against", "EXPERIMENT, DEVICE:EXPERIMENT or a report (.json).")] = None,
-    save_scene: Annotated[Path | None, option("--save-scene", "Write a scene file of what is stored; stop.")] = None,
-    dry_run: Annotated[bool, option("--dry-run", "Say what would be done and why; do nothing.")] = False,
-    full: Annotated[bool, option("--full", "Show the response of every trial, whatever the size.")] = False,
+    save_scene: Annotated[Path | None, option("--save-scene", "Only write a scene file of the stored data.")] = None,
+    dry_run: Annotated[bool, option("--dry-run", "Only list what would be done, and why.")] = False,
+    full: Annotated[
+        bool, option("--full", "Show the responses of all trials, even if the report becomes large.")
+    ] = False,
     final: Annotated[
-        Literal["expected", "measured"] | None, option("--final", "Final position of costs: x_0 + F_0/K, or as logged.")
+        Literal["expected", "measured"] | None,
+        option("--final", "Final position for costs: x_0 + F_0/K, or as logged."),
     ] = None,
     momentum_delay: Annotated[
         int | None, option("--momentum-delay", "Delay of the momentum balance (6.4), in samples.", min=0)
@@ -59,10 +62,10 @@ def compare(
         str | None, option("--momentum-window", "Window of the momentum balance (default: '15 ms').")
     ] = None,
 ) -> None:
-    """Estimate, judge and compare with theory; write the report.
+    """Judge trials, compare them with theory, and write the report.
 
-    With --against two experiments, devices (in the plane of alpha and beta) or code versions are compared with each
-    other, on a separate page.
+    With --against, two experiments, devices (in the plane of alpha and beta) or code versions are compared with each
+    other on a separate page.
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
@@ -79,34 +82,34 @@ def compare(
     without = {"--export": export} | ({} if earlier else alone)
     if against is not None and (other := next((name for name, given in without.items() if given), None)):
         raise UsageError(
-            f"--against and {other} do not go together: the page of two experiments knows no such choice. Leave one of "
-            "them out."
+            f"--against and {other} cannot be combined, because the page of two experiments has no such choice. Omit "
+            "one of them."
         )
-    asked = None if scene is None else read_scene(scene)
+    chosen = None if scene is None else read_scene(scene)
     of_file = device_of(device) if device is not None and device.endswith(".toml") else None
-    name = of_file.name if of_file else device or (asked.device if asked else None)
+    name = of_file.name if of_file else device or (chosen.device if chosen else None)
     if name is None:
-        raise typer.BadParameter("no device is given. Name it here, or in a scene file.", param_hint="--device")
+        raise typer.BadParameter("no device is given. Name it with --device or in a scene file.", param_hint="--device")
     if save_scene is not None:
         _save_scene(name, processed, save_scene)
         return
-    wanted = criteria or (asked.chosen_criteria if asked else None)
-    names = experiment or (asked.experiments if asked else None)
+    wanted = criteria or (chosen.chosen_criteria if chosen else None)
+    names = experiment or (chosen.experiments if chosen else None)
     if against is not None and earlier is None:
         with opened(processed) as folder:
             _compare_against((name, names), against, folder, wanted, report)
         return
-    target = report or (Path(asked.report) if asked and asked.report else report_of(reports_folder(), name))
+    target = report or (Path(chosen.report) if chosen and chosen.report else report_of(reports_folder(), name))
     if not dry_run:
         check_output(target, "--report", document_beside=True)
     compute, shown = (
         executor_of(executor),
-        _shown(asked.shown if asked else None, final, momentum_delay, momentum_window),
+        _shown(chosen.shown if chosen else None, final, momentum_delay, momentum_window),
     )
-    # read it before the comparison, which may replace it
+    # Read the document before the comparison, which may replace it.
     document = None if earlier is None else read_document(earlier, name)
     with console.progress("compare"), opened(processed, name) as folder:
-        from pipeline.comparison.compare import (  # takes a second
+        from pipeline.comparison.compare import (  # this import takes a second
             ComparisonSelection,
             ReportOptions,
             plan_comparison,
@@ -121,18 +124,18 @@ def compare(
             write_report(finished)
     if finished is None:
         stages = [row._asdict() for row in plan.stages]
-        console.tell(stages, console.table(stages, ("stage", "action", "reason")))
+        console.show(stages, console.table(stages, ("stage", "action", "reason")))
         return
-    # in other folders an existing index is updated, but none is created
+    # In other folders, an existing index is updated, but no index is created.
     write_index(target.parent, only_renew=target.parent != reports_folder())
     if document is not None and earlier is not None:
-        _tell_against(against_document(finished.document, document), page_against_document(target, earlier))
+        _show_against(against_document(finished.document, document), page_against_document(target, earlier))
     else:
-        _tell(finished.document, target, export)
+        _show(finished.document, target, export)
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
-    """Return the content of a scene with the measurement options applied."""
+    """Return the content of a scene after applying the measurement options."""
     from pipeline.records.models import Shown
 
     shown = shown or Shown()
@@ -144,15 +147,15 @@ def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, m
     return shown.model_copy(update={"measuring": shown.measuring.model_copy(update=chosen)})
 
 
-def _tell(result: ComparisonResult, report: Path, export: Path | None) -> None:
-    """Print the result of a comparison, and export its tables to a folder."""
+def _show(result: ComparisonResult, report: Path, export: Path | None) -> None:
+    """Print the result of a comparison, and export its tables if a folder is given."""
     from pipeline.rendering.table_export import export_tables
 
     lines = [*result.summary, *(f"Warning: {text}" for text in result.warnings), f"report: {report}"]
     if export is not None:
         export_tables(result, export / "tables")
         lines.append(f"tables and figures: {export}")
-    console.tell(result.model_dump(mode="json"), lines)
+    console.show(result.model_dump(mode="json"), lines)
 
 
 def _compare_against(
@@ -162,24 +165,24 @@ def _compare_against(
     criteria: Sequence[str] | None,
     report: Path | None,
 ) -> None:
-    """Compare the experiment of a device with another one, and print the differences."""
+    """Compare an experiment of a device with another experiment, and print the differences."""
     from pipeline.comparison.against import against_experiments, names_of
     from pipeline.store.names import page_against
     from pipeline.store.storage import list_experiments
 
     device, experiments = of
     if experiments is None or len(experiments) != 1:
-        raise UsageError("--against compares one experiment with another one. Name the first with --experiment.")
+        raise UsageError("--against compares two experiments. Name the first one with --experiment.")
     first = (device, experiments[0])
     second = names_of(against, device, list_experiments(processed, device))
     target = report or page_against(reports_folder(), first, second)
     check_output(target, "--report", document_beside=True)
     with console.progress("compare"):
         page = against_experiments(processed, first, second, criteria)
-    _tell_against(page, target)
+    _show_against(page, target)
 
 
-def _tell_against(page: AgainstPage, report: Path) -> None:
+def _show_against(page: AgainstPage, report: Path) -> None:
     """Write a page of differences, and print its summary."""
     from pipeline.rendering.report.report_against import write
 
@@ -188,33 +191,33 @@ def _tell_against(page: AgainstPage, report: Path) -> None:
     for pair in result.pairs:
         lines += [f"experiment {pair.first.experiment}:"] if len(result.pairs) > 1 else []
         lines += pair.sentences
-    console.tell(result.model_dump(mode="json"), [*lines, f"report: {result.report}"])
+    console.show(result.model_dump(mode="json"), [*lines, f"report: {result.report}"])
 
 
 def _save_scene(device: str, processed: str, path: Path) -> None:
-    """Write a scene file with all stored experiments of a device, for the user to shorten."""
+    """Write a scene file with all stored experiments of a device. The user may shorten it."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
     from pipeline.store.objects import opened
 
     check_output(path, "--save-scene")
     if path.exists():
-        raise UsageError(f"{path}: exists. Give another file, or remove it.")
+        raise UsageError(f"{path}: already exists. Give another file, or remove it.")
     with opened(processed, device) as folder:
         write_text(path, draft_scene(device, folder))
-    console.tell({"scene": str(path)}, [f"scene: {path}"])
+    console.show({"scene": str(path)}, [f"scene: {path}"])
 
 
 def verify(
     report: Annotated[Path, argument("Report (HTML) by `pipeline compare`, or bundle (.zip).")],
-    processed: Annotated[str | None, option("--processed", "Stored tables (default: as in the report).")] = None,
-    profile: Annotated[list[Path] | None, option("--profile", "Profile file (.toml) of the logs. Repeat.")] = None,
+    processed: Annotated[str | None, option("--processed", "Stored tables (default: those of the report).")] = None,
+    profile: Annotated[list[Path] | None, option("--profile", "Profile file (.toml) of the logs. Repeatable.")] = None,
 ) -> int:
-    """Recompute the numbers of a report, and name those that differ.
+    """Recompute the numbers of a report, and list those that differ.
 
-    Reads the logs from their original folders (or the stored samples of logs that are gone) or from a bundle,
-    recomputes everything in a temporary folder, and compares each cell and value. Values that no log determines, such
-    as run times, are compared with hashes in the page. Exit status 1 if something differs.
+    The logs are read from their original folders or from a bundle. If a log no longer exists, its stored samples are
+    used. All results are recomputed in a temporary folder, and each cell and value is compared. Values that no log
+    determines, such as run times, are compared with hashes in the page. The exit status is 1 if something differs.
 
     Example: pipeline verify reports/falcon.html
     """
@@ -224,20 +227,20 @@ def verify(
 
     if report.suffix.lower() == ENDING:
         if processed or profile:
-            raise UsageError(f"{report}: a bundle contains all that is needed. Leave the options out.")
+            raise UsageError(f"{report}: a bundle contains all inputs. Omit the options.")
         with console.progress("verify"):
             found = verify_bundle(report)
     else:
         with console.progress("verify"):
             found = verify_report(report, processed, profile or ())
-    console.tell(found.model_dump(mode="json"), lines_of(found))
+    console.show(found.model_dump(mode="json"), lines_of(found))
     return EXIT_OK if found.equal else EXIT_ERROR
 
 
 def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`.")]) -> None:
-    """Pack a report and all that `pipeline verify` needs into one zip.
+    """Pack a report and all inputs of `pipeline verify` into a zip.
 
-    It is written into the folder of the report.
+    The zip is written into the folder of the report.
 
     Example: pipeline bundle reports/falcon.html
     """
@@ -245,16 +248,16 @@ def bundle(report: Annotated[Path, argument("Report (HTML) by `pipeline compare`
 
     with console.progress("bundle"):
         written = write(report)
-    console.tell(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
+    console.show(written.model_dump(mode="json"), [f"bundle: {written.bundle}, {written.trials} trials"])
 
 
 SETTLE_S = 2.0
 NICENESS = 10
-"""Increment of the process niceness: the same machine may be recording logs at 1 kHz."""
+"""Increment of the process niceness, because the same machine may be recording logs at 1 kHz."""
 
 WORDS = {
     "started": "watching {folders} every {interval_s:g} s, settle {settle_s:g} s; {processed} -> {reports}",
-    "ingest": "logs: {ingested} new, {found} in all, {quarantined} in quarantine, {waiting} still settle",
+    "ingest": "logs: {ingested} new, {found} in total, {quarantined} in quarantine, {waiting} waiting",
     "refused": "refused: {path}, row {row}: {reason}",
     "changed": "changed: {path}: {outcome}",
     "report": "report: {report} ({trials} trials, {seconds:.1f} s)",
@@ -263,7 +266,7 @@ WORDS = {
     "failed": "failed: {what}: {reason}",
     "stopped": "stopped",
 }
-"""Events in words."""
+"""Texts of events."""
 
 
 def watch(
@@ -272,16 +275,16 @@ def watch(
     reports: Reports = Path("reports"),
     profile: ProfileFile = None,
     scene: Annotated[
-        list[Path] | None, option("--scene", "Scene file (default: all devices). Repeat.", exists=True)
+        list[Path] | None, option("--scene", "Scene file (default: all devices). Repeatable.", exists=True)
     ] = None,
-    settle: Annotated[str, option("--settle", "Time a log must stay the same.")] = f"{SETTLE_S:g} s",
-    once: Annotated[bool, option("--once", "Make one pass; leave logs that still settle.")] = False,
+    settle: Annotated[str, option("--settle", "Time for which a log must stay unchanged.")] = f"{SETTLE_S:g} s",
+    once: Annotated[bool, option("--once", "Make one pass, and skip logs that may still change.")] = False,
 ) -> int:
-    """Keep reports and the index current while logs arrive.
+    """Keep reports and the index up to date while logs arrive.
 
-    Only reports whose logs changed are renewed. Refused logs go into quarantine, and the watch continues. Nothing is
-    lost when it is killed: the next start does the remaining work. With --json each line is a document. Exit status
-    with --once: 1 if something failed, 3 if logs are in quarantine.
+    Only reports whose logs changed are written again. A refused log goes into quarantine, and the watch continues. No
+    data are lost if it is killed, because the next start does the remaining work. With --json, each line is a document.
+    With --once, the exit status is 1 if something failed, and 3 if logs are in quarantine.
 
     Example: pipeline watch raw
 
@@ -297,24 +300,24 @@ def watch(
         events = []
         for event in run_pass(watched):
             events.append(event)
-            _tell_event(event)
+            _show_event(event)
         return status_of(events)
     os.nice(NICENESS)
     try:
         for event in follow(watched, settle_s or SETTLE_S):
-            _tell_event(event)
+            _show_event(event)
     except Ended:
-        _tell_event({"event": "stopped"})
+        _show_event({"event": "stopped"})
     return 0
 
 
-def _tell_event(event: Event) -> None:
+def _show_event(event: Event) -> None:
     """Print an event with its time (UTC), without buffering."""
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    console.tell_line({"time": now, **event}, [f"{now} {line_of(event)}".replace("\n", " ")])
+    console.show_line({"time": now, **event}, [f"{now} {line_of(event)}".replace("\n", " ")])
 
 
 def line_of(event: Event) -> str:
-    """Return an event in words, with the number of files in place of their list."""
+    """Return the text of an event. A list of files is replaced by their number."""
     shown = {name: len(value) if name == "waiting" else value for name, value in event.items()}
     return WORDS[event["event"]].format(**shown)

@@ -1,4 +1,7 @@
-"""`pipeline start`: from a folder to a report, with questions only if the data do not prove the answer."""
+"""Command `start`, which leads from a folder of logs to a report.
+
+It asks questions only if the data leave them open.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,12 @@ TABLES = (
     *("trials", "trial_column", "kind", "columns", "name_pattern", "sheet", "attributes", "condition_columns", "units"),
     *("step_at", "constants", "decimal"),
 )
-"""Keys of a proposal in the order in which they are shown."""
+"""Keys of a proposal in the order of display."""
 
 LONGEST_VALUE = 40
-"""Number of characters of a value that are shown; a pattern has more."""
+"""Number of displayed characters of a value. A pattern may be longer."""
 
-Yes = Annotated[bool, option("--yes", "Ask nothing: take what the data prove.", "-y")]
+Yes = Annotated[bool, option("--yes", "Ask no questions; use only proven settings.", "-y")]
 
 
 def start(
@@ -43,13 +46,14 @@ def start(
     yes: Yes = False,
     processed: Store = "processed",
     open_report: Annotated[bool, option("--open/--no-open", "Open the report in a browser.")] = True,
-    store_only: Annotated[bool, option("--store-only", "Store the logs, and neither compare nor identify.")] = False,
+    store_only: Annotated[bool, option("--store-only", "Store the logs without comparing or identifying.")] = False,
 ) -> int:
     """Lead from a folder of logs to a report, and print the commands.
 
-    Shows the contents of the folder and a picture of a log, proposes what each column is, with the evidence, and asks
-    open questions (Enter accepts); then stores the logs, compares walls with theory or identifies the device, opens the
-    report. With --yes, or without a terminal, nothing is asked: open questions are listed, and nothing is done.
+    The command shows the contents of the folder and a picture of a log, proposes the meaning of each column with the
+    evidence, and asks open questions (Enter accepts the proposal). Then it stores the logs, compares walls with theory
+    or identifies the device, and opens the report. With --yes, or without a terminal, it asks nothing: it lists the
+    open questions and ends.
 
     Example: pipeline start logs
 
@@ -62,7 +66,7 @@ def start(
     for line in console.table(folder.rows(), ("kind", "files", "first", "endings")):
         console.step(line)
     if folder.native:
-        console.step("The logs are native: they bring columns and conditions themselves.")
+        console.step("The logs are native: they state their columns and conditions.")
         reading = Reading()
     else:
         reading = _reading_of(folder, asks, opens=asks and open_report)
@@ -71,7 +75,8 @@ def start(
 
 @dataclass(frozen=True)
 class Reading:
-    """How the logs of a folder are read: a profile and its file (None for native logs), and the omitted files."""
+    """How the logs of a folder are read: profile and its file (None for native logs), and the names of omitted
+    files."""
 
     profile: Profile | None = None
     file: Path | None = None
@@ -79,14 +84,14 @@ class Reading:
 
     @property
     def options(self) -> str:
-        """Command-line options that repeat this reading."""
+        """Command-line options with which the logs are read in the same way."""
         profile = [] if self.file is None else ["--profile", str(self.file)]
         words = [*profile, *(word for name in self.ignored for word in ("--ignore", name))]
         return "".join(f" {shlex.quote(word)}" for word in words)
 
 
 def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
-    """Return how the logs of a folder are read, after questions to the user; write the profile."""
+    """Return how the logs of a folder are read, after asking the user, and write the profile."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_text import profile_toml
     from pipeline.shell.start import made_profile, propose, with_units
@@ -99,12 +104,12 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
             listed = "\n".join(f"  {place}: {answer.question}" for place, answer in proposal.open.items())
             command = f"pipeline start {shlex.quote(str(folder.path))}"
             raise UsageError(
-                f"{counted(len(proposal.open), 'question')} open:\n{listed}\nAnswer them in a terminal ({command}), or "
+                f"{counted(len(proposal.open), 'open question')}:\n{listed}\nAnswer them in a terminal ({command}), or "
                 "name the columns with their units: `pipeline ingest --help`."
             )
         _draw(folder.logs[0], None, opens)
         answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
-        # units of numbers in names and sheets follow from those of the columns; wrong ones are detected below
+        # Units of numbers in names and sheets follow from those of the columns. Wrong units are detected below.
         again = propose(with_units(proposal, answers)).answered(answers)
         proposal = proposal.answered(answers) if again.open else again
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
@@ -117,14 +122,14 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
 
 
 def _draw(log: Path, profile: Profile | None, opens: bool) -> None:
-    """Draw a log, as recorded or in SI; a refused log is reported later, when it is stored."""
+    """Draw a log, as recorded or in SI. A refused log is not drawn; it is reported later, when logs are stored."""
     from pipeline.surface.log_picture import look
 
     picture = Path("look.html")
     check_output(picture, "")
     with suppress(LogError):
         look(log, profile).write(picture)
-        console.step(f"picture of the first log, {'as it stands' if profile is None else 'in SI'}: {picture}")
+        console.step(f"picture of the first log, {'as recorded' if profile is None else 'in SI'}: {picture}")
         if opens:
             _open(picture)
 
@@ -137,12 +142,12 @@ def _open(page: Path) -> None:
 
 
 def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tuple[str, ...]]:
-    """Return a profile that agrees with the commands of the logs, and patterns of the logs that are left out.
+    """Return a profile that agrees with the commands of the logs, and patterns of the omitted logs.
 
     Raises
     ------
     UsageError
-        If too many logs contradict it, so that the profile itself is wrong.
+        If so many logs contradict the profile that the profile is wrong.
     """
     from pipeline.readers.gain_check import common_remedy
     from pipeline.shell.profile.conditions import MOST_AT_FAULT
@@ -150,22 +155,24 @@ def _agreeing(profile: Profile, folder: Folder, asks: bool) -> tuple[Profile, tu
 
     off, looked = contradictions(profile, folder.logs)
     if len(off) > MOST_AT_FAULT * looked:
-        counts = f"{len(off)} of {counted(looked, 'log')} at fault"
-        raise UsageError(f"{off[0].path}: {common_remedy(off[0].reason)} ({counts}). Correct the answer, or the sheet.")
+        counts = f"{len(off)} of {counted(looked, 'log')} faulty"
+        raise UsageError(f"{off[0].path}: {common_remedy(off[0].reason)} ({counts}). Correct the answer or the sheet.")
     if not off:
         return profile, ()
     console.step("")
     for each in off:
         console.step(f"warning: {each.path}: {each.reason}.")
-    known = [each for each in off if each.obeyed]
+    known = [each for each in off if each.followed]
     if asks and known:
         logs = counted(len(known), "log")
-        if typer.confirm(f"{logs} with a wrong number: store what the command obeys? Else left out", err=True):
+        if typer.confirm(
+            f"{logs} with a wrong number: store the gains that the command follows? Otherwise omitted", err=True
+        ):
             profile = corrected(profile, known)
-            off = [each for each in off if not each.obeyed]
+            off = [each for each in off if not each.followed]
     left = tuple(escape(each.path.name) for each in off)
     if left:
-        console.step(f"left out: {counted(len(left), 'log')}. Correct what is named above, and start again.")
+        console.step(f"omitted: {counted(len(left), 'log')}. Correct the errors above, and start again.")
     return profile, left
 
 
@@ -176,7 +183,7 @@ def _free_name(name: str) -> Path:
 
 
 def _proposal_lines(proposal: Proposal) -> Iterator[str]:
-    """Yield the known keys with their evidence, then the number of questions."""
+    """Yield the known keys with their evidence, then the number of open questions."""
     rows = []
     for place, answer in sorted(proposal.answers.items(), key=lambda item: TABLES.index(item[0].partition(".")[0])):
         if not answer.question:
@@ -185,11 +192,11 @@ def _proposal_lines(proposal: Proposal) -> Iterator[str]:
             rows.append({"key": place, "value": shown, "shown by": answer.evidence})
     yield from ("", *console.table(rows, ("key", "value", "shown by")), "")
     if proposal.open:
-        yield f"{counted(len(proposal.open), 'question')} open; Enter accepts the proposal in brackets."
+        yield f"{counted(len(proposal.open), 'open question')}. Enter accepts the proposal in brackets."
 
 
 def _ask(place: str, question: str, proposed: Any) -> Any:
-    """Return the answer to a question: parsed if it is TOML, otherwise as text."""
+    """Return the answer to a question. It is parsed if it is TOML, otherwise returned as text."""
     text = typer.prompt(f"{place}: {question}", default=str(proposed), err=True)
     if isinstance(proposed, str):
         return text.strip()
@@ -200,7 +207,7 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
 
 
 def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compares: bool) -> int:
-    """Store the logs of a folder, compare or identify, open the report, and print how to repeat it."""
+    """Store the logs of a folder, compare or identify, open the report, and print the commands that repeat this."""
     from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of
@@ -220,7 +227,7 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
     status = EXIT_QUARANTINED if report.quarantined or reading.ignored else EXIT_OK
     device = profile.constants.device if profile is not None else next(iter(names), None)
     if device is None or not report.ingested + report.skipped:
-        console.tell({"commands": commands, "stored": found}, commands)
+        console.show({"commands": commands, "stored": found}, commands)
         return EXIT_ERROR
     document: dict[str, Any] = {"device": device, "profile": reading.file and str(reading.file), "ingest": found}
     lines: list[str] = []
@@ -246,9 +253,9 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
         commands.append(f"pipeline identify {place}{read} --out {shlex.quote(str(target))}")
         document["identified"] = identified
     if reading.ignored:
-        lines.insert(0, f"Warning: {counted(len(reading.ignored), 'log')} left out: {', '.join(reading.ignored)}")
+        lines.insert(0, f"Warning: {counted(len(reading.ignored), 'log')} omitted: {', '.join(reading.ignored)}")
     document |= {"commands": commands, "left_out": list(reading.ignored)}
-    console.tell(document, [*lines, "", "To repeat it without questions:", *(f"  {line}" for line in commands)])
+    console.show(document, [*lines, "", "To repeat it without questions:", *(f"  {line}" for line in commands)])
     return status
 
 

@@ -1,4 +1,4 @@
-"""Commands of logs and stored data: parse, call, print."""
+"""Commands for logs and stored data."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 LISTED = 10
-"""Number of printed lines of one kind; `--json` has all."""
+"""Number of printed lines of one kind. The output of `--json` has all."""
 
 Trials = Annotated[str, argument("DEVICE, DEVICE/EXPERIMENT, path of a log, or (start of) a trial id.")]
 
@@ -32,15 +32,15 @@ def ingest(
     profile: LogProfile = None,
     processed: Store = "processed",
     jobs: Annotated[int | None, option("--jobs", "Threads (default: one per processor).")] = None,
-    rehash: Annotated[bool, option("--rehash", "Read logs of unchanged size and time, too.")] = False,
-    replace: Annotated[bool, option("--replace", "Let another profile or device claim stored logs.")] = False,
-    dry_run: Annotated[bool, option("--dry-run", "Check and report, store nothing.")] = False,
+    rehash: Annotated[bool, option("--rehash", "Also read logs whose size and time are unchanged.")] = False,
+    replace: Annotated[bool, option("--replace", "Replace stored logs claimed by another profile or device.")] = False,
+    dry_run: Annotated[bool, option("--dry-run", "Check and report without storing.")] = False,
     ignore: Ignore = None,
 ) -> int:
-    """Check and store new logs; refused ones go into quarantine.
+    """Check and store new logs. Refused logs go into quarantine.
 
-    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 if a log is in quarantine, 1 if
-    a stored file is damaged: it is named, and all other logs are stored.
+    Log files are never changed. The next ingest completes an interrupted one. The exit status is 3 if a log is in
+    quarantine, and 1 if a stored file is damaged. Damaged files are listed, and all other logs are stored.
 
     Example: pipeline ingest raw --processed processed
 
@@ -67,25 +67,25 @@ def ingest(
     document = report.model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]
-    console.tell(document, _ingest_lines(document, hint=profile is None))
+    console.show(document, _ingest_lines(document, hint=profile is None))
     return EXIT_ERROR if document["damaged"] else EXIT_QUARANTINED if document["quarantined"] else EXIT_OK
 
 
 def counts_of(report: Mapping[str, Any]) -> list[str]:
-    """Return a table with the numbers of logs found, stored, skipped and refused."""
+    """Return a table with the numbers of logs that were found, stored, skipped and refused."""
     counts = {key: report[key] for key in ("found", "ingested", "skipped")}
     counts["quarantined"] = len(report["quarantined"])
     return console.table([counts], tuple(counts))
 
 
 def refusals(refused: Iterable[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield refused logs with their reasons, equal reasons once."""
+    """Yield the refused logs with their reasons. Equal reasons are grouped."""
     rows = ((one, "" if one["row"] is None else f", row {one['row']}") for one in refused)
     return console.grouped((f"{one['path']}{row}", one["reason"]) for one, row in rows)
 
 
 def warnings_of(report: Mapping[str, Any]) -> Iterable[str]:
-    """Yield the warnings of an ingest, one line per kind, and the logs whose stored trials changed."""
+    """Yield the warnings of an ingest, one line for each kind, and the logs whose stored trials changed."""
     warnings = ((each["path"], each["warning"], each.get("code")) for each in report["warnings"])
     yield from (f"warning: {line}" for line in console.warned(warnings))
     yield from (f"changed: {source['path']}: {source['outcome']}" for source in report["changed"])
@@ -95,15 +95,15 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
     yield from counts_of(report)
     plan: dict[tuple[str, str], list[str]] = {}
     for source in report.get("plan", ()):
-        if source["action"] != "refuse":  # listed one by one below
+        if source["action"] != "refuse":  # refused logs are listed below
             plan.setdefault((source["action"], source["reason"]), []).append(source["path"])
     for (action, reason), paths in sorted(plan.items(), key=lambda group: -len(group[1])):
         yield from _listed(f"{action} ({reason})", paths)
     yield from refusals(report["quarantined"])
     yield from warnings_of(report)
-    yield from _listed("removed, its trials stay stored", report["removed"])
-    yield from _listed("waiting, modified a moment ago", report["waiting"])
-    yield from _listed("ignored, no logs", report["ignored"])
+    yield from _listed("no longer found, trials stay stored", report["removed"])
+    yield from _listed("waiting, because modified recently", report["waiting"])
+    yield from _listed("ignored, because not logs", report["ignored"])
     yield from _listed("damaged", report["damaged"])
     other = [refusal["path"] for refusal in report["quarantined"] if refusal["code"] in OTHER_COLUMNS]
     if other and hint:
@@ -111,7 +111,7 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
 
 
 def _listed(title: str, paths: list[str]) -> Iterable[str]:
-    """Yield the number of paths, then one line per path, at most `LISTED`."""
+    """Yield the number of paths, then one line for each path, at most `LISTED`."""
     if len(paths) == 1:
         yield f"{title}: {paths[0]}"
     elif paths:
@@ -122,12 +122,12 @@ def _listed(title: str, paths: list[str]) -> Iterable[str]:
 
 
 def check(
-    repair: Annotated[bool, option("--repair", "Repair; the rest goes to PROCESSED/damaged.")] = False,
+    repair: Annotated[bool, option("--repair", "Repair; unrecoverable files go to PROCESSED/damaged.")] = False,
     processed: Processed = Path("processed"),
 ) -> int:
-    """Verify checksums of what is stored; repair it on request.
+    """Verify the checksums of stored files, and repair them on request.
 
-    Exit status 1 if something is damaged or missing; with --repair, if it could not be saved.
+    The exit status is 1 if a file is damaged or missing. With --repair, it is 1 if data could not be recovered.
 
     Example: pipeline check --processed processed
 
@@ -138,7 +138,7 @@ def check(
     _must_exist(processed)
     with console.progress("check", "files") as advance:
         found = check_store(processed, repair, progress=advance, say=console.step)
-    console.tell(found.model_dump(mode="json"), _check_lines(found))
+    console.show(found.model_dump(mode="json"), _check_lines(found))
     bad = found.gone or any(not (repair and damage.mended) for damage in found.damage)
     return EXIT_ERROR if bad else EXIT_OK
 
@@ -156,7 +156,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
 def status(processed: Processed = Path("processed")) -> int:
     """Show stored experiments, exclusions, deletions and refused logs.
 
-    `pipeline compare --dry-run` and `pipeline ingest --dry-run` list what is out of date.
+    `pipeline compare --dry-run` and `pipeline ingest --dry-run` list outdated results and logs.
 
     Example: pipeline status --processed processed
     """
@@ -184,7 +184,7 @@ def status(processed: Processed = Path("processed")) -> int:
         "quarantined": dict(sorted(refused.items())),
         "damaged": sorted(damaged.values()),
     }
-    console.tell(document, _status_lines(document))
+    console.show(document, _status_lines(document))
     return EXIT_ERROR if damaged else EXIT_OK
 
 
@@ -199,14 +199,14 @@ def _status_lines(found: Mapping[str, Any]) -> Iterable[str]:
 
 def exclude(
     trial: Trials,
-    reason: Annotated[str | None, option("--reason", "Why; every report shows it.")] = None,
+    reason: Annotated[str | None, option("--reason", "Reason, which every report shows.")] = None,
     undo: Annotated[bool, option("--undo", "Use the trial again.")] = False,
     processed: Store = "processed",
 ) -> None:
-    """Exclude trials from all results; they stay stored, and are reported.
+    """Exclude trials from all results. Reports list them.
 
-    They stay excluded when their logs are ingested again or renamed, and when the store is merged or repaired.
-    `pipeline compare` renews the reports. `pipeline status` lists the excluded trials.
+    The trials stay stored. They stay excluded if their logs are ingested again or renamed, and if the store is merged
+    or repaired. `pipeline compare` updates the reports. `pipeline status` lists the excluded trials.
 
     Example: pipeline exclude 3f9a12c07be41d55 --reason "gripper slipped"
 
@@ -227,7 +227,7 @@ def exclude(
     found = [one.model_dump(mode="json") for one in _changed(processed, work)]
     done = "used again; it was excluded" if undo else "excluded"
     lines = (f"{_trial(one)}: {done}: {one['exclusion_reason']}" for one in found)
-    console.tell({"excluded": not undo, "trials": found}, lines)
+    console.show({"excluded": not undo, "trials": found}, lines)
 
 
 def move(
@@ -237,7 +237,7 @@ def move(
 ) -> None:
     """Rename or move a device, an experiment or a trial.
 
-    It stays in force when logs are ingested again. Moving back undoes it.
+    The change persists if logs are ingested again. Move the trials back to undo it.
 
     Example: pipeline move falcn falcon
 
@@ -246,18 +246,18 @@ def move(
     from pipeline.store import corrections as correct
 
     count = _changed(processed, lambda folder: correct.move(folder, trial, to, say=console.step))
-    console.tell({"trials": count}, [f"trials now {to}: {count}"])
+    console.show({"trials": count}, [f"trials now {to}: {count}"])
 
 
 def delete(
     trial: Annotated[str | None, argument("As for `exclude` (default: list the bin).")] = None,
-    undo: Annotated[bool, option("--undo", "Take them out of the bin.")] = False,
-    empty: Annotated[bool, option("--empty", "Remove what is in the bin from the store.")] = False,
+    undo: Annotated[bool, option("--undo", "Take the trials out of the bin.")] = False,
+    empty: Annotated[bool, option("--empty", "Remove the trials in the bin from the store.")] = False,
     processed: Store = "processed",
 ) -> None:
-    """Move trials to the bin, list it, or empty it. Logs stay untouched.
+    """Move trials to the bin, list the bin, or empty it.
 
-    Deleted trials stay deleted when their logs are ingested again, until --undo.
+    Log files are not changed. Deleted trials stay deleted if their logs are ingested again, until --undo is used.
 
     Example: pipeline delete falcon/2
 
@@ -268,10 +268,10 @@ def delete(
     from pipeline.store import corrections as correct
 
     if (trial is None and undo) or (empty and trial is not None):
-        raise UsageError("give what to delete, with --undo to take it out of the bin, or --empty alone.")
+        raise UsageError("name the trials to delete (or to restore, with --undo), or give --empty alone.")
     if trial is None and not empty:
         found = [one.model_dump(mode="json") for one in _changed(processed, correct.in_bin)]
-        console.tell({"bin": found}, _listed("in the bin", [_trial(one) for one in found]))
+        console.show({"bin": found}, _listed("in the bin", [_trial(one) for one in found]))
         return
 
     def work(folder: Path) -> int:
@@ -281,7 +281,7 @@ def delete(
 
     count = _changed(processed, work)
     done = "removed from the store" if empty else "restored" if undo else "in the bin"
-    console.tell({"trials": count}, [f"trials {done}: {count}"])
+    console.show({"trials": count}, [f"trials {done}: {count}"])
 
 
 def _changed(processed: str, work: Callable[[Path], Result]) -> Result:
@@ -300,7 +300,7 @@ def _must_exist(processed: str | Path) -> None:
     from pipeline.store.objects import is_url
 
     if not is_url(processed) and not Path(processed).is_dir():
-        raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
+        raise UsageError(f"{processed}: folder not found. Give the folder of the stored tables (--processed).")
 
 
 @reads_logs("log", walls=False)
@@ -311,8 +311,8 @@ def look(
 ) -> None:
     """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
-    With a profile, given or shipped, columns are in SI over time; otherwise they are shown as in the file, over the row
-    number. Nothing is stored.
+    If a given or shipped profile reads the log, its columns are drawn in SI over time. Otherwise, they are drawn as
+    recorded over the row number. Nothing is stored.
 
     Example: pipeline look run_01.csv
     """
@@ -321,30 +321,30 @@ def look(
     check_output(out, "--out")
     picture = picture_of(log, profile)
     picture.write(out)
-    console.tell({**picture.document, "page": str(out)}, [*picture.notes, f"picture: {out}"])
+    console.show({**picture.document, "page": str(out)}, [*picture.notes, f"picture: {out}"])
 
 
 def profile(
-    deed: Annotated[Literal["check", "draft"], argument("What to do.", metavar="check|draft")],
-    files: Annotated[list[Path], argument("check: profile, then logs. draft: logs, the first drafted.")],
+    action: Annotated[Literal["check", "draft"], argument("What to do.", metavar="check|draft")],
+    files: Annotated[list[Path], argument("check: profile, then logs. draft: logs.")],
     out: Out = None,
 ) -> int:
     """Draft a profile from sample logs, or show what a profile reads.
 
-    A draft marks open questions: lines "# QUESTION: key: ..." ask for units, signs and conditions that must not be
-    guessed. Set the key below and remove the line; `check` lists what is open.
+    A draft marks open questions. Lines "# QUESTION: key: ..." ask for units, signs and conditions that must not be
+    guessed. Set the key below such a line, and remove the line. `check` lists the open questions.
 
-    A check stores nothing. Exit status 3 if a sample would be refused, 1 if the profile itself is wrong (each error
-    with its line) or if a command obeys another K, B or step than the conditions state.
+    A check stores nothing. The exit status is 3 if a sample would be refused. It is 1 if the profile is invalid (each
+    error is shown with its line), or if a command follows another K, B or step than the conditions state.
 
     Example: pipeline profile draft run_*.csv --out lab.toml
 
     Example: pipeline profile check lab.toml run_01.csv
     """
-    if deed == "draft":
+    if action == "draft":
         return _draft(files, out)
     if len(files) < 2 or out is not None:
-        raise UsageError("expected check PROFILE LOGS, without --out, or draft LOGS.")
+        raise UsageError("expected `check PROFILE LOGS` without --out, or `draft LOGS`.")
     return _check(str(files[0]), files[1:])
 
 
@@ -355,7 +355,7 @@ def _check(name: str, samples: Sequence[Path]) -> int:
     loaded = load_profile(name)
     checked = check_samples(loaded, samples)
     refused = sum(sample["reason"] is not None for sample in checked)
-    console.tell({"profile": loaded.name, "samples": checked, "refused": refused}, check_lines(checked))
+    console.show({"profile": loaded.name, "samples": checked, "refused": refused}, check_lines(checked))
     if any(trial["other_gains"] for sample in checked for trial in sample["trials"]):
         return EXIT_ERROR
     return EXIT_QUARANTINED if refused else EXIT_OK
@@ -369,13 +369,13 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
     if out is not None:
         check_output(out, "--out")
         if out.exists():
-            raise UsageError(f"{out}: exists. Give another file, or remove it.")
+            raise UsageError(f"{out}: already exists. Give another file, or remove it.")
     text = draft_profile(*samples)
-    asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in find_questions(text)]
+    questions = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in find_questions(text)]
     if out is not None:
         write_text(out, text)
-    document = {"sample": str(samples[0]), "out": out and str(out), "profile": text, "questions": asked}
-    console.tell(document, [f"{out}: {len(asked)} questions are open" if out else text.rstrip("\n")])
+    document = {"sample": str(samples[0]), "out": out and str(out), "profile": text, "questions": questions}
+    console.show(document, [f"{out}: {len(questions)} questions are open" if out else text.rstrip("\n")])
     return EXIT_OK
 
 
@@ -385,7 +385,7 @@ def quarantine(
 ) -> None:
     """List refused logs, or show why they were refused.
 
-    Codes are explained in docs/logs.md. `pipeline ingest` tries them again, with --profile using another profile.
+    docs/logs.md explains the codes. `pipeline ingest` tries refused logs again; --profile selects another profile.
 
     Example: pipeline quarantine
 
@@ -393,17 +393,17 @@ def quarantine(
     """
     from pipeline.intake.quarantine import find_record, list_quarantine, record_id
 
-    _must_exist(processed)  # a mistyped folder must not look like one without refused logs
+    _must_exist(processed)  # a mistyped folder must not look like a folder without refused logs
     records = [find_record(processed, log) for log in logs or ()] or list_quarantine(processed)
     found = [{"id": record_id(record), **record.model_dump(mode="json")} for record in records]
     if not logs:
-        console.tell(found, _list_lines(found))
+        console.show(found, _list_lines(found))
         return
-    console.tell(found[0] if len(found) == 1 else found, (line for one in found for line in _reason_lines(one)))
+    console.show(found[0] if len(found) == 1 else found, (line for one in found for line in _reason_lines(one)))
 
 
 def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield the logs in quarantine with id, path, row, code and reason, with a profile line that may help."""
+    """Yield the logs in quarantine with id, path, row, code and reason, and with a profile line that may help."""
     refusals = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
@@ -416,7 +416,7 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _reason_lines(record: Mapping[str, Any]) -> Iterable[str]:
-    """Yield why a log was refused, line by line, with profile lines ready to copy."""
+    """Yield the reason why a log was refused, with profile lines ready to copy."""
     for key in ("path", "profile", "size", "row", "code"):
         yield f"{key:<8} {'–' if record[key] is None else record[key]}"
     yield f"reason   {record['reason'].partition(HELPS)[0].rstrip()}"

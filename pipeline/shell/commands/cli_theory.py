@@ -1,4 +1,4 @@
-"""Commands of theory and of its accuracy: parse, call, print. Without a device parameters are normalised."""
+"""Commands for theory and its accuracy. Without a device, parameters are normalised."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 Row = TypeVar("Row")
 
 Delay = Annotated[float | None, option("--delay", "Delay d in samples, at most 256.", show_default=False)]
-OfDevice = Annotated[str | None, option("--device", "Device (name or file) in SI; replaces the above.")]
-Gamma = Annotated[float, option("--gamma", "Normalised stiffness of the device itself.")]
-Delta = Annotated[float, option("--delta", "Normalised viscous damping of the device itself.")]
-Rows = Annotated[Path | None, option("--out", "File of rows to write: .csv or .parquet.", show_default=False)]
+OfDevice = Annotated[str | None, option("--device", "Device (name or file), in SI. It replaces the options above.")]
+Gamma = Annotated[float, option("--gamma", "Normalised stiffness of the device.")]
+Delta = Annotated[float, option("--delta", "Normalised viscous damping of the device.")]
+Rows = Annotated[Path | None, option("--out", "File for the rows: .csv or .parquet.", show_default=False)]
 Picture = Annotated[Path | None, option("--picture", "Picture to draw: .svg, .pdf or .png.", show_default=False)]
 
 
@@ -45,7 +45,7 @@ def points(
 ) -> None:
     """Compute stability and costs of the points in a CSV file.
 
-    With --device, columns are stiffness and damping. The picture shows points of one loop and its stability limit.
+    With --device, the columns are stiffness and damping. The picture shows points of one loop and its stability limit.
 
     Example: pipeline theory points cases.csv --out costs.csv --picture points.svg
     """
@@ -72,7 +72,7 @@ def points(
     shown = names if criteria else ("settle_2pct", "overshoot", "energy_step_w0")
     document = answer.to_json()
     lines = console.table(document, (*columns, "stable", "spectral_radius", *shown, "reason"))
-    console.tell(document, [*lines, *_beside({} if device is None or case is None else case.loop_entries), *files])
+    console.show(document, [*lines, *_beside({} if device is None or case is None else case.loop_entries), *files])
 
 
 def boundary(
@@ -81,13 +81,13 @@ def boundary(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    robust: Annotated[bool, option("--robust", "Walls that are stable with every spring at the device.")] = False,
+    robust: Annotated[bool, option("--robust", "Walls that are stable with any spring at the device.")] = False,
     out: Rows = None,
     picture: Picture = None,
 ) -> None:
     """Compute the stability boundary and its extreme points.
 
-    With --robust, the boundary of the walls that stay stable with any spring attached to the device.
+    With --robust, compute the boundary of the walls that stay stable with any spring attached to the device.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
 
@@ -103,22 +103,22 @@ def boundary(
         from pipeline.rendering.theory_files import draw_walls, limit_series, robust_series
 
         series = [limit_series(case), *([robust_series(answer)] if robust else [])]
-        draw_walls(picture, "Walls that are stable with every spring" if robust else "Limit of stability", case, series)
+        draw_walls(picture, "Walls that are stable with any spring" if robust else "Limit of stability", case, series)
         files += _written(picture, "picture")
-    console.tell(answer.to_json(), [*_boundary_lines(answer), *files])
+    console.show(answer.to_json(), [*_boundary_lines(answer), *files])
 
 
 _SHOWN_POINTS = 9
 """Number of printed points of a boundary."""
 
 _ROUNDING = 1e-12
-"""Threshold relative to the largest number of a column below which a number is printed as 0."""
+"""Threshold, relative to the largest number of a column, below which a number is printed as 0."""
 
 
 def _boundary_lines(answer: Boundary) -> Iterator[str]:
-    said, axes = answer.case.loop_entries, answer.case.axes
-    if "device" in said:
-        yield f"device {said['device']}, experiment {said['experiment']}"
+    facts, axes = answer.case.loop_entries, answer.case.axes
+    if "device" in facts:
+        yield f"device {facts['device']}, experiment {facts['experiment']}"
     columns = answer.columns()
     count = len(columns[axes[0]])
     some = sorted({round(i * (count - 1) / (_SHOWN_POINTS - 1)) for i in range(_SHOWN_POINTS)}) if count else []
@@ -133,18 +133,18 @@ def _boundary_lines(answer: Boundary) -> Iterator[str]:
     ]
     yield from console.table(rows, ("point", *axes))
     if answer.case.units is not None and len(answer.islands):
-        yield f"stable stretches beyond the limit: {len(answer.islands)}"
-    yield from _beside(said)
-    yield f"({count} points along the boundary: --out FILE, --json)"
+        yield f"stable intervals beyond the limit: {len(answer.islands)}"
+    yield from _beside(facts)
+    yield f"({count} points along the boundary; use --out FILE or --json)"
 
 
-def _beside(said: dict[str, Any]) -> Iterator[str]:
-    """Yield remarks on a device: a jittering delay, and parts that are left out."""
-    if said.get("delay_samples_low") != said.get("delay_samples_high"):
-        low, high = said["delay_samples_low"], said["delay_samples_high"]
-        yield f"delay {said['delay_samples']:.4g} samples, the mean of one that jitters from {low:g} to {high:g}"
-    if said.get("left_out"):
-        yield f"left out of linear theory: {', '.join(said['left_out'])}"
+def _beside(facts: dict[str, Any]) -> Iterator[str]:
+    """Yield remarks on a device: a jittering delay, and parts that theory does not include."""
+    if facts.get("delay_samples_low") != facts.get("delay_samples_high"):
+        low, high = facts["delay_samples_low"], facts["delay_samples_high"]
+        yield f"delay {facts['delay_samples']:.4g} samples: mean of a delay that jitters from {low:g} to {high:g}"
+    if facts.get("left_out"):
+        yield f"parts not included in linear theory: {', '.join(facts['left_out'])}"
 
 
 def optimum(
@@ -154,7 +154,7 @@ def optimum(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: One = None,
-    signal: Annotated[Signal | None, option("--signal", "Response (default: the criterion's).")] = None,
+    signal: Annotated[Signal | None, option("--signal", "Response (default: that of the criterion).")] = None,
     stiffness: Annotated[
         str | None, option("--stiffness", "Stiffness of the scene, '5 N/mm' (alpha without --device).")
     ] = None,
@@ -163,7 +163,7 @@ def optimum(
 ) -> None:
     """Compute the optimal stiffness and damping for a criterion.
 
-    With --stiffness, the best damping for that stiffness, and the rules for continuous time (5.17).
+    With --stiffness, compute the best damping for this stiffness, and the rules for continuous time (5.17).
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
 
@@ -177,14 +177,14 @@ def optimum(
     case = _case(delay, gamma, delta, device, experiment)
     if stiffness is not None:
         if picture is not None:
-            raise UsageError("--picture draws the optimal wall, and not that for one stiffness. Leave one of them out.")
+            raise UsageError("--picture cannot be combined with --stiffness. Omit one of them.")
         given = stiffness_of(stiffness, case.motion)
         best = best_damping_for(case, criterion_for(criterion, signal), given)
         document, files = best.to_json(), [] if out is None else _rows_file(out, best.columns(), case)
         k, b = case.axes
         columns = ("criterion", k, b, "cost", f"critical_{b}", f"amplitude_optimal_{b}")
         words = [best.reason] if best.reason else []
-        console.tell(document, [*console.table([document], columns), *words, *_beside(case.loop_entries), *files])
+        console.show(document, [*console.table([document], columns), *words, *_beside(case.loop_entries), *files])
         return
     with console.progress("optimum"):
         answer = best_wall(case, criterion, signal)
@@ -197,11 +197,11 @@ def optimum(
     document = answer.to_json()
     lines = console.table([document], ("criterion", *case.axes, "cost"))
     words = [text for text in (answer.reason, answer.note, _reachable_line(answer)) if text]
-    console.tell(document, [*lines, *words, *_beside(case.loop_entries), *files])
+    console.show(document, [*lines, *words, *_beside(case.loop_entries), *files])
 
 
 def _reachable_line(answer: Optimum) -> str:
-    """Return the optimum that the delay alone allows, and the gain from one sample less delay."""
+    """Return the optimal cost that the delay allows, and the gain from one sample less of delay."""
     from pipeline.records.criteria import criterion_of
 
     best = answer.reachable
@@ -209,8 +209,8 @@ def _reachable_line(answer: Optimum) -> str:
         return ""
     unit = " samples" if criterion_of(best.criterion).family.unit == "samples" else ""
     return (
-        f"with this delay no wall costs less than about {best.cost:.4g}{unit} without damping of the device (5.19, "
-        f"within {100 * best.within:.2g} %); a sample less of delay saves {best.per_sample:.3g}{unit}"
+        f"with this delay, no wall costs less than about {best.cost:.4g}{unit} without damping of the device (5.19, "
+        f"within {100 * best.within:.2g} %); one sample less of delay saves {best.per_sample:.3g}{unit}"
     )
 
 
@@ -222,7 +222,7 @@ def _check_files(out: Path | None, picture: Path | None) -> None:
 
 
 def _rows_file(out: Path, columns: dict[str, list[Any]], case: Case | None) -> list[str]:
-    """Write columns; return the lines to print about it."""
+    """Write columns to a file, and return the lines to print about it."""
     from pipeline.rendering.theory_files import write_rows
 
     write_rows(out, columns, case)
@@ -243,7 +243,7 @@ def cost_map(
 ) -> None:
     """Compute costs on a grid over the stable region, as Parquet.
 
-    In SI, for a device: `Loop.map` in Python.
+    For a device in SI, use `Loop.map` in Python.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
@@ -255,25 +255,25 @@ def cost_map(
     with console.progress("map", "points") as advance:
         stable = write_map(out, made, advance)
     answer = {"file": str(out), "stable": stable, **made.to_json()}
-    console.tell(answer, [f"{out}: {size**2} points, {stable} of them stable, columns {answer['columns']}"])
+    console.show(answer, [f"{out}: {size**2} points, {stable} of them stable, columns {answer['columns']}"])
 
 
 def explore(
     device: Annotated[
-        str | None, option("--device", "Device: name or file (.toml); default: all shipped ones.")
+        str | None, option("--device", "Device: name or file (.toml); default: all shipped devices.")
     ] = None,
     experiment: One = None,
     out: Annotated[
         Path | None, option("--out", "HTML file to write (default: explore.html).", show_default=False)
     ] = None,
     module: Annotated[
-        Path | None, option("--module", "Write the computation alone, as .mjs.", show_default=False)
+        Path | None, option("--module", "Only write the computation, as .mjs.", show_default=False)
     ] = None,
     processed: Store = "processed",
 ) -> None:
-    """Write one HTML page with sliders for the theory of a loop.
+    """Write an HTML page with sliders for the theory of a loop.
 
-    If reports/DEVICE.json has a comparison, the page includes its identified loop, trials, limits and wall.
+    If reports/DEVICE.json contains a comparison, the page includes its identified loop, trials, limits and best wall.
 
     Example: pipeline explore --device falcon --experiment 1 --out falcon-explore.html
 
@@ -292,11 +292,11 @@ def explore(
         check_output(target, "--out")
         write_text(target, page.page(_entries(device, experiment, processed)))
         written.append(target)
-    console.tell({"files": [str(path) for path in written]}, [f"{path} written" for path in written])
+    console.show({"files": [str(path) for path in written]}, [f"{path} written" for path in written])
 
 
 def _entries(device: str | None, experiment: str | None, processed: str) -> list[dict[str, Any]]:
-    """Return the entries of the `explore` page: measured experiments, then the device file, then others."""
+    """Return the entries of the `explore` page: measured experiments, then the device file, then other devices."""
     from pipeline.device.parameters import drive_of
     from pipeline.device_data.devices import find_experiment, known_devices
     from pipeline.explorer.entries import device_entries
@@ -312,8 +312,8 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
         return measured
     if drive := drive_of(known.motion):
         raise DeviceError(
-            f"device {known.name!r}: its commands are in {drive}, and the page computes with forces or torques. Give "
-            "the gain of the drive (--gain '2.3 N/V', or [units] gain in a profile) where the logs are read."
+            f"device {known.name!r}: its commands are in {drive}, but the page computes with forces or torques. Give "
+            "the gain of the drive when the logs are read (--gain '2.3 N/V', or [units] gain in a profile)."
         )
     chosen = (
         known if experiment is None else known.model_copy(update={"experiments": (find_experiment(known, experiment),)})
@@ -322,7 +322,7 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
 
 
 def _measured_entries(device: str, experiment: str | None, processed: str) -> list[dict[str, Any]]:
-    """Return the experiments of a stored comparison with their trials; none if there is no report."""
+    """Return the experiments of a stored comparison with their trials. The list is empty if there is no report."""
     from pipeline.base.errors import PipelineError
     from pipeline.explorer.entries import measured_entries, with_trials
     from pipeline.surface.comparisons import load
@@ -337,7 +337,7 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
     for i, entry in enumerate(entries):
         try:
             rows = costs(processed, result.device, entry["experiment"])
-        except PipelineError:  # without stored trials, those at the limits are shown
+        except PipelineError:  # without stored trials, only trials at the limits are shown
             continue
         rows = rows[rows["verdict"].isin(["stable", "unstable"])].drop_duplicates("trial_id")
         entries[i] = with_trials(
@@ -347,11 +347,11 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
 
 
 def tables(
-    table: Annotated[list[str] | None, argument("Such as B.1, C.3, 5.1(a), D.2 (default: all).")] = None,
+    table: Annotated[list[str] | None, argument("Tables such as B.1, C.3, 5.1(a), D.2 (default: all).")] = None,
 ) -> None:
     """Recompute Tables B, C, D and 5.1 of the thesis.
 
-    Of Tables D the theoretical rows are recomputed; the printed measurements are listed with their deviation from
+    The theoretical rows of Tables D are recomputed. The printed measurements are listed with their deviation from
     theory.
 
     Example: pipeline theory tables C.1 D.6
@@ -380,11 +380,11 @@ def tables(
             rows += of_theory
     document = theory.document(rows)
     document["rows"] += optima
-    console.tell(document, [*lines, *([theory.summary_line(rows)] if rows else [])])
+    console.show(document, [*lines, *([theory.summary_line(rows)] if rows else [])])
 
 
 def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
-    """Yield the rows of a table and show the progress."""
+    """Yield the rows of a table, and show the progress."""
     with console.progress(f"Table {table}", "rows") as advance:
         for number, row in enumerate(rows, start=1):
             yield row
@@ -392,12 +392,12 @@ def _shown(table: str, count: int, rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def accuracy(
-    quick: Annotated[bool, option("--quick", "Take fewer settings and repetitions: seconds.")] = False,
+    quick: Annotated[bool, option("--quick", "Use fewer settings and repetitions, which takes seconds.")] = False,
 ) -> None:
-    """Measure error against run time of each numerical method.
+    """Measure error and run time of each numerical method.
 
-    Writes accuracy.html and accuracy.json into the folder of reports. Reports of comparisons show the part on theory
-    while code and machine are unchanged (stored in processed, or in the folder PIPELINE_PROCESSED).
+    The command writes accuracy.html and accuracy.json into the folder of reports. Reports of comparisons show the part
+    on theory as long as code and machine are unchanged. The results are stored in processed, or in PIPELINE_PROCESSED.
 
     Example: pipeline accuracy --quick
     """
@@ -414,11 +414,11 @@ def accuracy(
     results.store(report, Path(os.environ.get(PROCESSED, "processed")))
     lines = console.table(run.summary_rows(report), ("quantity", "error", "time", "other", "other time"))
     lines.append(f"{machine['processor']}, Python {machine['python']}, numpy {machine['numpy']}")
-    console.tell(document, [*lines, f"report: {out}"])
+    console.show(document, [*lines, f"report: {out}"])
 
 
 def _case(delay: float | None, gamma: float, delta: float, device: str | None, experiment: str | None) -> Case:
-    """Return the loop given by numbers, or that of a device given by name or file."""
+    """Return the loop given by normalised numbers, or the loop of a device given by name or file."""
     from pipeline.theory.cases import Case, case_of
 
     if device is not None:

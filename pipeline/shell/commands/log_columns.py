@@ -1,6 +1,6 @@
-"""Options of commands that read logs without a profile: each names a column with its unit, or a constant.
+"""Options of commands that read logs without a profile. Each option names a column with its unit, or a constant.
 
-They are converted to an ordinary profile (`pipeline.shell.profile.columns`), which replaces ``--profile``.
+The options are converted to an ordinary profile (`pipeline.shell.profile.columns`), which replaces ``--profile``.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ if TYPE_CHECKING:
 Text = str | None
 
 _STATED: dict[str, Any] = {
-    "time": Annotated[Text, option("--time", "Column of time and its unit, t:ms; or the time between rows, '1 ms'.")],
-    "command": Annotated[Text, option("--command", "Column of the command and its unit: N, Nm, V, A, counts, %.")],
-    "position": Annotated[Text, option("--position", "Column of the position and its unit; -x:mm where x falls.")],
+    "time": Annotated[Text, option("--time", "Column of time with its unit, t:ms, or the time between rows, '1 ms'.")],
+    "command": Annotated[Text, option("--command", "Column of the command with its unit: N, Nm, V, A, counts, %.")],
+    "position": Annotated[Text, option("--position", "Column of the position with its unit; -x:mm reverses the sign.")],
     "stiffness": Annotated[Text, option("--stiffness", "K of the wall: a column K:N/mm, or '2 N/mm'.")],
     "damping": Annotated[Text, option("--damping", "B of the wall: a column B:Ns/m, or '5 Ns/m'.")],
     "step": Annotated[Text, option("--step", "External step: a column F0:N, or '4 N'.")],
-    "kind": Annotated[Text, option("--kind", "What moves the device: step, release, hit, free or staircase.")],
-    "period": Annotated[Text, option("--period", "Sampling period, '1 ms' (default: that of the stamps).")],
-    "gain": Annotated[Text, option("--gain", "Force of a drive per unit of command, '2.3 N/V'.")],
+    "kind": Annotated[Text, option("--kind", "Cause of the motion: step, release, hit, free or staircase.")],
+    "period": Annotated[Text, option("--period", "Sampling period, '1 ms' (default: from the time stamps).")],
+    "gain": Annotated[Text, option("--gain", "Force per unit of the command, '2.3 N/V'.")],
     "device": Annotated[Text, option("--device", "Name of the device of the logs.")],
-    "experiment": Annotated[Text, option("--experiment", "Name of their experiment (default: 1).", "-e")],
+    "experiment": Annotated[Text, option("--experiment", "Name of the experiment (default: 1).", "-e")],
 }
-_SHEET = Annotated[Path | None, option("--sheet", "Sheet with one row a log: .csv, .xlsx, .ods.")]
-_SAVE = Annotated[Path | None, option("--save-profile", "Write what the options say as a profile (.toml).")]
+_SHEET = Annotated[Path | None, option("--sheet", "Sheet with one row per log: .csv, .xlsx, .ods.")]
+_SAVE = Annotated[Path | None, option("--save-profile", "Write the options as a profile (.toml).")]
 
 
 def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that adds the options of columns to a command with a parameter ``profile``.
+    """Return a decorator that adds the options for columns to a command with a parameter ``profile``.
 
     Parameters
     ----------
     paths : str
-        Parameter of the command that contains the logs.
+        Name of the command's parameter that contains the logs.
     walls : bool
-        As of `stated_profile`.
+        As for `stated_profile`.
     """
 
     def decorate(work: Callable[..., Any]) -> Callable[..., Any]:
@@ -79,7 +79,7 @@ def reads_logs(paths: str, *, walls: bool = True) -> Callable[[Callable[..., Any
 
 
 def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path | None, walls: bool) -> Profile:
-    """Return the profile defined by the options, and print the evidence from the logs."""
+    """Return the profile that the options define, and print the evidence from the logs."""
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_files import load_profile
     from pipeline.profiles.profile_model import Sheet
@@ -96,11 +96,11 @@ def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path 
         return loaded.model_copy(update={"sheet": Sheet(file=texts["sheet"])})
     if profile is not None:
         named = next((f"--{name}" for name, text in texts.items() if text is not None), "--save-profile")
-        raise UsageError(f"{named} is given with --profile, which names the columns already. Give one of them.")
+        raise UsageError(f"{named} cannot be combined with --profile, which names the columns. Give one of them.")
     if save is not None:
         check_output(save, "--save-profile")
         if save.exists():
-            raise UsageError(f"--save-profile {save}: exists. Give another file, or remove it.")
+            raise UsageError(f"--save-profile {save}: already exists. Give another file, or remove it.")
     made = stated_profile(StatedColumns(**texts), logs, walls=walls)
     for line in made.evidence:
         console.step(line)

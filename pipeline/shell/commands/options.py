@@ -1,4 +1,4 @@
-"""Options that several commands share, each declared once. A list is given by repeating an option or with commas."""
+"""Options that several commands share. A list is given by repeating an option or by commas."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ def _folder(text: str) -> Path:
     from pipeline.store.objects import is_url
 
     if is_url(text):
-        raise typer.BadParameter(f"{text}: this command takes a folder; docs/storage.md names those that take a URL.")
+        raise typer.BadParameter(
+            f"{text}: this command needs a folder; docs/storage.md lists the commands that accept a URL."
+        )
     return Path(text)
 
 
 def _split(given: list[str] | None) -> list[str] | None:
-    """Return the words of a list; a word with a comma is put in double quotes."""
+    """Return the words of a list. A word that contains a comma must be in double quotes."""
     return [word for row in csv.reader(given, skipinitialspace=True) for word in row or ("",)] if given else None
 
 
@@ -36,16 +38,16 @@ def listed(name: str, help_text: str, *more: str, **how: Any) -> Any:
 
 
 PROCESSED, REPORTS = "PIPELINE_PROCESSED", "PIPELINE_REPORTS"
-"""Environment variables for the folders of stored tables and of reports, used without the option."""
+"""Environment variables for the folders of stored tables and reports. They apply if the option is not given."""
 
 Processed = Annotated[Path, option("--processed", "Folder of the stored tables.", envvar=PROCESSED, parser=_folder)]
 Store = Annotated[str, option("--processed", "Stored tables: folder or s3://BUCKET/KEY.", envvar=PROCESSED)]
 Reports = Annotated[Path, option("--reports", "Folder of the reports.", envvar=REPORTS)]
 ExecutorName = Annotated[str, option("--executor", "Where to compute: local, or dask://HOST:PORT.")]
 ProfileFile = Annotated[str | None, option("--profile", "Log profile: name or file (.toml).")]
-Ignore = Annotated[list[str] | None, option("--ignore", "Names of files that are no logs, 'cal_*'. Repeat.")]
+Ignore = Annotated[list[str] | None, option("--ignore", "Names of files that are not logs, 'cal_*'. Repeatable.")]
 LogProfile = Any
-"""A profile as a command receives it: the one of `ProfileFile`, or one made from column options."""
+"""A profile as a command receives it: the name or file of `ProfileFile`, or a profile made from column options."""
 DeviceName = Annotated[str, option("--device", "Device: name or file (.toml).")]
 One = Annotated[str | None, option("--experiment", "Experiment (default: the first).", "-e")]
 Experiments = Annotated[list[str] | None, listed("--experiment", "Experiments (default: all).", "-e")]
@@ -55,7 +57,10 @@ Out = Annotated[Path | None, option("--out", "File to write.", show_default=Fals
 
 
 def quantity(option: str, text: str, *names: str) -> float:
-    """Return the value of an option in SI: a plain number is in SI, a unit must be one of the quantities."""
+    """Return the value of an option in SI.
+
+    A number without unit is in SI; a unit must belong to one of the quantities.
+    """
     from pipeline.base.units import quantity_in_si
 
     try:
@@ -65,9 +70,11 @@ def quantity(option: str, text: str, *names: str) -> float:
 
 
 def stiffness_of(text: str, motion: Motion | None) -> float:
-    """Return the value of ``--stiffness`` in SI: a plain number is in SI, a unit must fit the motion of the device.
+    """Return the value of ``--stiffness`` in SI.
 
-    Without a motion it is the normalised stiffness alpha, a number.
+    A number without unit is in SI; a unit must fit the motion of the device.
+
+    Without a motion, the value is the normalised stiffness alpha.
     """
     from pipeline.base.units import UNITS, find_unit, split_quantity
     from pipeline.device.parameters import is_rotation, unit_of
@@ -81,7 +88,11 @@ def stiffness_of(text: str, motion: Motion | None) -> float:
         return value
     unit = find_unit(symbol or si)
     if unit is None or unit.quantity != UNITS[si].quantity:
-        lever = " One of N/m at a lever of r m is r^2 times as many Nm/rad." if is_rotation(motion) else ""
+        lever = (
+            " A stiffness in N/m at a lever of r m corresponds to r^2 times that number in Nm/rad."
+            if is_rotation(motion)
+            else ""
+        )
         raise UsageError(f"--stiffness {text}: the device's motion is a {motion}; expected {si}.{lever}")
     return value * unit.factor
 

@@ -1,1 +1,1 @@
-"""Log profiles: drafts, checks on samples, warnings."""
+"""Drafts of log profiles, profiles from options of the command line, and checks of profiles on sample logs."""

@@ -1,7 +1,7 @@
-"""Preview of a profile on sample files: conditions and their sources, columns in SI, time, step, and warnings about
-logs that can be read but contradict the profile.
+"""Preview of a profile on sample files: conditions and their sources, columns in SI, time, step, and warnings.
 
-Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
+A warning concerns a log that can be read but contradicts the profile. Nothing is stored. If `pipeline ingest` would
+refuse a file, the preview shows the reason.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.base.wording import counted
 from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.sources import asked_profiles, find_sources, logs_of, motion_of
+from pipeline.intake.sources import find_sources, logs_of, motion_of, requested_profiles
 from pipeline.measured.signal.release import find_release
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Kind, Profile, quantity, si_unit
 from pipeline.readers import Log
@@ -29,11 +29,13 @@ from pipeline.shell.console import grouped
 from pipeline.surface.log_picture import step_of, trial_of
 
 NOTHING = 1e-15
-"""Largest magnitude [SI] of a rounding error of 0."""
+"""Largest magnitude [SI] of a number that is a rounding error of 0."""
 
 STEP_ROWS, STEP_TOLERANCE = 3, 0.1
-"""Number of rows from the step whose median is its size (a single row may be noisy, later ones include the velocity
-filter), and allowed relative difference: a header often states a round number."""
+"""Number of rows from the step on whose median is the step size, and allowed relative difference from the header.
+
+A single row may be noisy, and later rows include the velocity filter. A header often states a rounded number.
+"""
 
 PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
@@ -43,26 +45,27 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
     "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 1e5)},
     "duration_s": dict.fromkeys(("translation", "rotation"), (5e-3, 1e3)),
 }
-"""Plausible range of each quantity in SI: fingers and arms, drives of 1 W to 1 kW; 0 means absent."""
+"""Plausible range of each quantity in SI, for fingers and arms, and drives of 1 W to 1 kW. 0 means absent."""
 
 
-IS_UNUSUAL = "is its unit right?"
+IS_UNUSUAL = "check its unit"
 """End of the sentence about an implausible number."""
 
 Checked = dict[str, Any]
-"""Result of checking a sample: ``path``; its ``trials``, or the ``reason`` why it would be refused, with the ``row``.
+"""Result for a sample: ``path``, and its ``trials`` or the ``reason`` why it would be refused, with the ``row``.
 
-``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` of the profile (or the header) that gives
-it, and the ``usual`` range of devices; displacement and duration are of the samples. ``columns`` have the SI name
-``column``, its ``source`` and ``unit`` in the file, and ``first`` and ``last`` value in ``unit_si``. ``time`` has the
-flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the row of the step, counted from 0,
-``step`` its source, or why it is unknown. ``gain_mismatch`` states the stiffness, damping or step that the command
-obeys if the conditions state others, and the line that corrects them; ``followed_gains`` has their numbers in SI.
+``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` (in the profile or the header) that gives
+the condition, and the ``usual`` range for devices. Displacement and duration are computed from the samples. ``columns``
+have the SI name ``column``, its ``source`` and ``unit`` in the file, and the ``first`` and ``last`` value in
+``unit_si``. ``time`` has the flags of `pipeline.readers.log.step_flags` and the repairs of rows. ``step_row`` is the
+row of the step, counted from 0. ``step`` is its source, or the reason why it is unknown. ``other_gains`` gives the
+stiffness, damping or step that the command follows, if the conditions state others, and the line that corrects them.
+``obeyed`` has these gains in SI.
 """
 
 
 def check_samples(profile: Profile, samples: Sequence[Path]) -> list[Checked]:
-    """Read samples (files or folders) as `pipeline ingest --profile` would; return one result per log.
+    """Read samples (files or folders) as `pipeline ingest --profile` would, and return one result for each log.
 
     Raises
     ------
@@ -71,13 +74,13 @@ def check_samples(profile: Profile, samples: Sequence[Path]) -> list[Checked]:
     """
     motions = {name: device.motion for name, device in known_devices().items()}
     checked = list[Checked]()
-    asked = asked_profiles(profile, samples)
-    (profile,) = asked.profiles
-    for source in find_sources(samples, asked.profiles, ignore=asked.ignore):
+    chosen = requested_profiles(profile, samples)
+    (profile,) = chosen.profiles
+    for source in find_sources(samples, chosen.profiles, ignore=chosen.ignore):
         try:
             name = source.files[0].name if source.files else source.path.name
             if not profile.claims(name) and profile.log_of_partner(source.path) is None:
-                found = f"the name fits none of files = {list(profile.files)} of profile {profile.name}"
+                found = f"the name matches none of files = {list(profile.files)} of profile {profile.name}"
                 raise refusal("no-profile", "", found, cure="Correct `files`, or rename the log.")
             _, raw, outcome = logs_of(source)
             trials = [_trial(profile, raw.names[0], log, motion_of(log, motions)) for log in outcome]
@@ -124,7 +127,7 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
         usual, fault = "", ""
-        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # nothing is known about a drive
+        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # ranges are unknown for units of a drive
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:
@@ -146,30 +149,30 @@ def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, A
 
 
 def _other_kind(profile: Profile, log: Log) -> Iterator[str]:
-    """Yield a problem if a log declared as a release or a hit shows the other kind, or neither."""
+    """Yield a problem if a log declared as a release or a hit shows the other kind of motion, or neither."""
     if profile.kind not in ("release", "hit"):
         return
     found = find_release(trial_of(log))
     if found.kind and found.kind != profile.kind:
-        yield f"kind is {profile.kind!r}, but the log shows a {found.kind}: which is right?"
+        yield f"kind is {profile.kind!r}, but the log shows a {found.kind}. Check which is right"
     elif not found.kind:
-        yield f"kind is {profile.kind!r}, but no free motion is seen ({found.reason}), so that there will be no verdict"
+        yield f"kind is {profile.kind!r}, but no free motion was found ({found.reason}), so there will be no verdict"
 
 
 def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
-    """Yield a problem if the command jumps by another step than stated; rows are counted from 0."""
+    """Yield a problem if the jump of the command differs from the stated step. Rows are counted from 0."""
     step = log.header.step
     if step_row is None or step == 0:
         return
     before = log.command[:step_row] if step_row else np.zeros(1)
     jump = float(np.median(log.command[step_row : step_row + STEP_ROWS]) - np.median(before))
-    # noise before the step, passed through the velocity filter, determines the accuracy of the jump
+    # Noise before the step, passed through the velocity filter, determines the accuracy of the jump.
     if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
-        yield f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?"
+        yield f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}. Check which is right"
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
-    """Return samples as lines of text: the first readable one in full, one line for each other."""
+    """Return samples as lines of text: the first readable sample in full, each other sample on one line."""
     lines, found, others, refused = list[str](), [], [], []
     for sample in samples:
         path, trials = sample["path"], sample["trials"]
@@ -181,7 +184,7 @@ def check_lines(samples: Sequence[Checked]) -> list[str]:
         if lines:
             value = {condition["name"]: condition["value"] for condition in trials[0]["conditions"]}
             row = trials[0]["step_row"]
-            step = "no step is known" if row is None else f"{'step' if value['step'] else 'it moves'} in row {row}"
+            step = "the step is unknown" if row is None else f"{'step' if value['step'] else 'it moves'} in row {row}"
             line += f"; K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trials[0]['rows']} rows, {step}"
         lines += [line] if lines else [line, *map(_full, trials)]
         found += [(path, text) for trial in trials for text in trial["warnings"]]
@@ -197,7 +200,7 @@ def _full(trial: Checked) -> str:
         usual = f"usual {c['usual']}" if c["usual"] else ""
         lines.append(f"  {c['name']:<20} {text:<20} from {c['place']:<19} {usual}".rstrip())
     for c in trial["columns"]:
-        # print a rounding error of 0, or -0, as 0
+        # Print a rounding error of 0, or -0, as 0.
         first, last, low, high = (c[end] if abs(c[end]) > NOTHING else 0.0 for end in ("first", "last", "low", "high"))
         span = f"{first:.9g} to {last:.9g} {c['unit_si']}"
         if (low, high) != (min(first, last), max(first, last)):

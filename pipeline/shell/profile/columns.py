@@ -1,8 +1,8 @@
-"""Conversion of columns named on the command line to an ordinary profile; everything else must be proved by the logs.
+"""Conversion of columns named on the command line to an ordinary profile.
 
-The layout of the files, the sampling period, the direction in which positions count and the row of the step are read
-from the logs themselves; units are never guessed. The profile is checked against some of the logs before it is used: it
-is refused if their commands do not follow the stated wall.
+The logs must show everything else: the layout of the files, the sampling period, the sign of the position, and the row
+of the step. Units are never guessed. Before the profile is used, it is checked against some of the logs. It is refused
+if their commands do not follow the stated wall.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
 
 MOST_SAMPLES = 12
-"""Largest number of inspected logs, spread over all: enough to check that they have the same form, and fast to read."""
+"""Largest number of inspected logs, evenly spread. It suffices to check that all logs have the same form."""
 
 SAME_PERIOD = 0.02
-"""Relative tolerance of the sampling periods of logs: clocks drift by less."""
+"""Relative tolerance between sampling periods of logs. Clocks drift by less."""
 
 ROUND_PERIOD = 2e-4
 """Largest relative deviation of a sampling period from the round number that replaces it."""
 
 PLAUSIBLE_PERIODS = (2e-5, 0.1)
-"""Plausible sampling periods of devices [s]: 50 kHz to 10 Hz."""
+"""Plausible sampling periods of devices [s], for 50 kHz to 10 Hz."""
 
 COLUMNS = ("time", "command", "position")
 WALL = ("stiffness", "damping", "step")
@@ -48,10 +48,10 @@ WALL = ("stiffness", "damping", "step")
 
 @dataclass(frozen=True)
 class StatedColumns:
-    """Column options of a command line: each a text for `ColumnText`, or None.
+    """Column options of a command line. Each is a text for `ColumnText`, or None.
 
-    ``period`` is the sampling period of the controller, by default that of the stamps. ``kind`` is that of the trials,
-    as in a profile.
+    ``period`` is the sampling period of the controller. By default, it is taken from the time stamps. ``kind`` is the
+    kind of the trials, as in a profile.
     """
 
     time: str | None = None
@@ -73,7 +73,7 @@ class StatedColumns:
 
 @dataclass(frozen=True)
 class StatedProfile:
-    """A profile made from column options, and the evidence from the logs as sentences."""
+    """A profile made from column options, and sentences with the evidence from the logs."""
 
     profile: Profile
     evidence: tuple[str, ...]
@@ -82,11 +82,11 @@ class StatedProfile:
 Item = TypeVar("Item")
 
 OPTIONS = {"sampling_period_s": "period"}
-"""Options whose name differs from that of their condition."""
+"""Options whose name differs from the name of their condition."""
 
 
 def option_of(place: Sequence[str | int]) -> str:
-    """Return the option that states a key of a profile.
+    """Return the option that gives a key of a profile.
 
     >>> option_of(("columns", "time", "unit")), option_of(("constants", "sampling_period_s"))
     ('--time', '--period')
@@ -97,22 +97,22 @@ def option_of(place: Sequence[str | int]) -> str:
 
 
 def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> StatedProfile:
-    """Return the profile of logs from the named columns.
+    """Return the profile of logs that column options describe.
 
     Parameters
     ----------
     stated : StatedColumns
     paths : sequence of Path
-        The logs, and folders that are searched.
+        The logs, or folders that are searched for logs.
     walls : bool
-        Whether conditions and a device name are required, as for storing logs.
+        Whether conditions and a device name are required, as they are for storing logs.
 
     Raises
     ------
     UsageError
-        If a required column is not named or missing in the files, or a unit is unknown or not stated.
+        If a required column is not named or is missing in the files, or a unit is unknown or not stated.
     ProfileError
-        If the statements contradict each other, or the command of a log obeys another wall.
+        If the options contradict each other, or the command of a log follows another wall.
     """
     for name in ("command", "position"):
         if getattr(stated, name) is None:
@@ -134,7 +134,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
 
 
 def _plain(option: str, text: str) -> str:
-    """Return an error message in terms of options."""
+    """Return the message of a profile error with options in place of profile keys."""
     text = re.sub(r"^key '[^']*': ", "", text)
     text = re.sub(r'\[units\] gain = "<number> (N\w*)/(\S+)"', r"--gain '<number> \1/\2'", text)
     text = re.sub(r"Add (\w+) = (.*)", rf"Write {option} with one of these units: \2", text)
@@ -142,7 +142,7 @@ def _plain(option: str, text: str) -> str:
 
 
 def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
-    """Yield all files below paths; the folder of a bag is its first file."""
+    """Yield all files below the paths. For the folder of a bag, yield its first file."""
     everything = Profile.model_construct(name="all", format="delimited", files=("*",))
     for source in find_sources(paths, (everything,)):
         if source.files:
@@ -150,25 +150,25 @@ def _logs_below(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def spread(files: Sequence[Item], most: int) -> list[Item]:
-    """Return a limited number of files or other items, evenly spread and including the first and the last."""
+    """Return at most ``most`` of the given items, evenly spread and including the first and the last."""
     if len(files) <= most:
         return list(files)
     return [files[round(i * (len(files) - 1) / (most - 1))] for i in range(most)]
 
 
 def suffix_of(path: Path) -> str:
-    """Return the extension of a file in lower case, including that of its compression."""
+    """Return the extension of a file in lower case, including the extension of its compression."""
     parts = [part.lower() for part in path.suffixes]
     return "".join(parts[-2:] if parts[-1:] in ([".gz"], [".zst"]) else parts[-1:])
 
 
 def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], list[Sample]]:
-    """Return the files that have the columns, of the most frequent extension, and some of them opened.
+    """Return the files of the most frequent extension that have the columns, and some of these files opened.
 
     Raises
     ------
     UsageError, LogError
-        If no file has the columns; gives the reason for the first file.
+        If no file has the columns. The reason is that of the first file.
     """
     by_ending: dict[str, list[Path]] = {}
     for file in files:
@@ -190,11 +190,11 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
             opened.append(sample)
         if opened:
             return group, opened
-    raise first or UsageError("no log found. Give logs, or folders with logs.")
+    raise first or UsageError("no log found. Give log files, or folders that contain logs.")
 
 
 def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
-    """Return the constant that a text states for a column: only a time can be constant, if no column has that name."""
+    """Return the constant that a text gives for a column. Only a time can be constant, if no column has this name."""
     if name != "time" or text in sample.contents.columns:
         return None
     found = ColumnText.constant(text)
@@ -202,7 +202,7 @@ def _as_constant(name: str, text: str, sample: Sample) -> ColumnText | None:
 
 
 class _Maker:
-    """Builder of the values of a profile; ``evidence`` collects what the logs showed."""
+    """Builder of the values of a profile. ``evidence`` collects what the logs show."""
 
     def __init__(self, stated: StatedColumns, samples: Sequence[Sample], walls: bool) -> None:
         self.stated, self.samples, self.walls = stated, samples, walls
@@ -216,8 +216,10 @@ class _Maker:
         """Return the profile as a mapping."""
         sample, stated = self.sample, self.stated
         if questions := sample.layout.questions:
-            asked = " ".join(questions.values())
-            raise UsageError(f"{sample.name}: {asked} Answer it in a profile: `pipeline profile draft {sample.name}`.")
+            open_questions = " ".join(questions.values())
+            raise UsageError(
+                f"{sample.name}: {open_questions} Answer it in a profile: `pipeline profile draft {sample.name}`."
+            )
         ending = suffix_of(Path(sample.name))
         values: dict[str, Any] = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
         columns = {name: self._column(name) for name in COLUMNS}
@@ -226,7 +228,7 @@ class _Maker:
         if stated.device is not None or not self.walls:
             constants["device"] = stated.device or "device"
         elif self.table is None or "device" not in conditions_by_name(self.table.names):
-            raise UsageError("--device is missing: a name for the device of these logs, such as --device bench.")
+            raise UsageError("--device is missing: give a name for the device of these logs, such as --device bench.")
         if self._turns(columns["position"]["unit"]):
             constants["motion"] = "rotation"
         values |= {"constants": constants, "units": {}, "attributes": {}, "condition_columns": {}}
@@ -243,9 +245,9 @@ class _Maker:
         return {key: value for key, value in values.items() if value != {}}
 
     def _column(self, name: str) -> dict[str, Any]:
-        """Return the table of a column."""
+        """Return the profile table for a column."""
         text = getattr(self.stated, name)
-        if text is None:  # time alone
+        if text is None:  # only time may be missing
             text = self._clock()
         if (constant := _as_constant(name, text, self.sample)) is not None:
             factor = find_unit(constant.unit)
@@ -264,7 +266,7 @@ class _Maker:
         return table
 
     def _clock(self) -> str:
-        """Return the time column if no option names it: the only one that increases by equal steps."""
+        """Return the time column if no option names it: the only column that increases by equal steps."""
         numbers = self.sample.numbers
         taken = {ColumnText.among("", getattr(self.stated, name), list(numbers)).column for name in COLUMNS[1:]}
         rising = [
@@ -273,18 +275,16 @@ class _Maker:
             if key not in taken and len(values) > 2 and (np.diff(values) > 0).all()
         ]
         if len(rising) != 1:
-            listing = f"{', '.join(rising)} rise in every row" if rising else "no column rises in every row"
-            hint = (
-                "Name the column and its unit, such as --time t:s; without one, the time between rows: --time '1 ms'."
-            )
+            listing = f"{', '.join(rising)} increase in every row" if rising else "no column increases in every row"
+            hint = "Name the column with its unit, such as --time t:s. Without a time column, give --time '1 ms'."
             raise UsageError(f"--time is missing, and {self.sample.name} does not show it: {listing}. {hint}")
-        self.evidence.append(f"time is {rising[0]!r}, the only column that rises in every row")
+        self.evidence.append(f"time is {rising[0]!r}, the only column that increases in every row")
         return rising[0]
 
     def _unit(self, name: str, column: str) -> str:
-        """Return the unit of a column for which the option states none.
+        """Return the unit of a column for which the option gives none.
 
-        It is the unit in the file, or the one that follows from the steps of the column.
+        It is the unit in the file, or the unit that follows from the steps of the column.
         """
         stated = self.sample.unit(column, name)[1]
         if stated and find_unit(stated) is not None:
@@ -298,7 +298,7 @@ class _Maker:
                 self.evidence.append(f"time is in {fits[0]}: its rows are {pace:g} apart")
                 return fits[0]
             either = " or ".join(f"{column}:{unit}" for unit in fits) or f"{column}:s"
-            raise UsageError(f"--time {column}: the rows are {pace:g} apart, and no unit is stated. Write {either}.")
+            raise UsageError(f"--time {column}: the rows are {pace:g} apart, but no unit is stated. Write {either}.")
         units = {"command": "N, Nm, V, A, counts or %", "position": "mm, m, rad or deg"}[name]
         example = {"command": "N", "position": "mm"}[name]
         raise UsageError(f"--{name} {column}: no unit is stated. Write {column}:{example}; one of {units}.")
@@ -308,12 +308,12 @@ class _Maker:
         return known is not None and known.quantity in ("angle", "angular velocity")
 
     def _condition(self, values: dict[str, Any], name: str, text: str) -> None:
-        """Store the source of a condition: a constant, a value outside the table, a column, the name of the file.
+        """Store the source of a condition: a constant, a value outside the table, a column, or the name of the file.
 
         Raises
         ------
         UsageError
-            If it is none of these.
+            If the condition has none of these sources.
         """
         key = {"period": "sampling_period_s"}.get(name, name)
         if (constant := ColumnText.constant(text)) is not None:
@@ -368,15 +368,15 @@ class _Maker:
         slow, fast = max(paces, key=lambda name: paces[name]), min(paces, key=lambda name: paces[name])
         if paces[slow] > paces[fast] * (1 + SAME_PERIOD):
             raise UsageError(
-                f"the logs have several sampling periods: {paces[fast]:.6g} s in {fast}, {paces[slow]:.6g} s in "
-                f"{slow}. Read them apart, each with its --experiment, or give --period with the column that has it."
+                f"the logs have different sampling periods: {paces[fast]:.6g} s in {fast}, {paces[slow]:.6g} s in "
+                f"{slow}. Read them separately, each with its --experiment, or give the column of --period."
             )
         period = round_period(float(np.median([*paces.values()])))
         values["constants"]["sampling_period_s"] = period
         self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
     def _wall(self, values: dict[str, Any]) -> None:
-        """Set the keys that the wall law of the commands shows: sign of the position and time of the step."""
+        """Set the keys that the wall law of the commands shows: sign of the position, and time of the step."""
         kind = self.stated.kind or "step"
         if kind not in IMPLIED:
             raise UsageError(f"--kind {kind}: expected one of {', '.join(IMPLIED)}.")
@@ -390,8 +390,8 @@ class _Maker:
             return
         if missing := [f"--{key}" for key in FREE if key not in {*given, *IMPLIED[kind]}]:
             raise UsageError(
-                f"{' and '.join(missing)} missing: a wall has --stiffness, --damping and --step, each a constant such "
-                "as '0 N', or a column. Logs without wall and step state none of them."
+                f"{' and '.join(missing)} missing: a wall needs --stiffness, --damping and --step, each as a column or "
+                "as a constant such as '0 N'. For logs without wall and step, omit all three."
             )
         laws = dict(self._laws(values))
         texts = (self.stated.position or "", self.stated.command or "")
@@ -400,7 +400,7 @@ class _Maker:
             if len(against) == len(laws):
                 values["columns"]["position"]["sign"] = -1
                 self.evidence.append(
-                    f"sign of the position is -1: in {_logs(len(laws))} the command pushes the way its numbers fall"
+                    f"sign of the position is -1: in {_logs(len(laws))} the command pushes towards smaller numbers"
                 )
         column = _column_key(values["columns"]["command"])
         begun = [
@@ -412,13 +412,13 @@ class _Maker:
             values["step_at"] = "first row" if begun and all(begun) else "command edge"
 
     def _laws(self, values: Mapping[str, Any]) -> Iterator[tuple[str, WallGains]]:
-        """Yield the wall law that the command of each sample obeys, in the numbers of the file and seconds."""
+        """Yield the wall law that the command of each sample follows, in the numbers of the file and in seconds."""
         clock, *pair = (values["columns"][name] for name in COLUMNS)
         for sample in self.samples:
             found = [sample.numbers[key] for key in map(_column_key, pair) if key in sample.numbers]
             if len(found) < 2:
                 continue
-            # without stamps, one row per sampling period
+            # Without time stamps, there is one row per sampling period.
             stamps = sample.numbers.get(_column_key(clock), np.arange(float(len(found[0]))))
             if len({len(column) for column in (stamps, *found)}) != 1:
                 continue
@@ -428,7 +428,7 @@ class _Maker:
 
 
 def _column_key(table: Mapping[str, Any]) -> str:
-    """Return the name in `FileColumns` of a column of a profile; empty if there is none."""
+    """Return the name in `FileColumns` for a column of a profile, or "" if there is none."""
     return str(table.get("name", table.get("column", "")))
 
 
@@ -438,11 +438,11 @@ def _time_factor(table: Mapping[str, Any]) -> float:
 
 
 def _logs(count: int) -> str:
-    return "the log" if count == 1 else f"all {counted(count, 'log')} that were looked at"
+    return "the log" if count == 1 else f"all {counted(count, 'log')} that were inspected"
 
 
 def round_period(seconds: float) -> float:
-    """Return the nearest round number of seconds if it is close to the period, else the rounded period.
+    """Return the nearest round number of seconds if it is close to the period, otherwise the period with six digits.
 
     >>> round_period(0.00100013), round_period(1 / 3000), round_period(0.00025)
     (0.001, 0.000333333, 0.00025)
@@ -455,34 +455,34 @@ def round_period(seconds: float) -> float:
 
 
 _IN_NAME = re.compile(r"(?:^|[^A-Za-z])([A-Za-z]{1,12})[_= ]?(-?\d+(?:[.,]\d+)?)")
-"""A word followed by a number in a file name."""
+"""Pattern of a word followed by a number in a file name."""
 
 
 def numbers_in_names(samples: Sequence[Sample]) -> list[str]:
-    """Return the words that are followed by a number in the name of every sample, in the order of the first sample."""
+    """Return the words that precede a number in the name of every sample, in the order of the first sample."""
     found = [[match[1] for match in _IN_NAME.finditer(Path(sample.name).stem)] for sample in samples]
     counts = Counter(word for words in found for word in set(words) if words.count(word) == 1)
     return [word for word in found[0] if counts[word] == len(samples)]
 
 
 def with_group(pattern: str | None, words: Sequence[str], word: str, key: str) -> str:
-    """Return a pattern of file names extended to also capture the number after a word."""
+    """Return a pattern of file names, extended by a group for the number after a word."""
     group = f"(?:^|[^A-Za-z]){re.escape(word)}[_= ]?(?P<{key}>-?[0-9]+(?:[.,][0-9]+)?)"
     if pattern is None:
         return group
-    # groups are in the order of the words in the names
+    # The groups have the order of the words in the names.
     parts = {part: text for text in pattern.split(".*") for part in words if f"]){re.escape(part)}[" in text}
     parts[word] = group
     return ".*".join(parts[part] for part in words if part in parts)
 
 
 def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> None:
-    """Refuse a profile if the command of a log obeys another wall than the profile states.
+    """Refuse a profile if the command of a log follows another wall than the profile states.
 
     Raises
     ------
     ProfileError
-        With the log and the option to correct.
+        If a log contradicts the profile. The message names the log and the option to correct.
     """
     off, looked = [], 0
     for sample in check_samples(profile, spread(files, MOST_SAMPLES)):
@@ -494,18 +494,18 @@ def _check(profile: Profile, stated: StatedColumns, files: Sequence[Path]) -> No
         return
     path, why = off[0]
     why = common_remedy(why) if len(off) > 1 else why
-    others = f" ({len(off)} of {counted(looked, 'log')} are at fault.)" if looked > 1 else ""
+    others = f" ({len(off)} of {counted(looked, 'log')} are faulty.)" if looked > 1 else ""
     raise ProfileError(f"{path}: {_in_options(why, stated)}.{others}")
 
 
 def _parts(text: str) -> tuple[str, str]:
-    """Return name and unit of a column as written, without its sign."""
+    """Return name and unit of a column as written, without the sign."""
     name, colon, unit = text.lstrip("+-").rpartition(":")
     return (name, unit) if colon and find_unit(unit) else (text.lstrip("+-"), "")
 
 
 def _in_options(cure: str, stated: StatedColumns) -> str:
-    """Return a remedy in terms of options instead of profile lines."""
+    """Return a remedy with options in place of profile lines."""
 
     def name(option: str) -> str:
         return _parts(getattr(stated, option, None) or "")[0]
@@ -521,5 +521,5 @@ def _in_options(cure: str, stated: StatedColumns) -> str:
 
     text = re.sub(r'\[columns\.(\w+)\](?: sign = (-?1),?)?(?: unit = "([^"]*)")?', column, cure)
     text = re.sub(r"\[units\] ((?:\w+ = \"[^\"]*\"(?:, )?)+)", units, text)
-    text = text.replace("units and signs of the profile", "columns, units and signs")
-    return text.replace("the header says", "the options say")
+    text = text.replace("the units and signs in the profile", "columns, units and signs")
+    return text.replace("the header states", "the options state")

@@ -12,41 +12,41 @@ from pipeline.profiles.profile_model import Kind, quantity, si_unit
 from pipeline.readers.file_columns import FileColumns, Scalar
 
 SAME = 0.1
-"""Relative tolerance between a stated number and the value that the command obeys: names are rounded."""
+"""Relative tolerance between a stated number and the gain that the command follows. Numbers in names are rounded."""
 
 MOST_AT_FAULT = 0.2
-"""Largest share of logs that may contradict a common proposal: if more do, the proposal is wrong."""
+"""Largest share of logs that may contradict a common proposal. If more contradict it, the proposal is wrong."""
 
 FEWEST_DIFFERENT = 2
-"""Smallest number of different values, proportional to those that commands obey, for which agreement by chance is ruled
-out."""
+"""Smallest number of different values that must be proportional to the gains of the commands, so that agreement by
+chance is excluded."""
 
 Numbers = Sequence[float | None]
 
 
-def factor_of(numbers: Numbers, obeyed: Sequence[float]) -> float | None:
-    """Return the factor between most numbers and the values that commands obey; None if there is no common factor.
+def factor_of(numbers: Numbers, followed: Sequence[float]) -> float | None:
+    """Return the factor from numbers to the gains that commands follow, or None if there is no common factor.
 
-    Up to `MOST_AT_FAULT` of them may be wrong; these are reported when the logs are read.
+    At most the share `MOST_AT_FAULT` of the numbers may be wrong. They are reported when the logs are read.
 
     >>> factor_of([1.0, 2.0, 0.0], [1000.0, 2000.0, 0.0]), factor_of([1.0, 2.0], [5.0, 5.0])
     (1000.0, None)
     """
-    pairs = list(zip(numbers, obeyed, strict=True))
+    pairs = list(zip(numbers, followed, strict=True))
     ratios = sorted(value / number for number, value in pairs if number and value)
     if not ratios:
         return None
     middle = ratios[len(ratios) // 2]
     agree = sum(abs(ratio / middle - 1) <= SAME for ratio in ratios)
-    # gains without a visible contribution to the command are not informative
+    # Gains without a visible contribution to the command give no information.
     off = len(ratios) - agree + sum(bool(value and not number) for number, value in pairs)
     known = 2 * (agree + sum(not (number or value) for number, value in pairs)) > len(pairs)
     return middle if middle > 0 and known and off <= MOST_AT_FAULT * len(pairs) else None
 
 
-def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind) -> str | None:
-    """Return the unit in which numbers equal the values that commands obey [SI]; None if there is none."""
-    middle = factor_of(numbers, obeyed)
+def proved_unit(numbers: Numbers, followed: Sequence[float], key: str, kind: Kind) -> str | None:
+    """Return the unit in which numbers equal the gains [SI] that commands follow, or None if there is none."""
+    middle = factor_of(numbers, followed)
     if middle is None:
         return None
     si = si_unit(quantity(key, kind))
@@ -55,10 +55,10 @@ def proved_unit(numbers: Numbers, obeyed: Sequence[float], key: str, kind: Kind)
 
 
 def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Numbers]:
-    """Return the numbers stated in files, or in trials of a file: values outside the table and constant columns.
+    """Return the numbers stated in files, or in trials of a file: values outside the table, and constant columns.
 
-    Keys are the profile table (``attributes``, ``condition_columns``) and the name. Numbers followed by a unit are
-    converted to SI.
+    A key consists of the profile table (``attributes``, ``condition_columns``) and the name. Numbers followed by a unit
+    are converted to SI.
     """
     first = contents[0]
     found: dict[tuple[str, str], Numbers] = {}
@@ -74,7 +74,7 @@ def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Num
 
 
 def _number(value: Scalar | None) -> float | None:
-    """Return the number of a value outside the table, in SI if it has a unit; None if it is not a number."""
+    """Return the number of a value outside the table, in SI if it has a unit, or None if it is not a number."""
     if isinstance(value, int | float):
         return float(value)
     try:
@@ -85,17 +85,17 @@ def _number(value: Scalar | None) -> float | None:
 
 
 def place_of(
-    inside: Mapping[tuple[str, str], Numbers], obeyed: Sequence[float], names: Sequence[str]
+    inside: Mapping[tuple[str, str], Numbers], followed: Sequence[float], names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return the table and name of numbers proportional to the values that commands obey; None if there are none.
+    """Return table and name of numbers that are proportional to the gains of the commands, or None if there are none.
 
-    A usual name of the condition is preferred; any other name needs enough different values that agreement by chance is
-    ruled out.
+    A usual name of the condition is preferred. For any other name, enough different values are required, so that
+    agreement by chance is excluded.
     """
     for named in (True, False):
         for place, numbers in inside.items():
             fits = place[1].split(".")[-1].split("/")[-1].lower() in names
-            if fits != named or factor_of(numbers, obeyed) is None:
+            if fits != named or factor_of(numbers, followed) is None:
                 continue
             if named or len({number for number in numbers if number}) >= FEWEST_DIFFERENT:
                 return place

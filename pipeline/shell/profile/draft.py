@@ -1,9 +1,9 @@
-"""A first profile for sample logs: TOML with the keys that the data prove, their evidence, and questions.
+"""Draft of a profile for sample logs: TOML text with the keys that the data prove, their evidence, and questions.
 
-A question is a line ``# QUESTION: key: words`` above the key, which is commented out with a possible answer: uncomment
-the key and correct its value to answer it. Only keys that would change numbers silently are asked, at most
-`MOST_QUESTIONS`: columns that neither their names nor the motion identifies, units that neither the file nor the wall
-law of the command shows.
+A question is a line ``# QUESTION: key: words`` above the key, which is commented out with a possible answer. To answer
+it, uncomment the key and correct its value. There are at most `MOST_QUESTIONS` questions, and only about keys that
+would change numbers silently: columns that neither their names nor the motion identifies, and units that neither the
+file nor the wall law of the command shows.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from pipeline.shell.profile.evidence import answers
 from pipeline.shell.profile.roles import Answer
 
 MOST_QUESTIONS = 5
-"""Largest number of questions of a draft: users do not read more, and each answer leads to the next ones."""
+"""Largest number of questions in a draft. Users do not read more, and answers lead to further questions."""
 
 LISTED = 24
-"""Largest number of columns, and of values outside the table, listed as comments in a draft; a bag has hundreds."""
+"""Largest number of columns, and of values outside the table, listed as comments in a draft. A bag has hundreds."""
 
 
 def draft_profile(path: Path, *others: Path) -> str:
-    """Return a first profile for a sample as TOML text, with a line for each other sample of a different form.
+    """Return a draft profile for a sample as TOML text, with a line for each other sample that has another form.
 
     Raises
     ------
     UsageError
         If the file cannot be read.
     ProfileError
-        If it is a native log, which needs no profile, or contains no columns.
+        If the file is a native log, which needs no profile, or has no columns.
     """
     try:
         sample = open_sample(path)
@@ -45,7 +45,7 @@ def draft_profile(path: Path, *others: Path) -> str:
         try:
             opened = open_sample(other)
         except (LogError, ProfileError) as error:
-            different.append(f"# {other.name} is not of this form: {error}")
+            different.append(f"# {other.name} has another form: {error}")
             continue
         if difference := _difference(sample, opened):
             different.append(difference)
@@ -53,33 +53,33 @@ def draft_profile(path: Path, *others: Path) -> str:
             alike.append(opened)
     found = answers(alike, [path, *others])
     lines = [*_lines(sample, found), *different]
-    # characters that are invisible or not allowed in TOML are escaped
+    # Characters that are invisible or not allowed in TOML are escaped.
     shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line)
     return "".join(f"{line}\n" for line in shown).replace("\n[", "\n\n[")
 
 
 def _difference(sample: Sample, other: Sample) -> str:
-    """Return a comment on how another file differs from the sample; empty if one profile reads both."""
+    """Return a comment on how another file differs from the sample, or "" if one profile reads both."""
     own, found = (
         {"format": s.kind, **s.layout.keys, **s.layout.questions, "columns": [*s.contents.columns]}
         for s in (sample, other)
     )
     changed = [f"{key} = {_toml(found.get(key))}" for key in own | found if own.get(key) != found.get(key)]
-    return f"# {other.name} is laid out otherwise: {', '.join(changed)}" if changed else ""
+    return f"# {other.name} has another layout: {', '.join(changed)}" if changed else ""
 
 
 def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
-    """Yield the lines of the draft: the keys that are known or asked, by table."""
-    yield f"# Draft for {_toml(sample.name)}. Behind a key stands what shows it; below a question the key to set."
+    """Yield the lines of the draft by table: known keys, and keys with questions."""
+    yield f"# Draft for {_toml(sample.name)}. The evidence follows each key. Below a question is the key to set."
     short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")
     yield f"files = [{_toml(file_pattern(sample.name))}] # names of the logs"
     for key, value in sample.layout.keys.items():
         evidence = sample.layout.evidence.get(key)
         yield f"{key} = {_toml(value)}" + (f" # {evidence}" if evidence else "")
-    asked = 0
+    questions = 0
     for key, words in sample.layout.questions.items():
-        asked += 1
+        questions += 1
         yield from (f"{QUESTION} {key}: {words}", f"# {key} = {_toml(',')}")
     table = ""
     for place, answer in found.items():
@@ -88,12 +88,12 @@ def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
             yield from (*(() if table else _remarks(sample)), f"[{above}]" if "file" not in above else "")
             table = above
         key = "column" if isinstance(answer.value, int) and key == "name" else key
-        if answer.question and asked < MOST_QUESTIONS:
-            asked += 1
+        if answer.question and questions < MOST_QUESTIONS:
+            questions += 1
             yield f"{QUESTION} {f'{above}.{key}' if above else key}: {answer.question}"
             yield f"# {key} = {_toml(answer.value)}"
         elif answer.question:
-            yield f"# asked when the others are answered: {f'{above}.{key}' if above else key}: {answer.question}"
+            yield f"# question after the others are answered: {f'{above}.{key}' if above else key}: {answer.question}"
         else:
             yield f"{key} = {_toml(answer.value)}" + (f" # {answer.evidence}" if answer.evidence else "")
 
@@ -102,22 +102,22 @@ def _remarks(sample: Sample) -> Iterator[str]:
     contents = sample.contents
     yield "# Columns of the file:"
     for name, values in list(contents.columns.items())[:LISTED]:
-        said = contents.units.get(name) or contents.hints.get(name)
-        said = sample.layout.titles.get(name) or said
-        hint = f", the file says {said!r}" if said else ""
+        stated = contents.units.get(name) or contents.hints.get(name)
+        stated = sample.layout.titles.get(name) or stated
+        hint = f", the file states {stated!r}" if stated else ""
         yield f"#   {_toml(name)}: {len(values)} rows, {', '.join(map(str, values[:3]))[:80]}{hint}"
     if len(contents.columns) > LISTED:
         yield f"#   and {len(contents.columns) - LISTED} more"
     yield from (f"# Not read: {key} {reason}" for key, reason in contents.refused.items())
     if attributes := contents.attributes:
-        yield "# Values outside the table, which [attributes] may take conditions from:"
+        yield "# Values outside the table, from which [attributes] may read conditions:"
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:80])}" for key, value in list(attributes.items())[:LISTED])
-    yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns],"
+    yield "# Conditions that differ between files may come from name_pattern, [attributes], [condition_columns],"
     yield "# [[file]] or [sheet]. A log of motion without wall and step has no stiffness, damping and step."
 
 
 def file_pattern(name: str) -> str:
-    """Return the common pattern of the name of a file and its neighbours, whose names differ only in numbers."""
+    """Return a pattern for the name of a file and the names that differ from it only in numbers."""
     suffix = "".join(Path(name).suffixes[-2 if name.lower().endswith((".gz", ".zst")) else -1 :])
     pattern = re.sub(r"-?\d+(?:[.,]\d+)*", "*", re.sub(r"[\[*?]", "?", name.removesuffix(suffix)))
     return (pattern if "*" in pattern else "*") + suffix

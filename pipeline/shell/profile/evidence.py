@@ -1,8 +1,8 @@
-"""Profile keys that sample logs prove, with the evidence, and questions about the others.
+"""Profile keys that sample logs prove, with the evidence, and questions about other keys.
 
-The wall law of a command identifies its columns, signs, step, and the units of stiffness and damping in file names. A
-free motion identifies the column that it follows. Time stamps show their unit and the sampling period. Headings and
-unit lines state units. Other keys that would change numbers silently become questions.
+The wall law of a command identifies columns, signs, the step, and the units of stiffness and damping in file names. A
+free motion identifies the column that moves. Time stamps show their unit and the sampling period. Headings and unit
+lines state units. Other keys that would change numbers silently become questions.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ ROUND = 5e-3
 """Largest relative deviation of an identified gain from the round number that replaces it."""
 
 MOST_LAWS = 12
-"""Largest number of samples in which a wall law is sought."""
+"""Largest number of samples in which a wall law is searched for."""
 
 
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORECASE)
-"""Stiffness or damping in a file name."""
+"""Pattern of stiffness or damping in a file name."""
 
 
 class WallLaw(NamedTuple):
-    """The wall law that the command of a log obeys, its columns by role, and their plausible units.
+    """The wall law that the command of a log follows, its columns by role, and their plausible units.
 
-    ``first_row`` is True if the step has already happened in the first row; ``kind`` is the excitation of the device.
+    ``first_row`` is True if the step precedes the first row. ``kind`` is the excitation of the device.
     """
 
     law: WallGains
@@ -75,8 +75,8 @@ class WallLaw(NamedTuple):
     first_row: bool
     kind: Excitation
 
-    def obeyed(self, key: str) -> float:
-        """Return a gain that the command obeys [SI]; stiffness and damping without the sign of the position axis."""
+    def followed(self, key: str) -> float:
+        """Return a gain that the command follows [SI]. The sign of the position axis does not affect K and B."""
         value = self.in_si[key]
         return value if key == "step" else abs(value)
 
@@ -89,7 +89,7 @@ class WallLaw(NamedTuple):
 
 
 def near_round(value: float) -> float:
-    """Return the nearest round number if it is close to the value, else the value with four digits.
+    """Return the nearest round number if it is close to the value, otherwise the value with four digits.
 
     >>> near_round(1200.3), near_round(7.96), near_round(0.12345678), near_round(0)
     (1200.0, 7.96, 0.1235, 0.0)
@@ -102,12 +102,12 @@ def near_round(value: float) -> float:
 
 
 def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
-    """Return the profile keys that samples of one form show, and questions about the others, in their order.
+    """Return the profile keys that samples of one form show, and questions about the others, in order.
 
     Parameters
     ----------
     samples : sequence of Sample
-        Of one layout; the first is described.
+        Samples with the same layout. The first one is described.
     paths : sequence of Path
         Their files and other files, whose names may contain conditions.
     """
@@ -124,14 +124,14 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
         found["kind"] = kind
     elif "constants.step" in walls or any(key.startswith(_WALLS_GIVEN) for key in (*walls, *names)):
         at_once = bool(laws) and all(each.first_row for each in laws)
-        evidence = "the command is at its step in the first row" if at_once else "the step is where the command jumps"
+        evidence = "the step is already commanded in the first row" if at_once else "the command jumps at the step"
         found["step_at"] = Answer("first row" if at_once else "command edge", evidence)
     found |= names | columns | _constants(sample, columns, law) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
 
 
 _WALLS_GIVEN = ("units", "name_pattern", "attributes.st", "attributes.damping", "condition_columns")
-"""Prefixes of the keys by which a profile gives walls."""
+"""Prefixes of the keys in which a profile gives walls."""
 
 
 def _keys(answers: Answers) -> set[str]:
@@ -139,7 +139,7 @@ def _keys(answers: Answers) -> set[str]:
 
 
 def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return the places in the files that state stiffness, damping and step, and their units, as the commands show."""
+    """Return the places in the files that state stiffness, damping and step, with units, as the commands show."""
     known = {tuple(law.columns.values()) for law in laws}
     pairs = [(each, law) for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
     pairs = [(each, law) for each, law in pairs if tuple(law.columns.values()) in known]
@@ -153,16 +153,16 @@ def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) 
     for key in ("stiffness", "damping", "step"):
         if f"<{key}>" in pattern or (key == "step" and first.kind != "step"):
             continue
-        obeyed = [law.obeyed(key) for _, law in pairs]
-        place = place_of({at: each for at, each in inside.items() if at[1] not in _values(found)}, obeyed, NAMES[key])
+        followed = [law.followed(key) for _, law in pairs]
+        place = place_of({at: each for at, each in inside.items() if at[1] not in _values(found)}, followed, NAMES[key])
         if place is None:
             continue
-        # they are in SI only if the units of the columns are known
+        # These gains are in SI only if the units of the columns are known.
         columns = ("command",) if key == "step" else ("command", "position")
         sure = all(len(first.units[role]) == 1 for role in columns)
-        unit = proved_unit(inside[place], obeyed, key, kind) if sure else None
-        evidence = f"its numbers are what {counted(len(pairs), 'command')} obey"
-        found[f"{place[0]}.{key}"] = Answer(place[1], evidence + ("" if unit else ", but for a factor"))
+        unit = proved_unit(inside[place], followed, key, kind) if sure else None
+        evidence = f"its numbers agree with {counted(len(pairs), 'command')}"
+        found[f"{place[0]}.{key}"] = Answer(place[1], evidence + ("" if unit else ", except for a factor"))
         if unit is not None and unit != si_unit(quantity(key, kind)):
             found[f"units.{key}"] = Answer(unit, evidence)
     return found
@@ -173,14 +173,14 @@ def _values(answers: Answers) -> set[str]:
 
 
 _SHOWN = {
-    "release": "the device leaves a position that is not 0, and the command is that of a wall at 0 from there on",
-    "hit": "the device is hit, and the command is that of the wall alone before and behind it",
+    "release": "the device leaves a position other than 0, and from there the command follows a wall at 0",
+    "hit": "the device is hit, and before and after the hit the command follows the wall",
 }
 """Evidence that there is no step."""
 
 
 def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: Answers, names: Answers) -> Answer | None:
-    """Return the excitation of the samples if it is not a step, and the evidence."""
+    """Return the excitation of the samples with the evidence, or None if it is a step."""
     kinds = Counter(law.kind for law in laws).most_common(1)
     if kinds:
         return Answer(kinds[0][0], _SHOWN[kinds[0][0]]) if kinds[0][0] in _SHOWN else None
@@ -190,12 +190,12 @@ def _kind_answer(samples: Sequence[Sample], laws: Sequence[WallLaw], columns: An
     forces = [each.numbers.get(str(command.value)) for each in samples]
     if all(force is not None and is_staircase(force) for force in forces):
         count = max(len(changes_of(force)) for force in forces if force is not None)
-        return Answer("staircase", f"no wall law is seen, and the command steps {counted(count, 'time')} at most")
-    return Answer("free", "no wall law is seen in the command")
+        return Answer("staircase", f"no wall law was found, and the command has at most {counted(count, 'step')}")
+    return Answer("free", "no wall law was found in the command")
 
 
 def trials_of(samples: Sequence[Sample]) -> list[Sample]:
-    """Return one sample per trial, for a selection of the trials of a file."""
+    """Return one sample for each trial. If a file has many trials, a selection is used."""
     found: list[Sample] = []
     for each in samples:
         some = spread(each.trials, MOST_LAWS)
@@ -204,8 +204,10 @@ def trials_of(samples: Sequence[Sample]) -> list[Sample]:
 
 
 def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
-    """Return the wall laws of samples in the columns of the majority: without damping, command and position are
-    interchangeable in the law."""
+    """Return the wall laws of samples whose columns agree with the majority.
+
+    Without damping, command and position are interchangeable in the law.
+    """
     laws = [law for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
     counts = Counter(tuple(law.columns.values()) for law in laws)
     if not counts:
@@ -213,16 +215,16 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
     columns, count = counts.most_common(1)[0]
     alike = [law for law in laws if tuple(law.columns.values()) == columns] if 2 * count > len(laws) else []
     against = 2 * sum(law.law.stiffness < 0 for law in alike) > len(alike)
-    # laws with the usual direction first
+    # Laws with the usual direction come first.
     return sorted(alike, key=lambda law: (law.law.stiffness < 0) != against)
 
 
 _ORDER = ("kind", "step_at", "name_pattern", "columns", "attributes", "condition_columns", "constants", "units")
-"""Tables in their order."""
+"""Tables of a profile in their order."""
 
 
 def wall_law(sample: Sample) -> WallLaw | None:
-    """Return the wall law of a log; None if no columns obey one with a stiffness."""
+    """Return the wall law of a log, or None if no columns follow a law with a stiffness."""
     likely, numbers = likely_roles(sample), sample.numbers
     time, own = likely["time"], (likely["command"], likely["position"])
     tried = [name for name in list(numbers)[:MOST_TRIED] if name != time]
@@ -238,7 +240,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
             continue
         factor = UNITS[units["time"][0]].factor
         law = wall_gains(stamps * factor, force, place)
-        # a multiple of another column obeys a law without damping and step
+        # A column that is a multiple of another column follows a law without damping and step.
         sure = law is not None and (law.step or (law.stiffness * law.damping > 0 and (len(tried) == 2 or pair == own)))
         kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
         if law is not None and kind is not None:
@@ -248,10 +250,10 @@ def wall_law(sample: Sample) -> WallLaw | None:
 
 
 def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) -> Excitation | None:
-    """Return the excitation of a device whose command obeys a wall law; None if none is visible.
+    """Return the excitation of a device whose command follows a wall law, or None if none is visible.
 
     A release from a position looks like a step by the wall force at that position. It is a release if the wall is then
-    at position 0, which a step does not give by chance.
+    at position 0, which is unlikely for a step.
     """
     way = float(np.sign(law.stiffness))
     wall = (abs(law.stiffness), way * law.damping, 0.0, float(np.median(np.diff(time))))
@@ -265,7 +267,7 @@ def _kind_of(law: WallGains, time: Floats, command: Floats, position: Floats) ->
 def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
     """Return the keys of the columns."""
     if law is not None:
-        evidence = f"the command of {_logs(laws)} obeys a wall law in these columns"
+        evidence = f"the command of {_logs(laws)} follows a wall law in these columns"
         names = {role: Answer(name, evidence) for role, name in law.columns.items()}
     else:
         names = named_roles(sample)
@@ -273,7 +275,7 @@ def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
     by_position = not sample.layout.keys.get("header", True)
     for role, answer in names.items():
         place = f"columns.{role}"
-        if answer.value is None:  # no stamps
+        if answer.value is None:  # there are no time stamps
             found[f"{place}.kind"] = Answer("sampled", answer.evidence)
             continue
         name = str(answer.value)
@@ -282,10 +284,10 @@ def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
         unit = _unit(sample, role, name, law)
         others = {stated_unit(sample, role, column) for column in sample.numbers} - {""}
         if answer.question and len(others) > 1 and not unit.question:
-            unit = Answer(unit.value, question=f"of {name!r} the file says {unit.value!r}; of another column?")
+            unit = Answer(unit.value, question=f"the file states {unit.value!r} for {name!r}. Is this right?")
         found[f"{place}.unit"] = unit
         if role == "position" and getattr(find_unit(str(unit.value)), "quantity", "") in SPEEDS:
-            words = f'{name!r} is a velocity: is the position its integral by differences, or by "trapezoid"?'
+            words = f'{name!r} is a velocity. Is it integrated by "difference" or by "trapezoid"?'
             found[f"{place}.integrate"] = Answer("difference", question=words)
         if role != "time":
             found[f"{place}.sign"] = _sign(sample, role, names, law)
@@ -297,32 +299,33 @@ def _logs(count: int) -> str:
 
 
 def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
-    """Return the unit of a column from the file or from its numbers; otherwise the question."""
+    """Return the unit of a column from the file or its numbers. Otherwise, return the question."""
     stated = stated_unit(sample, role, name)
     if stated:
-        return Answer(stated, f"the file says {stated!r}")
+        return Answer(stated, f"the file states {stated!r}")
     units = list(law.units[role]) if law else list(ROLES[role].units)
     if role == "time":
         if law is None:
             pace = float(np.median(np.diff(sample.numbers[name])))
             units = plausible_units(sample, role, name, pace)
         if len(units) == 1:
-            return Answer(units[0], "no device has another sampling period than this makes")
+            return Answer(units[0], "only this unit gives a plausible sampling period")
         if (shown := _unit_by_rate(sample, name)) is not None and shown.value in units:
             return shown
         return Answer(
-            (units or ["s"])[0], question=f"the file does not say it. One of {', '.join(units or ['s', 'ms'])}."
+            (units or ["s"])[0], question=f"the file does not state it. One of {', '.join(units or ['s', 'ms'])}."
         )
     if role == "position" and (unit := _unit_of_file(sample)) is not None:
         return unit
     quantities = {*QUANTITIES[role].values(), *(DRIVES if role == "command" else ())}
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities and symbol != "count"]
-    more = " For counts give counts_per_unit, too." * (role == "position")
-    return Answer(units[0], question=f"the file does not say it. One of {', '.join(known)}.{more}")
+    more = " For counts, also give counts_per_unit." * (role == "position")
+    return Answer(units[0], question=f"the file does not state it. One of {', '.join(known)}.{more}")
 
 
 def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
-    """Return the unit of stamps for which a velocity integrates to its position: velocities are per second."""
+    """Return the unit of time stamps with which a velocity integrates to its position, because velocities are per
+    second."""
     for place in list(sample.numbers)[:MOST_TRIED]:
         found = rate_of(sample, time, place)
         if found is None:
@@ -333,22 +336,22 @@ def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
 
 
 def _unit_of_file(sample: Sample) -> Answer | None:
-    """Return the unit of positions that the file states as ``units``; None if it states none."""
+    """Return the unit of positions that the file states as ``units``, or None if it states none."""
     for name, value in sample.contents.attributes.items():
         unit = find_unit(str(value)) if re.split(r"[./@]", name)[-1].lower() in ("unit", "units") else None
         if unit is not None and unit.quantity in QUANTITIES["position"].values():
-            return Answer(str(value), f"{name!r} of the file is {value!r}")
+            return Answer(str(value), f"{name!r} in the file is {value!r}")
     return None
 
 
 def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | None) -> Answer:
-    """Return the sign of a column: 1, except for a position that decreases under a positive command."""
+    """Return the sign of a column. It is 1, except for a position that decreases under a positive command."""
     if role == "command":
-        return Answer(1, "the direction of the command counts as positive")
+        return Answer(1, "the direction of the command is positive by definition")
     if law is not None:
         against = law.law.stiffness < 0
         return Answer(
-            -1 if against else 1, "its numbers fall where the command pushes" if against else "by the wall law"
+            -1 if against else 1, "the command pushes towards smaller numbers" if against else "by the wall law"
         )
     columns = [sample.numbers.get(str(answer.value)) for answer in names.values()]
     if all(column is not None for column in columns) and len({len(c) for c in columns if c is not None}) == 1:
@@ -359,11 +362,11 @@ def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | No
             if found is not None and found.is_driven:
                 against = found.gain < 0
                 return Answer(-1 if against else 1, f"it accelerates {'against' if against else 'with'} the command")
-    return Answer(1, "a check refuses it where the motion shows the other one")
+    return Answer(1, "a check refuses it if the motion shows the other sign")
 
 
 def _names(sample: Sample, paths: Sequence[Path], law: WallLaw | None) -> Answers:
-    """Return the pattern of conditions in the names of files."""
+    """Return the pattern of conditions in the file names."""
     wall = _wall_in_name(Path(sample.name).stem)
     alike = (path.name for path in paths if path.suffix == Path(sample.name).suffix)
     if not wall or not all(find_groups(wall, name) for name in alike):
@@ -372,7 +375,7 @@ def _names(sample: Sample, paths: Sequence[Path], law: WallLaw | None) -> Answer
 
 
 def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers:
-    """Return device and experiment names and the sampling period."""
+    """Return device name, experiment name and sampling period."""
     found = {"constants.device": Answer("bench", "any name"), "constants.experiment": Answer("1", "any name")}
     place = "constants.sampling_period_s"
     unit = columns.get("columns.time.unit")
@@ -388,7 +391,8 @@ def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers
 
 
 def _stated_period(sample: Sample) -> Answers:
-    """Return the sampling period of a file without time stamps: a value outside the table, otherwise the question."""
+    """Return the sampling period of a file without time stamps from a value outside the table, otherwise the
+    question."""
     place = "constants.sampling_period_s"
     stated: dict[str, set[float]] = {}
     for name, value in sample.contents.attributes.items():
@@ -420,23 +424,23 @@ _PERIODS = (
 
 
 def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLaw], names: Answers) -> Answers:
-    """Return stiffness, damping and step, or only their units if file names contain the values."""
+    """Return stiffness, damping and step. If file names contain the values, return only their units."""
     pattern = str(names["name_pattern"].value) if "name_pattern" in names else ""
     in_names = [_numbers_in_name(pattern, each) if pattern else {} for each in samples[: len(laws) or 1]]
     named = in_names[0]
     if law is None:
-        return dict(_asked_walls(named)) if named else {}
+        return dict(_wall_questions(named)) if named else {}
     kind: Kind = "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
     drive = UNITS[law.units["command"][0]].quantity in DRIVES
     found: Answers = {}
     evidence = "by the wall law of the command"
     for key in ("stiffness", "damping", "step"):
-        mine = [each.obeyed(key) for each in laws]
+        mine = [each.followed(key) for each in laws]
         same = max(mine) - min(mine) <= SAME * max(map(abs, mine), default=0.0)
         if key == "step" and law.kind != "step":
             continue
         if key in named:
-            # in this unit, the command obeys the number in the file name
+            # In this unit, the command follows the number in the file name.
             pairs = ((value, abs(numbers[key])) for value, numbers in zip(mine, in_names, strict=False))
             ratio = next((value / number for value, number in pairs if value and number), None)
             if ratio is None or drive:
@@ -445,7 +449,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
             unit = si if abs(ratio - 1) <= SAME else unit_between(si, ratio, SAME)
             if unit is None and not (law.units["command"][1:] or law.units["position"][1:]):
                 units = [symbol for symbol, known in UNITS.items() if known.quantity == quantity(key, kind)]
-                words = f"in which unit is the {key} in the file names? One of {', '.join(units)}."
+                words = f"what is the unit of the {key} in the file names? One of {', '.join(units)}."
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:
                 found[f"units.{key}"] = Answer("N/mm" if unit == "kN/m" else unit, evidence)
@@ -456,21 +460,19 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     return found
 
 
-def _asked_walls(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
-    """Yield questions about walls with the stiffness in file names but no visible wall law in a command."""
+def _wall_questions(named: dict[str, float]) -> Iterator[tuple[str, Answer]]:
+    """Yield questions about walls whose stiffness is in the file names if no command follows a wall law."""
     for key in named:
         units = [symbol for symbol, unit in UNITS.items() if unit.quantity == key]
-        words = (
-            f"in which unit is the {key} in the file names? One of {', '.join(units)}; of a rotation Nm/rad, Nms/rad."
-        )
+        words = f"what is the unit of the {key} in the file names? One of {', '.join(units)}; or Nm/rad, Nms/rad."
         yield f"units.{key}", Answer(units[0], question=words)
     if "damping" not in named:
         yield "constants.damping", Answer(0, question="virtual damping B of the wall [Ns/m, Nms/rad]?")
-    yield "constants.step", Answer(0, question="size of the external step [N, Nm]; 0 where none was commanded?")
+    yield "constants.step", Answer(0, question="size of the external step [N, Nm] (0 if none was commanded)?")
 
 
 def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
-    """Return the numbers that a pattern extracts from the name of a sample; 0 for an unreadable one."""
+    """Return the numbers that a pattern reads from the name of a sample. An unreadable number is 0."""
     numbers = dict.fromkeys(find_groups(pattern, sample.name) or (), 0.0)
     decimal = str(sample.layout.keys.get("decimal", "."))
     with suppress(ValueError):
@@ -480,12 +482,12 @@ def _numbers_in_name(pattern: str, sample: Sample) -> dict[str, float]:
 
 
 def _wall_in_name(stem: str) -> str:
-    """Return the pattern of a name that contains stiffness or damping once each; otherwise an empty text."""
+    """Return the pattern of a name that contains stiffness or damping once each, otherwise an empty text."""
     found = [match.groups() for match in _NAMED_WALL.finditer(stem)]
     letters = [letter.upper() for letter, *_ in found]
     if "K" not in letters or len(set(letters)) < len(letters):
         return ""
     groups = {"K": "stiffness", "B": "damping"}
-    # a dash after both letters is a separator; after only one it is a minus sign
+    # A dash after both letters is a separator. After only one letter, it is a minus sign.
     dash = "-" if len(found) > 1 and all(minus for *_, minus in found) else ""
     return ".*".join(f"{k}{sign}{dash}(?P<{groups[k.upper()]}>-?[0-9]+[.,]?[0-9]*)" for k, sign, _ in found)

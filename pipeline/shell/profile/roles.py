@@ -1,4 +1,4 @@
-"""Which column of a log is its time, command and position: identified by names, stated units, and the motion.
+"""Identification of the time, command and position columns of a log by names, stated units, and the motion.
 
 If several columns are possible, a question lists the candidates.
 """
@@ -25,7 +25,7 @@ MOST_TRIED = 8
 """Largest number of numeric columns tried as command and position."""
 
 CLEARLY = 3.0
-"""Factor by which the selected pair of columns must explain the motion better than all others."""
+"""Factor by which the selected pair of columns must explain the motion better than all other pairs."""
 
 AGREE = 0.02
 """Relative tolerance between the sampling periods of two equivalent clocks."""
@@ -34,13 +34,15 @@ REGULAR = 0.02
 """Relative tolerance of the steps of a clock if other columns also increase in every row."""
 
 IS_RATE = 0.05
-"""Largest residual of a motion after subtracting the integral of its velocity, relative to the motion: rows are few,
-and velocities are filtered."""
+"""Largest residual of a motion after subtraction of the integrated velocity, relative to the motion.
+
+It allows for few rows and filtered velocities.
+"""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Value of a profile key with its evidence, or an open question with a proposal."""
+    """Value of a profile key with its evidence, or an open question with a proposed value."""
 
     value: Any
     evidence: str = ""
@@ -51,8 +53,10 @@ Answers = dict[str, Answer]
 
 
 class Role(NamedTuple):
-    """Usual column names of a role, units in the order of proposal, and the plausible range [SI] of sampling period,
-    command or position in one log."""
+    """Usual column names of a role, units in order of proposal, and the plausible range [SI] within one log.
+
+    The range is that of the sampling period, the command or the position.
+    """
 
     names: str
     units: tuple[str, ...]
@@ -81,25 +85,25 @@ _WORDS = {
     "command": r"force|torque|kraft|moment|command|cmd|soll|tau|voltage|spannung|current|strom|effort|actions?",
     "position": r"position|pos|angle|winkel|weg|lage|place|displacement|encoder|velocity|speed|geschwindigkeit",
 }
-"""Words in column names that indicate a role, used if no full name does."""
+"""Words in column names that indicate a role. They are used if no full name does."""
 
-_ASKED = {
-    "time": 'which column is the time stamps (without any: kind = "sampled")?',
-    "command": "which column is the total force or torque that the controller commands?",
-    "position": "which column is the position that the controller measures?",
+_QUESTIONS = {
+    "time": 'which column has the time stamps (if none has: kind = "sampled")?',
+    "command": "which column has the total force or torque that the controller commands?",
+    "position": "which column has the position that the controller measures?",
 }
 
 
 def stated_unit(sample: Sample, role: str, name: str) -> str:
-    """Return the unit that the file states for a column if it fits the role; otherwise an empty text."""
-    said = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
-    unit = find_unit(said)
+    """Return the unit that the file states for a column if it fits the role, otherwise an empty text."""
+    stated = sample.unit(name, role)[1].translate(str.maketrans("µμ", "uu"))
+    unit = find_unit(stated)
     allowed = {*QUANTITIES[role].values(), *(SPEEDS if role == "position" else DRIVES if role == "command" else ())}
-    return said if unit is not None and unit.quantity in allowed else ""
+    return stated if unit is not None and unit.quantity in allowed else ""
 
 
 def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[str]:
-    """Return the units in which the numbers of a column are plausible; only the stated one if it is plausible."""
+    """Return the units in which the numbers of a column are plausible. A plausible stated unit is the only result."""
     _, units, low, high = ROLES[role]
     fits = [unit for unit in units if low <= span * UNITS[unit].factor <= high]
     stated = stated_unit(sample, role, name)
@@ -110,7 +114,7 @@ def plausible_units(sample: Sample, role: str, name: str, span: float) -> list[s
 
 
 def likely_roles(sample: Sample) -> dict[str, str]:
-    """Return the likely column of each role by name; a clock must increase in every row."""
+    """Return the likely column of each role by name. A clock must increase in every row."""
     likely, numbers = dict[str, str](), sample.numbers
     for role in ROLES:
         left = [name for name in numbers if name not in likely.values()]
@@ -127,22 +131,22 @@ def _named(sample: Sample, role: str, names: Iterable[str]) -> list[str]:
 
 
 def named_roles(sample: Sample) -> dict[str, Answer]:
-    """Return the column of each role without a wall law: identified by name or motion, otherwise the question."""
+    """Return the column of each role without a wall law, identified by name or motion, otherwise the question."""
     numbers, times = sample.numbers, sample.contents.units
     rising = [name for name in numbers if (np.diff(numbers[name]) > 0).all()]
     time = _clock(sample, rising)
-    # a column that increases by equal steps is a counter; one with a time unit by its type is a stamp
+    # A column that increases by equal steps is a counter. A column with a time unit by its type has time stamps.
     moving = [name for name in numbers if name != time.value and np.ptp(numbers[name]) > 0 and name not in times]
     others = [name for name in moving if name not in rising or np.ptp(np.diff(numbers[name])) > 0]
     others = [name for name in others if name not in _named(sample, "time", others)]
     constant = _constant_command(sample, str(time.value), [name for name in numbers if name not in moving])
     others = _without_rates(sample, str(time.value), others, 1 if constant else 2)
     if constant is not None and len(others) == 1:
-        evidence = f"{others[0]!r} is the only other column that changes, next to its rate"
+        evidence = f"{others[0]!r} is the only other column that changes, except for its rate"
         return {"time": time, "command": constant, "position": Answer(others[0], evidence)}
     if constant is not None and not _named(sample, "command", [str(constant.value)]):
-        constant = None  # a condition, or one of several columns
-    pair, evidence = _followed(sample, str(time.value), others), "{1!r} moves as {0!r} commands"
+        constant = None  # it is a condition, or one of several columns
+    pair, evidence = _followed(sample, str(time.value), others), "the motion {1!r} follows the command {0!r}"
     if pair is None:
         pair, evidence = _changed_first(sample, others), "{0!r} has few values and changes first, then {1!r} moves"
     if pair is not None:
@@ -152,13 +156,13 @@ def named_roles(sample: Sample) -> dict[str, Answer]:
 
 
 def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Answer | None) -> dict[str, Answer]:
-    """Return command and position by stated units and names; questions if several columns remain."""
+    """Return command and position by stated units and names, or questions if several columns remain."""
     named: dict[str, list[str]] = {}
     for role, words in _WORDS.items():
         by_unit = [name for name in others if _has_unit_of(sample, role, name)]
         by_word = [name for name in others if _has_word(sample.title(name).lower(), words)]
         whole = _named(sample, role, others)
-        if role == "position":  # a velocity replaces a missing position
+        if role == "position":  # a velocity may replace a missing position
             whole = [name for name in whole if not _is_speed(sample, name)] or whole
         named[role] = by_unit or whole or by_word
     sure = {role: names[0] for role, names in named.items() if len(names) == 1}
@@ -171,17 +175,17 @@ def _by_names(sample: Sample, time: Answer, others: Sequence[str], constant: Ans
             continue
         if role in sure:
             kind = "unit" if _has_unit_of(sample, role, sure[role]) else "name"
-            found[role] = Answer(sure[role], f"by its {kind}, which no other column has")
+            found[role] = Answer(sure[role], f"only this column has a matching {kind}")
         elif sure and len(left) == 1:
             found[role] = Answer(left[0], "the only other column that changes")
         else:
             taken = [time.value, *sure.values()]
             order = [name for name in (*named[role], *left, *sample.numbers) if name not in taken]
-            found[role] = _asked(role, order or list(sample.numbers))
-            # two questions must not propose the same column
+            found[role] = _role_question(role, order or list(sample.numbers))
+            # Two questions must not propose the same column.
             if role == "position" and found["command"].question and found["command"].value == found[role].value:
                 rest = [name for name in order if name != found["command"].value]
-                found[role] = _asked(role, rest or order or list(sample.numbers))
+                found[role] = _role_question(role, rest or order or list(sample.numbers))
     return found
 
 
@@ -198,9 +202,11 @@ def _is_speed(sample: Sample, name: str) -> bool:
 
 
 def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
-    """Return whether the file states a unit of a role outside the name; for a position, units of velocity do not count.
+    """Return whether the file states a unit of a role outside the column name.
 
-    A suffix after an underscore may be part of the name, such as that of a supply voltage.
+    For a position, velocity units do not count.
+
+    A suffix after an underscore may be part of the name, such as the V of a supply voltage.
     """
     unit = find_unit(stated_unit(sample, role, name))
     apart = sample.title(name).rstrip().endswith(("]", ")")) or name in sample.contents.hints
@@ -208,29 +214,29 @@ def _has_unit_of(sample: Sample, role: str, name: str) -> bool:
 
 
 def _constant_command(sample: Sample, time: str, still: Sequence[str]) -> Answer | None:
-    """Return the command that is constant from the first row, identified by its name or by other trials of the file."""
+    """Return a command that is constant from the first row, identified by its name or by other trials of the file."""
     constant = [name for name in still if name != time and sample.numbers[name][0] and not np.ptp(sample.numbers[name])]
     differing = [name for name in constant if len(set(values_of_trials(sample, name))) > 1]
     if len(differing) == 1:
-        return Answer(differing[0], "constant in each trial of the file, and another in the next")
+        return Answer(differing[0], "constant in each trial of the file, and different between trials")
     named = _named(sample, "command", constant)
     if len(named) == 1 and not _named(sample, "command", set(sample.numbers) - set(named)):
-        return Answer(named[0], "by its name, which no other column has; it is at its step from the first row on")
+        return Answer(named[0], "only this column has a matching name; the step is already commanded in the first row")
     return None
 
 
 def values_of_trials(sample: Sample, name: str) -> list[float]:
-    """Return the value of a column in each trial of a file; empty if it is not constant in one of them."""
+    """Return the value of a column in each trial of a file. The list is empty if it changes within a trial."""
     columns = [trial.columns[name] for trial in sample.trials if name in trial.columns]
     changes = [column for column in columns if column.dtype.kind == "U" or np.ptp(column)]
     return [] if changes else [float(column[0]) for column in columns]
 
 
 def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str, float] | None:
-    """Return the column that is the rate of another one, and the implied unit of time in seconds; otherwise None.
+    """Return the column that is the rate of another column, and the implied unit of time in seconds, otherwise None.
 
-    A velocity is the change of its position per second: the factor between its integral over the stamps and the
-    position is the unit of the stamps. It is returned only if it belongs to a known unit.
+    A velocity is the change of its position per second. Therefore, the factor between its integral over the stamps and
+    the position is the unit of the stamps. A rate is returned only if this factor belongs to a known unit.
     """
     numbers = sample.numbers
     for name in numbers:
@@ -254,7 +260,7 @@ def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str
 
 
 def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> list[str]:
-    """Return columns without those that are the rate of another one, as long as at least `fewest` remain."""
+    """Return the columns that are not the rate of another column. At least `fewest` columns are kept."""
     rates: list[str] = []
     for name in names[:MOST_TRIED] if len(names) > fewest else ():
         found = rate_of(sample, time, name) if name not in rates else None
@@ -265,37 +271,37 @@ def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> 
 
 
 def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
-    """Return the time column: the only one that increases in every row, or the most regular of consistent clocks."""
+    """Return the time column: the only column that increases in every row, or the most regular of consistent clocks."""
     numbers = sample.numbers
     fitting = _named(sample, "time", numbers)
     clocks = [name for name in fitting if name in rising] or list(rising)
     if not clocks and not fitting:
-        return Answer(None, "no column rises in every row: there are no stamps")
+        return Answer(None, "no column increases in every row, so there are no time stamps")
     if len(clocks) == 1:
-        more = ", as its name says" if clocks[0] in fitting else ", as no other column"
-        return Answer(clocks[0], f"rises in every row{more}")
+        more = ", and its name fits" if clocks[0] in fitting else ", unlike all other columns"
+        return Answer(clocks[0], f"increases in every row{more}")
     uneven = {name: float(np.std(np.diff(numbers[name])) / np.mean(np.diff(numbers[name]))) for name in clocks}
     factors = [getattr(find_unit(stated_unit(sample, "time", name)), "factor", 0.0) for name in clocks]
     paces = [float(np.median(np.diff(numbers[name]))) * factor for name, factor in zip(clocks, factors, strict=True)]
     if clocks and min(paces) > 0 and max(paces) <= (1 + AGREE) * min(paces):
         regular = min(clocks, key=lambda name: uneven[name])
-        return Answer(regular, f"rises in every row, the most regular of {', '.join(clocks)}, which agree")
+        return Answer(regular, f"increases in every row, most regularly of {', '.join(clocks)}, which agree")
     regular = min(clocks, key=lambda name: uneven[name], default="")
     others = [uneven[name] for name in clocks if name != regular]
     if others and uneven[regular] <= REGULAR < min(others) / CLEARLY:
-        return Answer(regular, "rises in every row by equal steps, as no other column")
-    return _asked("time", clocks or fitting or list(numbers))
+        return Answer(regular, "increases in every row by equal steps, unlike all other columns")
+    return _role_question("time", clocks or fitting or list(numbers))
 
 
-def _asked(role: str, names: Sequence[str]) -> Answer:
+def _role_question(role: str, names: Sequence[str]) -> Answer:
     """Return the question of which column has a role, with the candidates."""
     candidates = list(dict.fromkeys(names))
     listing = f" Candidates: {', '.join(candidates[:MOST_TRIED])}." if len(candidates) > 1 else ""
-    return Answer(candidates[0], question=f"{_ASKED[role]}{listing}")
+    return Answer(candidates[0], question=f"{_QUESTIONS[role]}{listing}")
 
 
 def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return command and position if one pair of columns explains the motion clearly better than all others."""
+    """Return command and position if one pair of columns explains the motion clearly better than all other pairs."""
     numbers = sample.numbers
     stamps = numbers.get(time)
     if stamps is None or len(names) > MOST_TRIED:
@@ -316,7 +322,7 @@ def _followed(sample: Sample, time: str, names: Sequence[str]) -> tuple[str, str
 
 
 def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return command and position of two columns if one has few values and changes before the other moves."""
+    """Return command and position if one of two columns has few values and changes before the other column moves."""
     columns = [sample.numbers[name] for name in names]
     if len(columns) != 2 or len(columns[0]) != len(columns[1]):
         return None
@@ -326,7 +332,7 @@ def _changed_first(sample: Sample, names: Sequence[str]) -> tuple[str, str] | No
     if len(units) == 1 and units != {""}:  # a set-point has the same unit as its position
         return None
     for at, other in ((0, 1), (1, 0)):
-        # a noisy reading returns to its value before the device moves
+        # A noisy reading returns to its value before the device moves.
         stays = (columns[at][begins[at] : begins[other] + 1] != columns[at][0]).all()
         if begins[at] < begins[other] and stays and values[at] <= values[other]:
             return names[at], names[other]

@@ -105,7 +105,7 @@ def test_columns_without_names_are_taken_by_position():
     frame = read("7\t1.5 \t-3\n8\t2.5\t-4\n", ("1", "3"), header=False, delimiter="blanks")
     assert values(frame) == {"1": [7, 8], "3": [-3, -4]}
     assert frame.row.tolist() == [1, 2]
-    with pytest.raises(LogError, match=r"wants column '3' for columns\.command once, found it 0 times") as error:
+    with pytest.raises(LogError, match=r"wants column '3' for columns\.command once, but it occurs 0 times") as error:
         read("7 1\n8 2\n", ("1", "3"), header=False, delimiter="blanks")
     assert error.value.row == 1
 
@@ -129,13 +129,13 @@ def test_a_cut_last_row_is_left_out_and_kept_verbatim(tail):
     text = PLAIN[: PLAIN.index("2,3e-3")] + tail
     frame = read(text)
     if tail == "2,3,8.":  # is legal: nobody can know, so it is said
-        assert frame.warnings == ("line 4 is the last one and has no line end: its last value may be cut",)
+        assert frame.warnings == ("the last line (4) has no line end: its last value may be incomplete",)
         assert len(frame) == 3
         return
     assert values(frame) == {key: column[:2] for key, column in EXPECTED.items()}
     assert frame.row.tolist() == [2, 3]
     assert frame.attributes == {"cut_last_row": tail.rstrip("\n")}
-    assert frame.warnings == (f"last row is cut: {tail.rstrip()!r} (line 4) was left out and is kept verbatim",)
+    assert frame.warnings == (f"the last row (line 4) is incomplete and was omitted: {tail.rstrip()!r}",)
 
 
 @pytest.mark.parametrize(("encoding", "cut"), [("utf-8", 1), ("utf-16", 1), ("utf-16", 3)])
@@ -176,14 +176,14 @@ def test_counters_of_64_bits_keep_their_integers():
             PLAIN.encode(),
             {"delimiter": ";"},
             1,
-            "among 1 columns: \\['t,x,F'\\]. Correct the delimiter \\(';'\\)",
+            "in 1 columns: \\['t,x,F'\\]. Correct the delimiter \\(';'\\)",
         ),
-        (b"t,x,F,F\n0,1,2,3\n", {}, 1, "'F' for columns.command once, found it 2 times"),
+        (b"t,x,F,F\n0,1,2,3\n", {}, 1, "'F' for columns.command once, but it occurs 2 times"),
         (b"t,x,F\n0,1,2\n1,2\n2,3,4\n", {}, 3, "expected 3 values, found 2"),
         (b"t,x,F\n0,1,2\n1,2,3,\n2,3,4\n", {}, 3, "found 4.*trailing_delimiter = true"),
         (b"t,x,F\n0,5,1,5,2,5\n0,5,1,5,2,5\n", {}, 2, 'found 6.*decimal = ","'),
         (b"t,x,F\n0,1,2\n\n1,2,3\n", {}, 3, 'blank line.*blank_lines = "skip"'),
-        ("t,x,F\n0,1,2\n1,2,µ\n2,3,4\n".encode("latin-1"), {}, 3, 'no UTF-8 text.*0xb5.*encoding = "latin-1"'),
+        ("t,x,F\n0,1,2\n1,2,µ\n2,3,4\n".encode("latin-1"), {}, 3, 'not UTF-8 text.*0xb5.*encoding = "latin-1"'),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_its_line(data, layout, row, words):

@@ -128,6 +128,6 @@ def test_a_draft_asks_and_a_preview_shows(empty, logs):
     )
     tried = {"sample": found["sample"], "profile": PROFILE}
     (sample,) = empty.ask("POST", "profiles/preview", document=tried).content
-    assert "fits none of files" in sample["reason"]
+    assert "matches none of files" in sample["reason"]
     assert sample["path"] == "a.txt"
     assert empty.ask("POST", "profiles/preview", document={"sample": "0" * 16, "profile": PROFILE}).status == 404

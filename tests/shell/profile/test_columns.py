@@ -80,9 +80,9 @@ def test_a_text_names_a_column_with_its_unit(text, names, expected):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("y:mm", "--position y:mm: no column 'y'.* The file has: t, Force, x"),
+        ("y:mm", "--position y:mm: no column 'y'.* Columns of the file: t, Force, x"),
         ("force:N", "no column 'force'. Nearest: Force"),
-        ("x:milimetre", "unit 'milimetre' is not known. Write a unit such as N, V, mm"),
+        ("x:milimetre", "unit 'milimetre' is unknown. Write a unit such as N, V, mm"),
     ],
 )
 def test_a_text_that_names_no_column_is_refused_with_those_that_there_are(text, message):
@@ -131,7 +131,7 @@ def test_a_saved_profile_reads_the_same_logs_as_known(call, logs, tmp_path):
     status, out, _ = call("ingest", "logs", "--profile", "lab.toml", "--rehash", "--json")
     assert (status, json.loads(out)["skipped"]) == (0, 4)
     status, _, err = call("ingest", "logs", *options)
-    assert (status, "lab.toml: exists" in err) == (2, True)
+    assert (status, "lab.toml: already exists" in err) == (2, True)
 
 
 def test_a_position_that_falls_under_force_is_turned_round_by_the_wall_law(call, tmp_path):
@@ -151,12 +151,12 @@ def test_a_position_that_falls_under_force_is_turned_round_by_the_wall_law(call,
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("K:N/mm", "K:N/m", r"obeys stiffness 1500, the options say 1.5 .*--stiffness 'K:N/mm'"),
+        ("K:N/mm", "K:N/m", r"follows stiffness 1500, the options state 1.5 .*--stiffness 'K:N/mm'"),
         ("s:mm", "s:m", r"--position 's:mm'"),
         ("s:mm", "+s:mm", None),
-        ("B:Ns/m", "B:Ns/mm", r"obeys damping 5"),
-        ("8 N", "4 N", r"obeys step 8, the options say 4"),
-        ("8 N", "-8 N", r"obeys step 8, the options say -8"),
+        ("B:Ns/m", "B:Ns/mm", r"follows damping 5"),
+        ("8 N", "4 N", r"follows step 8, the options state 4"),
+        ("8 N", "-8 N", r"follows step 8, the options state -8"),
         ('"F soll, u":N', '"F soll, u":mN', r"--command 'F soll, u:N'|--command '\"F soll, u\":N'"),
     ],
 )
@@ -178,12 +178,12 @@ def test_a_wrong_unit_or_step_is_stopped_with_the_option_to_correct(call, logs, 
         ({"--command": "u:N"}, 2, "no column 'u'"),
         ({"--command": '"F soll, u"'}, 2, "no unit is stated"),
         ({"--device": None}, 2, "--device is missing"),
-        ({"--damping": None}, 2, "--damping missing: a wall has --stiffness, --damping and --step"),
+        ({"--damping": None}, 2, "--damping missing: a wall needs --stiffness, --damping and --step"),
         ({"--stiffness": "S:N/mm"}, 2, "no column 'S'.*run K|no column 'S'"),
         ({"--gain": "2 N/V"}, 1, "--gain: the command is in N, which needs no gain"),
         ({"--command": '"F soll, u":V'}, 1, "--gain '<number> N/V'"),
         ({"--period": "1 mm"}, 1, "--period: unit 'mm' measures length; expected time"),
-        ({"--profile": "native"}, 2, "is given with --profile"),
+        ({"--profile": "native"}, 2, "cannot be combined with --profile"),
     ],
 )
 def test_options_that_do_not_fit_are_refused_in_their_own_words(call, logs, change, status, message, tmp_path):
@@ -201,7 +201,7 @@ def test_logs_of_several_periods_are_not_read_as_one(call, logs):
     (logs / "run K9_B9.csv").write_text("\n".join([*slow, ""]))
     status, _, err = call("ingest", "logs", *READ, "--command", '"F soll, u":N', "--step", "8 N")
     assert status == 2
-    assert "several sampling periods: 0.001 s in run K1.5_B5.csv, 0.002 s in run K9_B9.csv" in err
+    assert "different sampling periods: 0.001 s in run K1.5_B5.csv, 0.002 s in run K9_B9.csv" in err
 
 
 # other commands, and drives
@@ -231,7 +231,7 @@ def test_a_drive_is_labelled_wherever_its_numbers_are_shown(call, tmp_path):
     # the names are in N/mm: by the law they are no V/mm
     status, _, err = call("ingest", "logs", *options, "--command", '"F soll, u":V', "--step", "3.478 V")
     assert status == 1
-    assert "obeys stiffness 652.2, the options say 1500" in err
+    assert "follows stiffness 652.2, the options state 1500" in err
     walls = [(k * 2.3, b * 2.3) for k, b in WALLS]
     write_logs(tmp_path / "volts", force=1 / 2.3, walls=walls)
     for name in sorted((tmp_path / "volts").iterdir()):

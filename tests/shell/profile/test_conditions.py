@@ -38,7 +38,7 @@ def test_a_long_table_is_parted_where_its_time_begins_again(call, tmp_path):
     (tmp_path / "bench").mkdir()
     long_table(tmp_path / "bench" / "all.csv")
     text = draft_profile(tmp_path / "bench" / "all.csv")
-    assert 'trial_column = "run" # time begins again where it changes: 5 trials' in text
+    assert 'trial_column = "run" # time restarts where the column changes: 5 trials' in text
     assert find_questions(text) == []
     status, _, err = call("start", "bench", "--yes", "--store-only")
     assert status == 0, err
@@ -64,7 +64,7 @@ def test_walls_of_groups_are_their_attributes_and_never_the_first_ones(call, tmp
             for name, values in zip(("t [s]", "F [N]", "x [mm]"), rows_of(wall).T, strict=True):
                 group[name] = values
     text = draft_profile(tmp_path / "bench" / "a.h5")
-    assert re.search(r'\[attributes\]\nstiffness = "gain" # its numbers are what 5 commands obey', text)
+    assert re.search(r'\[attributes\]\nstiffness = "gain" # its numbers agree with 5 commands', text)
     assert "[constants]\ndevice" in text
     assert not re.search(r"^(stiffness|damping|step) = [\d.]", text, re.MULTILINE)
     status, _, err = call("start", "bench", "--yes", "--store-only")

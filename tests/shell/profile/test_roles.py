@@ -35,8 +35,8 @@ def test_trials_as_lists_of_rows_ask_the_unit_of_the_command_alone(tmp_path):
     path.write_text(json.dumps(both_ways(units="Rotations")))
     text = draft_profile(path)
     assert asked(text) == ["columns.command.unit"]
-    assert 'name = "[1]" # constant in each trial of the file, and another in the next' in text
-    assert "unit = \"Rotations\" # 'units' of the file is 'Rotations'" in text
+    assert 'name = "[1]" # constant in each trial of the file, and different between trials' in text
+    assert "unit = \"Rotations\" # 'units' in the file is 'Rotations'" in text
     text = re.sub(r'# QUESTION.*\n# unit = "N"', 'unit = "V"', text)
     (tmp_path / "lab.toml").write_text(text)
     (sample,) = check_samples(read_profile(tmp_path / "lab.toml"), [path])
@@ -89,7 +89,7 @@ def test_names_and_units_in_remarks_are_those_of_the_columns(tmp_path):
     (tmp_path / "run1.csv").write_text("\n".join([*head, *rows, ""]))
     text = draft_profile(tmp_path / "run1.csv")
     assert asked(text) == []  # 10 ms: the velocity shows it
-    assert "the file says 'voltage [V]'" in text
+    assert "the file states 'voltage [V]'" in text
     (tmp_path / "lab.toml").write_text(text)
     (sample,) = check_samples(read_profile(tmp_path / "lab.toml"), [tmp_path / "run1.csv"])
     columns = {column["column"]: column for column in sample["trials"][0]["columns"]}
