@@ -1,1 +1,1 @@
-"""Where measured and theoretical branch meet: scenes, scores, tables, figures, summary."""
+"""Comparison of measurements with theory: scenes, scores, tables, figures and summaries."""

@@ -1,4 +1,4 @@
-"""Comparison of two results (experiments, devices or versions) as a join of their documents."""
+"""Comparison of two results (of experiments, devices or versions) by their documents."""
 
 from __future__ import annotations
 
@@ -45,26 +45,25 @@ from pipeline.rendering.report.report_against import AgainstPage, sentences_of
 from pipeline.theory.predictions import Theory
 
 FEWEST_POINTS = 6
-"""Smallest number of points for a 95 % rank interval of a median: with five, the range from smallest to largest covers
-94 %."""
+"""Smallest number of points for a 95 % rank interval of a median. With five, the range of all values covers 94 %."""
 
 Document = Mapping[str, Any]
 """An experiment in the format of `compare --json`."""
 
 Trials = Mapping[str, tuple[Floats, Floats, Floats]]
-"""Stiffness, damping and cost of the trials by criterion; NaN where a trial has no cost."""
+"""Stiffness, damping and cost of the trials, by criterion. The cost is NaN if a trial has none."""
 
 Scale = tuple[float, float]
-"""Units of stiffness m/T^2 and damping m/T that normalise walls to alpha and beta."""
+"""Units of stiffness m/T^2 and damping m/T, by which walls are divided to obtain alpha and beta."""
 
 AREA = "boundary_area"
-"""Estimate that is an area over dampings; it is compared only over the dampings that both sides cover."""
+"""Estimate that is an area over dampings. It is compared only over the dampings that both sides cover."""
 
 SAME_DAMPING = 1e-9
 """Relative difference of dampings that counts as rounding."""
 
 _SCORES = {"region": ("overlap", "covered", "area_ratio"), "distance": ("median",), "verdicts": ("agreement",)}
-"""Scores that are compared."""
+"""Names of the scores that are compared."""
 
 
 def compare_pair(
@@ -74,18 +73,18 @@ def compare_pair(
     scales: tuple[Scale, Scale] | None = None,
     trials: tuple[Trials, Trials] | None = None,
 ) -> PairDifference:
-    """Return the differences between two experiments, second minus first.
+    """Return the differences between two experiments, as second minus first.
 
     Parameters
     ----------
     sides : (Side, Side)
     documents : (mapping, mapping)
-        Documents of the experiments; documents of other versions may lack new keys.
+        Documents of the experiments. Documents of other versions may lack new keys.
     motion : Motion
     scales : ((K, B), (K, B)), optional
-        If given, walls are compared in the plane of alpha and beta (Table 3.1), which is required for two devices.
+        If given, walls are compared in the plane of alpha and beta (Table 3.1). Two devices require it.
     trials : (Trials, Trials), optional
-        Costs of the single trials, if more than finished documents is available.
+        Costs of the single trials. They are unavailable if only finished documents are compared.
     """
     units = UNITS[motion]
     wall = ("1", "1") if scales else (units.stiffness, units.damping)
@@ -117,7 +116,7 @@ def compare_pair(
 def _area_difference(
     sides: tuple[Sequence[BoundaryPoint], Sequence[BoundaryPoint]], scales: tuple[Scale, Scale], unit: str | None
 ) -> Callable[[ValueDifference], ValueDifference]:
-    """Return a function that recomputes a difference of areas over only the dampings that both boundaries cover."""
+    """Return a function that recomputes a difference of areas over the dampings that both boundaries cover."""
     scaled = [[_scaled(point, scale) for point in points] for points, scale in zip(sides, scales, strict=True)]
     first, last = ([end(point.damping for point in points) for points in scaled if points] for end in (min, max))
     low, high = (max(first), min(last)) if len(first) == 2 else (0.0, 0.0)
@@ -146,7 +145,7 @@ def _scaled(point: BoundaryPoint, scale: Scale) -> BoundaryPoint:
 
 
 def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[BoundaryPoint]:
-    """Return the part of a boundary between two dampings, linearly interpolated; its end points are added."""
+    """Return the part of a boundary between two dampings. Its end points are interpolated linearly."""
     ordered = sorted(points, key=lambda point: point.damping)
     damping = [point.damping for point in ordered]
     ends = [_at(ordered, B) for B in (low, high) if not np.isclose(damping, B, rtol=SAME_DAMPING, atol=0.0).any()]
@@ -156,7 +155,7 @@ def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[B
 
 
 def _at(ordered: Sequence[BoundaryPoint], damping: float) -> BoundaryPoint:
-    """Return a boundary interpolated between two of its points; a value that one of them lacks is unknown there."""
+    """Return a boundary interpolated between two of its points. A value that one of them lacks is unknown."""
     place = int(np.searchsorted([point.damping for point in ordered], damping))
     before, behind = ordered[place - 1], ordered[place]
     share = (damping - before.damping) / (behind.damping - before.damping)
@@ -178,12 +177,12 @@ def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterato
         for called, found in ((name, e), ("delay_by_model", model)):
             if found is not None:
                 row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
-                if called == "delay_samples":  # range of the trials, not error of the mean
+                if called == "delay_samples":  # the interval is the range of the trials, not the error of the mean
                     row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
                 yield {"part": "estimates", "name": called, **row}
     for criterion, best in of["optimum"].items():
         for name, unit, by in zip(("stiffness", "damping"), wall, scale or (1.0, 1.0), strict=True):
-            row = {"unit": unit, "value": best[name] / by, "reason": "the place of an optimum has no interval"}
+            row = {"unit": unit, "value": best[name] / by, "reason": "the location of an optimum has no interval"}
             yield {"part": "optima", "name": f"{criterion}/{name}", **row}
         row = {"unit": "", "value": best["cost"], "low": best.get("cost_low"), "high": best.get("cost_high")}
         yield {"part": "optima", "name": f"{criterion}/cost", **row}
@@ -197,7 +196,7 @@ def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterato
 
 
 def compare_values(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> list[ValueDifference]:
-    """Return the differences of all values that both have, with a 95 % interval if both values have one."""
+    """Return the differences of all values that both documents have, with a 95 % interval if both values have one."""
     others = {(row["part"], row["name"]): row for row in second}
     return [_difference(row, others[key]) for row in first if (key := (row["part"], row["name"])) in others]
 
@@ -221,8 +220,8 @@ def _difference(a: Mapping[str, Any], b: Mapping[str, Any]) -> ValueDifference:
 def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
     """Return the 95 % interval of b - a for two independent values (value, lower and upper end of their intervals).
 
-    The half widths are added in quadrature: the upper one of b with the lower one of a, and vice versa, since an
-    interval may be asymmetric.
+    The half widths are added in quadrature. Because an interval may be asymmetric, the upper half width of b is
+    combined with the lower one of a, and vice versa.
     """
     (x, x_low, x_high), (y, y_low, y_high) = a, b
     return y - x - hypot(y - y_low, x_high - x), y - x + hypot(y_high - y, x - x_low)
@@ -231,20 +230,21 @@ def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, 
 def compare_boundaries(
     first: Sequence[BoundaryPoint], second: Sequence[BoundaryPoint], first_scale: Scale, second_scale: Scale
 ) -> tuple[BoundaryDifference | None, str | None]:
-    """Return the difference of two boundaries at the dampings of the first that both cover, or the reason for none.
+    """Return the difference of two boundaries, or the reason why there is none.
 
-    A limit comes from the growth rates if they determine one, else from the middle between stable and unstable trials.
-    Censored points, which are lower bounds, are left out. The second boundary is interpolated linearly.
+    It is computed at those dampings of the first boundary that both cover. A limit comes from the growth rates if they
+    determine one, otherwise from the middle between stable and unstable trials. Censored points, which are lower
+    bounds, are left out. The second boundary is interpolated linearly.
     """
     a, b = (_limits(points, scale) for points, scale in ((first, first_scale), (second, second_scale)))
     for which, side, limits in (("first", first, a), ("second", second, b)):
         if not len(limits):
-            return None, f"the {which} one has no limits: {_without_limits(side)}"
+            return None, f"the {which} boundary has no limits: {_without_limits(side)}"
     if len(b) < 2:
-        return None, "the second one has a limit at a single damping, and two are needed to compare between them"
+        return None, "the second boundary has a limit at one damping only, but interpolation needs two"
     a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0]) & (a[:, 1] > 0)]
     if not len(a):
-        return None, "they cover no common damping"
+        return None, "the boundaries cover no common damping"
     x, x_low, x_high = a[:, 1:].T
     y, y_low, y_high = (np.interp(a[:, 0], b[:, 0], b[:, k]) for k in (1, 2, 3))
     percent = 100 * (y - x) / x
@@ -269,18 +269,18 @@ def compare_boundaries(
 
 
 def _without_limits(points: Sequence[BoundaryPoint]) -> str:
-    """Return why a boundary has no limits."""
+    """Return the reason why a boundary has no limits."""
     if not points:
         return "no wall was tried (K > 0)"
     if all(point.stable is None and point.unstable is None for point in points):
-        return "no trial is decided"
+        return "all trials are undecided"
     if all(point.unstable is None for point in points):
-        return "its tested ranges ended before a trial was unstable"
-    return "at no damping is one trial surely stable and another one unstable"
+        return "no trial was unstable up to the end of the tested ranges"
+    return "no damping has both a surely stable and a surely unstable trial"
 
 
 def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
-    """Return damping, limit and both ends of its interval (NaN without), by damping; shape (n, 4)."""
+    """Return damping, limit and both ends of its interval (NaN without one), sorted by damping; shape (n, 4)."""
     rows = []
     for p in points:
         if p.estimate is not None and p.low is not None and p.high is not None:
@@ -292,10 +292,10 @@ def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
 
 
 def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:
-    """Return for each criterion the median of the costs of the second over those of the first at equal (K, B).
+    """Return, for each criterion, the median ratio of second to first costs at equal (K, B).
 
-    Several trials at one (K, B) count by their median. The interval of the median is a rank interval (binomial), which
-    is free of assumptions about the distribution of the ratios.
+    Several trials at one (K, B) are represented by their median. The interval of the median is a rank interval
+    (binomial), which makes no assumption about the distribution of the ratios.
     """
     return tuple(_cost_difference(c, first[c], second[c]) for c in first if c in second)
 
@@ -316,11 +316,14 @@ def _cost_difference(
     kind = "difference" if differs else "ratio"
     about: dict[str, Any] = {"criterion": criterion, "kind": kind, "points": len(values)}
     if not len(values):
-        return CostDifference(**about, reason="no trial of both has this cost at the same stiffness and damping")
+        return CostDifference(
+            **about, reason="the experiments have no trials with this cost at equal stiffness and damping"
+        )
     about["median"] = float(np.median(values))
     if len(values) < FEWEST_POINTS:
-        return CostDifference(**about, reason=f"fewer than {FEWEST_POINTS} points allow no interval")
-    # ranks of the interval's ends by the normal approximation of the binomial distribution, rounded outwards
+        return CostDifference(**about, reason=f"an interval needs at least {FEWEST_POINTS} points")
+    # The ranks of the interval's ends follow from the normal approximation of the binomial distribution, rounded
+    # outwards.
     half = NORMAL_95 * np.sqrt(len(values)) / 2
     low = float(values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)])
     high = float(values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)])
@@ -341,24 +344,26 @@ def against_experiments(
     processed : Path
     first, second : (device, experiment)
     criteria : sequence of str, optional
-        By default all.
+        Names of the criteria. The default is all.
     notes : (sequence of Note, sequence of Note)
-        Notes of users on each side, which the page repeats.
+        Notes of users on each side. The page repeats them.
 
     Raises
     ------
     UsageError
-        If both are the same, or a mass is missing for the plane of alpha and beta.
+        If both experiments are the same, or the plane of alpha and beta lacks a mass.
     DeviceError
-        If one is not stored.
+        If an experiment is not stored.
     """
     if first == second:
-        raise UsageError(f"device {first[0]!r}, experiment {first[1]!r}: compared against itself. Give another one.")
+        raise UsageError(
+            f"device {first[0]!r}, experiment {first[1]!r}: cannot be compared with itself. Give another experiment."
+        )
     found = []
-    for number, ((device, experiment), said) in enumerate(zip((first, second), notes, strict=True)):
+    for number, ((device, experiment), remarks) in enumerate(zip((first, second), notes, strict=True)):
         what = f"device {device}, experiment {experiment}: estimates and costs"
         with part_of_work(what, number / 2, (number + 1) / 2):
-            found.append(_gathered(open_scene(device, processed, [experiment], criteria), said))
+            found.append(_gathered(open_scene(device, processed, [experiment], criteria), remarks))
     one, other = found
     labels, results, motion = (one.side.label, other.side.label), (one.result, other.result), one.data.motion
     scales = None if first[0] == second[0] else (one.scale, other.scale)
@@ -376,7 +381,7 @@ def against_experiments(
 
 
 def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
-    """Compare a result with the document of an earlier one of its device, for example by another code version."""
+    """Compare a result with the document of an earlier result of its device, for example by another code version."""
     now = new.model_dump(mode="json")
     before, after = ({e["experiment"]: e for e in of["experiments"]} for of in (old, now))
     common = [name for name in before if name in after]
@@ -415,19 +420,18 @@ def read_document(path: Path, device: str) -> Document:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document of a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"{path}: is no result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the JSON "
-            "document of a report."
+            f"{path}: is not a result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the "
+            "JSON document of a report."
         ) from error
     if found["device"] != device:
-        raise UsageError(f"{path}: is of device {found['device']!r}; expected one of {device!r}.")
+        raise UsageError(f"{path}: belongs to device {found['device']!r}; expected device {device!r}.")
     return dict(found)
 
 
 def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, str]:
-    """Return the device and experiment that ``--against`` names: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
+    """Return the device and experiment that ``--against`` names, as ``EXPERIMENT`` or ``DEVICE:EXPERIMENT``.
 
-    ``experiments``, the stored ones of the first device, may have a colon in their names.
-    """
+    ``experiments`` are the stored experiments of the first device. Their names may contain a colon."""
     if words in experiments or ":" not in words:
         return device, words
     other, _, experiment = words.partition(":")
@@ -436,7 +440,7 @@ def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, 
 
 @dataclass(frozen=True)
 class _Gathered:
-    """One stored experiment: its name, scene, result and theory."""
+    """A stored experiment with its name, scene, result and theory."""
 
     side: Side
     data: StoredData
@@ -445,7 +449,7 @@ class _Gathered:
 
     @property
     def trials(self) -> Trials:
-        """Costs of its trials."""
+        """Costs of its trials, by criterion."""
         stages = self.data.experiments[0]
         K, B, _ = trials_of(stages)
         return {criterion: (K, B, stages.cost(criterion)[0]) for criterion in self.data.scene.criteria}
@@ -454,8 +458,8 @@ class _Gathered:
     def scale(self) -> Scale:
         """Stiffness and damping that correspond to alpha = 1 and beta = 1.
 
-        They need only mass and sampling period, from the device file or else estimated, even if the loop has no theory
-        (as with friction).
+        They only need mass and sampling period, from the device file or otherwise from the estimate. The loop need not
+        have a theory (for example, because of friction).
         """
         if self.theory is not None:
             return self.theory.units.stiffness, self.theory.units.damping
@@ -463,11 +467,11 @@ class _Gathered:
         fitted = stages.once(identified_loop)
         mass = fitted.estimate("mass", "kg").value if fitted is not None else None
         if mass is None or not mass > 0:
-            why = self.result.estimates["mass"].reason or "its logs leave the mass open"
+            why = self.result.estimates["mass"].reason or "the mass is not identifiable from its logs"
             raise UsageError(
                 f"device {self.side.device!r}, experiment {self.side.experiment!r}: two devices are compared in the "
                 "plane of alpha and beta, which needs a mass. There is no device file with this experiment, and the "
-                f"logs give no estimate: {why.rstrip('.')}."
+                f"mass cannot be estimated: {why.rstrip('.')}."
             )
         units = LoopUnits(mass, stages.sampling_period_s)
         return units.stiffness, units.damping
@@ -519,6 +523,6 @@ def _overlay(
         panel = replace(panel, words=f"Stability limits in the normalised plane: {listed(labels)}.")
     title, caption = (
         f"Boundaries of {labels[0]} and {labels[1]}",
-        "Measured limit at each damping with its 95 % interval; open marks: at least.",
+        "Measured limit at each damping with its 95 % interval. Open marks are lower bounds.",
     )
     return limits_figure(title, caption, [panel], f"boundaries-against{suffix}")

@@ -1,4 +1,4 @@
-"""Measured against theoretical: the one place where both branches meet."""
+"""Comparison of measurements with theory: plan it, run it, and write its report."""
 
 from __future__ import annotations
 
@@ -53,28 +53,30 @@ REPORT_BEGINS = 0.9
 """Usual share of the run time of a comparison after which its report is written."""
 
 STAGES_END, THEORY_BEGINS = 0.6, 0.95
-"""Usual shares of the time before that: when the stages of several experiments are complete, and when only theory is
-awaited."""
+"""Usual shares of the time before the report, for the progress display.
+
+The first is reached when the stages of several experiments are complete, the second when only theory remains.
+"""
 
 
 @dataclass(frozen=True)
 class ComparisonSelection:
-    """What is compared.
+    """Selection of the data that are compared.
 
     Parameters
     ----------
     device : str or Device
-        Name as in the logs, possibly of an unknown device; or a device as its device file describes it.
+        Device name as in the logs, which need not be a known one, or a device as described by its device file.
     processed : Path
         Folder that `ingest` filled.
     experiments, criteria : sequence of str, optional
-        Experiments and criteria to compare; by default all stored ones, and all of `models.CRITERIA`.
+        Experiments and criteria to compare. By default, all stored experiments and all of `models.CRITERIA`.
     shown : Shown
-        Figures, tables and overlays; by default all for which data are available. Only what they need is computed.
+        Figures, tables and overlays. By default, all with available data. Only what they need is computed.
     truth : mapping of experiment to Truth
-        Ground truth of simulated experiments whose ``truth.json`` is missing.
+        Ground truth of simulated experiments that lack a ``truth.json``.
     notes : sequence of Note
-        Notes of users on experiments and trials, which document and report repeat.
+        Notes of users on experiments and trials. Document and report repeat them.
     """
 
     device: str | Device
@@ -88,18 +90,18 @@ class ComparisonSelection:
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Where a report is written, and how it looks.
+    """Location and appearance of a report.
 
     Parameters
     ----------
     path : Path
-        HTML file; the document is written next to it (same name, ``.json``).
+        HTML file. The document is written next to it with the extension ``.json``.
     full : bool
         Whether the report includes the response of every trial, even if it becomes large.
     scene_file : Path, optional
-        File from which the content was read; the report names it in the command that repeats the comparison.
+        File from which the content was read. The report names it in the command that repeats the comparison.
     figures : Path, optional
-        Folder for the report's figures as SVG, PDF and CSV; written again even if the report is unchanged.
+        Folder for the report's figures as SVG, PDF and CSV. They are written even if the report is unchanged.
     """
 
     path: Path
@@ -115,7 +117,7 @@ class ReportOptions:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonPlan:
-    """What a comparison will compute, and why.
+    """Planned computations of a comparison, with reasons.
 
     Parameters
     ----------
@@ -127,9 +129,9 @@ class ComparisonPlan:
     key : str
         Hash of all inputs of the report.
     unchanged : ComparisonResult or None
-        Document of the existing report, if neither this report nor its figures need to be written again.
+        Document of the existing report, if neither the report nor its figures must be written again. Otherwise None.
     theories : mapping of experiment to Theory
-        Theory by the device file.
+        Theory based on the device file.
     predictions : Predictions
     accuracy : AccuracyReport or None
     """
@@ -147,7 +149,10 @@ class ComparisonPlan:
 
 @dataclass(frozen=True, eq=False)
 class FinishedComparison:
-    """Document of a comparison; unless it is unchanged, also theories by experiment and theory's costs over delay."""
+    """Document of a comparison.
+
+    Unless it is unchanged, also the theory of each experiment, and theory costs over delay.
+    """
 
     plan: ComparisonPlan
     document: ComparisonResult
@@ -156,18 +161,18 @@ class FinishedComparison:
 
 
 def plan_comparison(selection: ComparisonSelection, report: ReportOptions | None = None) -> ComparisonPlan:
-    """Return what a comparison will compute; nothing is computed or written.
+    """Return what a comparison will compute. Nothing is computed or written.
 
     Parameters
     ----------
     selection : ComparisonSelection
     report : ReportOptions, optional
-        Without it only the stages below ``processed`` are written.
+        Options of the report. Without them, only the stages below ``processed`` are written.
 
     Raises
     ------
     DeviceError, UsageError, StoreError
-        If the request does not match the stored data; see `scene.open_scene`.
+        If the request does not match the stored data. See `scene.open_scene`.
     """
     processed, shown = selection.processed, selection.shown
     data = open_scene(selection.device, processed, selection.experiments, selection.criteria, shown)
@@ -185,21 +190,21 @@ def plan_comparison(selection: ComparisonSelection, report: ReportOptions | None
     theories = nominal_theories(data)
     plan += _plan_theory(data, theories, predictions)
     if report is None:
-        plan.append(PlannedStage("report", LEAVE_OUT, "no report file is asked for"))
+        plan.append(PlannedStage("report", LEAVE_OUT, "no report is requested"))
     else:
         plan += plan_parts(data)
-        plan.append(PlannedStage("report", RUN, "there is none, or something that it shows changed"))
+        plan.append(PlannedStage("report", RUN, "there is no report, or its content has changed"))
     return ComparisonPlan(selection, report, data, tuple(plan), key, None, theories, predictions, accuracy)
 
 
 def run(plan: ComparisonPlan, executor: Executor = compute_stages) -> FinishedComparison:
-    """Compute a planned comparison of stored experiments with theory; its stages are stored.
+    """Compute a planned comparison of stored experiments with theory. Its stages are stored.
 
     Parameters
     ----------
     plan : ComparisonPlan
     executor : Executor
-        Computes the stages; by default, processes on this machine do.
+        Function that computes the stages. By default, processes on this machine compute them.
     """
     if plan.unchanged is not None:
         return FinishedComparison(plan, plan.unchanged)
@@ -262,15 +267,15 @@ def write_report(finished: FinishedComparison) -> None:
 
 
 def _figures(finished: FinishedComparison) -> Iterator[Figure]:
-    """Yield the requested figures of the scene for which data are available."""
+    """Yield the requested figures of the scene, if their data are available."""
     data, result, theories = finished.plan.data, finished.document, finished.theories
-    shown, motion, told = data.scene.shown, result.motion, result.told
-    if told is not None and told.boundary and shown.has_figure("boundaries"):
-        number = data.scene.experiments.index(told.experiment)
-        theory = theories.get(told.experiment) if shown.has_overlay("theory") else None
-        others = [each for each in result.experiments if each is not told]
-        yield answer_figure(told, theory, motion, number, trials_of(data.experiments[number]), others)
-    if told is not None and shown.has_figure("response") and (wall := _recommended(finished, told)) is not None:
+    shown, motion, headline = data.scene.shown, result.motion, result.told
+    if headline is not None and headline.boundary and shown.has_figure("boundaries"):
+        number = data.scene.experiments.index(headline.experiment)
+        theory = theories.get(headline.experiment) if shown.has_overlay("theory") else None
+        others = [each for each in result.experiments if each is not headline]
+        yield answer_figure(headline, theory, motion, number, trials_of(data.experiments[number]), others)
+    if headline is not None and shown.has_figure("response") and (wall := _recommended(finished, headline)) is not None:
         yield wall
     known = data.device.published_as if data.device is not None else ""
     printed = published_bound(known or data.scene.device) if shown.has_overlay("linear") else None
@@ -290,10 +295,10 @@ def _figures(finished: FinishedComparison) -> Iterator[Figure]:
         yield from departure_figures(data, theories, finished.plan.predictions)
 
 
-def _recommended(finished: FinishedComparison, told: ExperimentNumbers) -> Figure | None:
-    """Return the figure of the recommended wall; None without such a wall or without a theoretical optimum."""
-    data, theory = finished.plan.data, finished.theories.get(told.experiment)
-    if told.use is None or theory is None:
+def _recommended(finished: FinishedComparison, headline: ExperimentNumbers) -> Figure | None:
+    """Return the figure of the recommended wall, or None if this wall or the theoretical optimum is missing."""
+    data, theory = finished.plan.data, finished.theories.get(headline.experiment)
+    if headline.use is None or theory is None:
         return None
     rows = (
         row
@@ -301,14 +306,14 @@ def _recommended(finished: FinishedComparison, told: ExperimentNumbers) -> Figur
         if row.criterion == "settle_2pct" and row.condition == "theory_discrete" and row.cost is not None
     )
     best = next((row for row in rows if row.delay_samples == theory.loop.delay_samples), None)
-    stages = data.experiments[data.scene.experiments.index(told.experiment)]
-    return None if best is None else wall_figure(stages, told, theory, best)
+    stages = data.experiments[data.scene.experiments.index(headline.experiment)]
+    return None if best is None else wall_figure(stages, headline, theory, best)
 
 
 def _document(
     plan: ComparisonPlan, numbers: Sequence[ExperimentNumbers], rows: tuple[ComparisonRow, ...], lost: Sequence[str]
 ) -> ComparisonResult:
-    """Return the document; ``lost`` are damaged parts of the store."""
+    """Return the document. ``lost`` are damaged parts of the store."""
     data, report, store = plan.data, plan.report, origin(plan.selection.processed)
     both = zip(data.experiments, numbers, strict=True)
     answers = [answer(data, stages, each, rows) for stages, each in both]
@@ -324,7 +329,7 @@ def _document(
         criteria=data.scene.criteria,
         measuring=data.scene.shown.measuring,
         experiments=tuple(
-            ExperimentResult(**dict(each), answer=told) for each, told in zip(numbers, answers, strict=True)
+            ExperimentResult(**dict(each), answer=answer) for each, answer in zip(numbers, answers, strict=True)
         ),
         tables=rows,
         answer=answers[most],
@@ -340,14 +345,14 @@ def _document(
 
 def _plan_theory(data: StoredData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
     if data.device is None and not data.overlay:
-        return [PlannedStage("theory", LEAVE_OUT, "the device is not known, and no estimate of it is asked for")]
+        return [PlannedStage("theory", LEAVE_OUT, "the device is unknown, and no estimate of it is requested")]
     if data.device is None:
-        return [PlannedStage("theory", RUN, "the device is not known: its parameters are estimated first")]
+        return [PlannedStage("theory", RUN, "the device is unknown; its parameters are estimated first")]
     wanted = TableBuilder(data, theories).requests()
     missing = predictions.missing(wanted)
-    plan = [PlannedStage("theory: boundaries and maps", RUN, "closed form, drawn again with every report")]
+    plan = [PlannedStage("theory: boundaries and maps", RUN, "closed-form results are computed for every report")]
     if not wanted:
-        plan.append(PlannedStage("theory: optima", LEAVE_OUT, "no table asks for one"))
+        plan.append(PlannedStage("theory: optima", LEAVE_OUT, "no table needs them"))
     elif missing:
         plan.append(PlannedStage("theory: optima", RUN, f"{len(missing)} of {len(set(wanted))} are not stored"))
     else:
@@ -358,7 +363,7 @@ def _plan_theory(data: StoredData, theories: dict[str, Theory], predictions: Pre
 
 
 def report_code() -> str:
-    """Return a hash of the code that makes a report and of the files that it loads."""
+    """Return a hash of the code that makes a report, and of the files that this code loads."""
     return digest([code_digest("report"), *(sha256(file.read_bytes()) for file in published_files())])
 
 
@@ -375,11 +380,12 @@ def _report_key(data: StoredData, report: ReportOptions | None, accuracy: str, n
 
 
 def _stored_result(report: ReportOptions | None, key: str) -> ComparisonResult | None:
-    """Return the result of an earlier run if report and result exist, have the same key, and no figures are needed."""
+    """Return the result of an earlier run if it and its report exist with the same key, and no figures are
+    requested."""
     if report is None or report.figures is not None or not report.path.is_file():
         return None
     try:
         result = ComparisonResult.model_validate_json(report.path.with_suffix(".json").read_bytes())
     except (FileNotFoundError, ValidationError):
-        return None  # missing, or in another format: it is written again
+        return None  # the file is missing or has another format, so it is written again
     return result if result.provenance.get("key") == key else None

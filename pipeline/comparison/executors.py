@@ -1,6 +1,6 @@
-"""Executors for the independent stages of experiments: processes on this machine, or a Dask cluster.
+"""Executors for independent stages of experiments, which run in processes on this machine or on a Dask cluster.
 
-The package for the latter is the extra ``cluster``; it is imported when a cluster is first used.
+A cluster needs the extra ``cluster``, which is imported when a cluster is first used.
 """
 
 from __future__ import annotations
@@ -24,57 +24,56 @@ if TYPE_CHECKING:
 LOCAL, SCHEME = "local", "dask://"
 
 CONNECT_S = 10.0
-"""Time limit for connecting to a scheduler [s]; a restarted scheduler has lost its jobs anyway."""
+"""Time limit for connecting to a scheduler [s]. A restarted scheduler has lost its jobs in any case."""
 
 NO_WORKER_S = 30.0
-"""Time that a run waits without any worker [s]: a nanny restarts a killed worker within seconds."""
+"""Time for which a run without workers waits [s]. A nanny restarts a killed worker within seconds."""
 
 _LOOK_S = 1.0
 """Interval at which the number of workers is checked [s]."""
 
 
 Executor = Callable[[Collection[ExperimentStages], Collection[str]], None]
-"""Function that computes and stores stages of experiments, if that saves time; each experiment has all of its
-trials."""
+"""Function that computes and stores missing stages of experiments. Each experiment has all of its trials."""
 
 
 class ClusterError(PipelineError):
-    """A cluster completed only part of the requested work; the completed part is stored."""
+    """A cluster completed only part of the requested work. The completed part is stored."""
 
 
 def executor_of(text: str) -> Executor:
-    """Return the executor that a command names.
+    """Return the executor with the given name.
 
     Raises
     ------
     UsageError
-        If the text names no executor, or its package is not installed.
+        If there is no such executor, or its package is not installed.
     """
     if text == LOCAL:
         return compute_stages
     host, colon, port = text.removeprefix(SCHEME).rpartition(":")
     if not text.startswith(SCHEME) or not (host and colon and port.isdecimal()):
-        raise UsageError(f"executor {text!r} is not known; expected {LOCAL}, or {SCHEME}HOST:PORT of a Dask scheduler.")
+        raise UsageError(f"executor {text!r} is unknown; expected {LOCAL}, or {SCHEME}HOST:PORT of a Dask scheduler.")
     check_installed("distributed", f"executor {text}")
     return partial(compute_on_cluster, f"tcp://{host}:{port}")
 
 
 def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
-    """Compute missing stages with the workers of a Dask scheduler; each worker computes whole experiments.
+    """Compute missing stages with the workers of a Dask scheduler. Each worker computes complete experiments.
 
     Parameters
     ----------
     address : str
-        ``tcp://host:port`` of the scheduler.
+        Address ``tcp://host:port`` of the scheduler.
     experiments, needed : collection
         As for `compute_stages`.
 
     Raises
     ------
     ClusterError
-        If scheduler or workers are lost; finished stages are stored, and the message says what to do.
+        If the scheduler or all workers are lost. Finished stages are stored, and the message gives the remedy.
     StoreError
-        If a worker cannot read the store, or runs other code.
+        If a worker cannot read the store, or runs another version of the code.
     """
     waiting = unstored(experiments, needed)
     if not waiting:
@@ -83,7 +82,7 @@ def compute_on_cluster(address: str, experiments: Collection[ExperimentStages], 
 
     done: list[str] = []
     with (
-        _told(address, done, len(waiting)),
+        _reported(address, done, len(waiting)),
         Client(address, timeout=CONNECT_S, set_as_default=False) as client,  # type: ignore[no-untyped-call]
     ):
         jobs = {client.submit(do, job_of(e, needed), stored_suffices=True, pure=False): e for e in waiting}
@@ -102,7 +101,7 @@ def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> I
     """
     ended: SimpleQueue[Future[Any]] = SimpleQueue()
     for job in jobs:
-        job.add_done_callback(ended.put)  # type: ignore[no-untyped-call]  # the package leaves out its types
+        job.add_done_callback(ended.put)  # type: ignore[no-untyped-call]  # the package has no type annotations here
     left, seen = len(jobs), time.monotonic()
     while left:
         try:
@@ -112,12 +111,14 @@ def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> I
             if client.scheduler_info()["workers"]:
                 seen = time.monotonic()
             elif time.monotonic() - seen > NO_WORKER_S:
-                raise ClusterError(f"it has no worker since {NO_WORKER_S:g} s; start some with `dask worker`") from None
+                raise ClusterError(
+                    f"it has had no worker for {NO_WORKER_S:g} s; start workers with `dask worker`"
+                ) from None
 
 
 @contextmanager
-def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
-    """Convert errors of the cluster into a `ClusterError` that states what is done and what to repeat."""
+def _reported(address: str, done: Sized, waiting: int) -> Iterator[None]:
+    """Convert errors of the cluster to a `ClusterError`, which states what is done and what to repeat."""
     try:
         yield
     except Exception as error:
@@ -126,12 +127,12 @@ def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
             raise
         raise ClusterError(
             f"Dask at {address}: {reason}. {len(done)} of {waiting} experiments are done and stored. Repeat the "
-            "command when the cluster runs again: it does the rest. Without a cluster: --executor local."
+            "command when the cluster runs again; it computes the remaining ones. Without a cluster: --executor local."
         ) from error
 
 
 def _reason(error: Exception) -> str | None:
-    """Return the cause of a cluster error in words, None for any other error."""
+    """Return the description of a cluster error, or None for any other error."""
     from distributed import KilledWorker
 
     if isinstance(error, ClusterError):
@@ -142,5 +143,5 @@ def _reason(error: Exception) -> str | None:
         return "the scheduler or a worker lacks haptic-pipeline; install the same version for all of them"
     if isinstance(error, (CancelledError, OSError)) and not isinstance(error, PermissionError):
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        return f"its scheduler is gone or not to be reached ({first})"
+        return f"its scheduler cannot be reached ({first})"
     return None

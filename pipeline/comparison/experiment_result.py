@@ -1,4 +1,4 @@
-"""Results of one experiment, and the theories of the experiments of a scene."""
+"""Results of an experiment, and theories for the experiments of a scene."""
 
 from __future__ import annotations
 
@@ -59,13 +59,14 @@ LOOP_BEGINS = 0.65
 """Usual share of an experiment's run time after which its stages are complete and its loop is replayed."""
 
 USUAL_SHARES, USUAL_SHARE = {"response": 6.0, "parts": 12.0}, 0.5
-"""Usual run times of stages, in any unit, for the progress display; and the run time of any other stage."""
+"""Usual run times of stages for the progress display, in any unit, and the run time of any other stage."""
 
 
 def nominal_theories(data: StoredData) -> dict[str, Theory]:
-    """Return the theory by the device file for all of its experiments (a table may use parameters of another one).
+    """Return the theory based on the device file for each of its experiments.
 
-    An experiment has no theory if its delay exceeds the range of theory, or if no wall stabilises its loop.
+    All experiments are included, because a table may use parameters of another experiment. There is no theory if the
+    delay exceeds the range of theory, or if no wall stabilises the loop.
     """
     if data.device is None:
         return {}
@@ -84,14 +85,15 @@ def _with(loop: Loop) -> str:
 
 
 def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theory | None) -> ExperimentNumbers:
-    """Compute and collect the required results of one experiment, except its first screen.
+    """Compute and collect the required results of an experiment, except its first screen.
 
     Parameters
     ----------
     data : StoredData
     stages : ExperimentStages
     theory : Theory or None
-        Theory by the device file. For an unknown device it is that by the estimates, if the loop is adequate.
+        Theory based on the device file. For an unknown device, the theory is based on the estimates if the loop is
+        adequate.
     """
     measured = _measured(data, stages)
     with part_of_work("", LOOP_BEGINS, 1.0):
@@ -167,8 +169,10 @@ def _measured(data: StoredData, stages: ExperimentStages) -> MeasuredExperiment:
 def _use(
     measured: MeasuredExperiment, stages: ExperimentStages, linear: Mapping[float, float | None]
 ) -> tuple[UseRegion | None, str]:
-    """Return the walls to use, and why there are none; ``linear`` are the limits for large motions, if friction was
-    found."""
+    """Return the walls to use, or the reason why there are none.
+
+    ``linear`` contains the limits for large motions if friction was found.
+    """
     fault, gains = stages.once(unsafe_recording), stages.once(other_gains)
     if fault is not None:
         return None, words_of(fault)
@@ -182,7 +186,7 @@ def _use(
 
 
 def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
-    """Return the measured boundary; without limits if the recordings do not determine any."""
+    """Return the measured boundary. It has no limits if the recordings do not determine any."""
     if stages.once(unsafe_recording) is None:
         return stages.boundary_points
     return tuple(
@@ -199,11 +203,11 @@ def _known_points(stages: ExperimentStages) -> tuple[BoundaryPoint, ...]:
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
-"""Estimates that are valid only if their loop is adequate."""
+"""Estimates that are valid only if the loop is adequate."""
 
 
 def _examined(data: StoredData, stages: ExperimentStages, measured: MeasuredExperiment) -> LoopFindings:
-    """Return the loop and its consequences: the stored ones if all inputs are unchanged.
+    """Return the loop and its consequences. The stored ones are used if all inputs are unchanged.
 
     Simulating the identified device at the tested walls takes longer than reading all stages.
     """
@@ -235,13 +239,13 @@ def _completed(estimate: Estimate, truth: float | None, *, doubted: bool) -> Est
 
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
-    """Return the estimates of an experiment: delay, mass and damping, and those derived from its boundary.
+    """Return the estimates of an experiment: delay, mass and damping, and estimates derived from its boundary.
 
-    Recordings that show no delay leave the area, or nothing.
+    If the recordings do not show the delay, only the area of the boundary remains, or no estimate.
     """
     area = boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}")
     if "device" not in needed:
-        why = "left out: neither a criterion that was asked for nor a theory curve needs it"
+        why = "left out: neither a requested criterion nor a theory curve needs it"
         of = {"delay_samples": "samples", "mass": units.mass, "damping": units.damping}
         return {name: _without(unit, why) for name, unit in of.items()} | {"boundary_area": area}
     estimates = {

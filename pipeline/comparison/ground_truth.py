@@ -1,6 +1,6 @@
-"""Ground truth of simulated experiments, to compare with estimates and limits.
+"""Ground truth of simulated experiments, which is compared with estimates and limits.
 
-The simulator writes ``truth.json`` next to its logs. Nothing here enters an estimate.
+The simulator writes ``truth.json`` next to its logs. No estimate uses it.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from pipeline.theory.predictions import Theory
 TRUTH_FILE = "truth.json"
 
 _MOVES_THE_LIMIT = ("one_sided_wall", "clock_error", "held_samples")
-"""Options of a simulation that make the loop differ from the linear one of its device file."""
+"""Options of a simulation that make the loop differ from the linear loop of its device file."""
 
 
 def truths(stages: tuple[ExperimentStages, ...], given: Mapping[str, Truth]) -> dict[str, Truth]:
-    """Return the ground truth of each simulated experiment; from ``given`` if its file is missing."""
+    """Return the ground truth of each simulated experiment, from its file or otherwise from ``given``."""
     found = {each.experiment: _truth(each) or given.get(each.experiment) for each in stages}
     return {name: truth for name, truth in found.items() if truth is not None}
 
 
 def _truth(stages: ExperimentStages) -> Truth | None:
-    """Return the truth in the folder of an experiment's logs; None if it does not list all of them."""
+    """Return the truth in the folder of an experiment's logs, or None if the file does not list all of them."""
     if not all(stages.trials.column("simulated").to_pylist()):
         return None
     paths = stages.trials.column("source_path").to_pylist()
@@ -49,7 +49,7 @@ def _truth(stages: ExperimentStages) -> Truth | None:
         known = {os.path.basename(path) for path in paths} <= set(document["logs"])
         return truth_of(document) if known else None
     except (OSError, ValueError, KeyError, TypeError, ValidationError):
-        return None  # another program's file, or an incomplete one: it is not needed
+        return None  # the file is incomplete or of another program, and is not required
 
 
 def truth_of(document: Mapping[str, Any]) -> Truth:
@@ -58,7 +58,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     Raises
     ------
     KeyError, ValueError
-        If it is not such a document.
+        If the document has another form.
     """
     hidden, jitter = document["simulation"], document["jitter_samples"]
     table = LoopTable.model_validate(document["loop"])
@@ -70,7 +70,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
     period = document["sampling_period_s"]
     loop = Loop(**document["plant"], sampling_period_s=period, delay_samples=delay, **parts)
     known = SourcedLoop(loop=loop, source="simulator")
-    reason = f"{' and '.join(doubts)}: linear theory has no limit for that" if doubts else None
+    reason = f"{' and '.join(doubts)}: linear theory gives no limit for this loop" if doubts else None
     try:
         Theory(known).normalised  # noqa: B018
     except ParameterError as error:
@@ -84,7 +84,7 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
 
 
 def true_limits(truth: Truth | None, dampings: Sequence[float]) -> list[float | None]:
-    """Return the largest stable stiffness of the true loop at each damping, 0 without any; None if unknown."""
+    """Return the largest stable stiffness of the true loop at each damping: 0 if none is stable, None if unknown."""
     if truth is None or truth.limit_reason or not dampings:
         return [None] * len(dampings)
     theory = Theory(truth.loop)
@@ -93,14 +93,14 @@ def true_limits(truth: Truth | None, dampings: Sequence[float]) -> list[float | 
 
 
 def truth_held(estimates: Iterable[Estimate], boundary: Iterable[BoundaryPoint]) -> TruthHeld:
-    """Return the number of intervals with a known truth, and of those that contain it."""
+    """Return the number of intervals with a known truth, and the number of those that contain it."""
     told = [held for held in map(_holds, estimates) if held is not None]
     seen = [held for held in map(_holds, boundary) if held is not None]
     return TruthHeld(estimates=len(told), estimates_held=sum(told), limits=len(seen), limits_held=sum(seen))
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:
-    """Return whether a 95 % interval contains the truth; None if interval or truth is missing."""
+    """Return whether a 95 % interval contains the truth, or None if interval or truth is missing."""
     value = found.estimate if isinstance(found, BoundaryPoint) else found.value
     if value is None or found.truth is None or found.low is None or found.high is None:
         return None

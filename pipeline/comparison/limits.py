@@ -1,6 +1,6 @@
 """Measured limits of stability over damping, regions below limits, and the overlap of two regions.
 
-Regions are stretches of stiffness over damping, linear between the dampings. All functions work on arrays only.
+A region consists of intervals of stiffness at each damping, linear between the dampings. All functions use arrays only.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ from pipeline.records.findings import BoundaryPoint
 from pipeline.records.trials import Booleans, Floats
 
 NARROW = 1.25
-"""Smallest gain margin of a wall to use (stability limit over stiffness): an error of a quarter in mass or delay moves
-the limit that far."""
+"""Smallest gain margin of a wall to use (stability limit divided by stiffness).
+
+An error of a quarter in mass or delay moves the limit by this factor.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
     """Stable stiffness [N/m, Nm/rad] from ``low`` to ``high`` at each damping, shape (layers, n) each.
 
-    Layers do not overlap; a layer that is absent at a damping is empty there (low = high).
+    Layers do not overlap. If a layer does not exist at a damping, it is empty there (low = high).
     """
 
     low: Floats
@@ -33,7 +35,7 @@ class Stretches:
 
     @classmethod
     def up_to(cls, limit: Floats) -> Stretches:
-        """Return the region from K = 0 to a limit, shape (n,); a limit below 0 leaves nothing."""
+        """Return the region from K = 0 to a limit, shape (n,). A negative limit gives an empty region."""
         high = np.maximum(limit, 0.0)[None, :]
         return cls(np.zeros_like(high), high)
 
@@ -42,9 +44,9 @@ class Stretches:
 class MeasuredLimits:
     """Limits of a measured boundary [N/m, Nm/rad] over damping [Ns/m, Nms/rad], shape (n,) each.
 
-    ``low`` and ``high`` are the interval of a limit. Where it is censored, all three are the stiffest stable trial: a
-    lower bound. ``known`` is False where not even that exists, and where no trial is stable: there ``high`` is an upper
-    bound, and the others are 0.
+    ``low`` and ``high`` are the ends of the interval of a limit. If the limit is censored, all three values are the
+    stiffest stable trial, which is a lower bound. ``known`` is False if no lower bound exists or no trial is stable. In
+    the second case, ``high`` is an upper bound and the other values are 0.
     """
 
     damping: Floats
@@ -70,16 +72,16 @@ class Overlap:
 
 
 def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
-    """Return the limits of a measured boundary with the uncertainty left by verdicts or growth rates.
+    """Return the limits of a measured boundary, with the uncertainty due to verdicts or growth rates.
 
     Parameters
     ----------
     points : sequence of BoundaryPoint
-        In order of damping.
+        Points in order of damping.
 
     Notes
     -----
-    Limits are those of `BoundaryPoint.limit`; without one, the softest unstable trial is an upper bound.
+    The limits are those of `BoundaryPoint.limit`. If there is none, the softest unstable trial is an upper bound.
     """
     rows = [
         (limit.stiffness, limit.low, limit.high)
@@ -104,10 +106,10 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
     Parameters
     ----------
     damping : float64, shape (n,)
-        Dampings of the regions, strictly increasing [Ns/m, Nms/rad]; the areas lie between the first and the last.
+        Strictly increasing dampings of the regions [Ns/m, Nms/rad]. Areas lie between the first and the last damping.
     first, second : Stretches
     top : float64, shape (n,), optional
-        Stiffness above which areas are not counted; infinite where there is no upper end.
+        Stiffness above which areas are not counted. It is infinite if there is no upper end.
 
     Raises
     ------
@@ -116,13 +118,13 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
 
     Notes
     -----
-    All ends are linear between two dampings. Where two of them cross there, a damping is added: between the dampings
-    that result, lengths of stretches and of their intersections are linear too, so that trapezoids are exact. If only
-    one of two neighbours has an infinite top, the top between them ends at the higher region of that neighbour.
+    All ends are linear between two dampings. If two ends cross there, a damping is added. Between the resulting
+    dampings, lengths of intervals and of their intersections are linear, so that trapezoids are exact. An infinite top
+    next to a finite one is replaced by the upper end of the higher region.
     """
     if len(damping) < 2 or not (np.diff(damping) > 0).all():
         raise ParameterError(
-            f"overlap of regions at {counted(len(damping), 'damping')}: expected at least two, increasing."
+            f"overlap of regions at {counted(len(damping), 'damping')}: expected at least two increasing values."
         )
     ends = [first.low, first.high, second.low, second.high]
     if top is not None:
@@ -139,7 +141,7 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
 
 
 def _with_crossings(B: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Add the dampings at which two of several rows, linear between dampings, cross; rows of shape (m, n)."""
+    """Add the dampings at which two of the rows cross. Rows have shape (m, n) and are linear between dampings."""
     added = [B]
     for one, other in combinations(range(len(rows)), 2):
         gap = rows[one] - rows[other]

@@ -1,7 +1,7 @@
-"""Stages computed by several processes: each small experiment by one process, the trials of large ones by all.
+"""Computation of stages in several processes. A small experiment is computed by one process, a large one by all.
 
-A `StageJob` is an experiment as it is sent to another process. A process keeps the trials that it receives: sending
-them with each job would take longer than the jobs.
+A `StageJob` is an experiment as it is sent to another process. A process keeps the trials that it receives, because
+sending them with each job would take longer than the jobs.
 """
 
 from __future__ import annotations
@@ -37,30 +37,32 @@ from pipeline.store.objects import is_url, opened, origin, publish, renewed
 Result = TypeVar("Result")
 
 COMPILED = ("pipeline.measured", "pipeline.loop.free_run")
-"""Modules and packages whose compiled functions stages call."""
+"""Modules and packages whose compiled functions the stages call."""
 
 LARGE = 1000
-"""Smallest number of new trials for which an experiment is shared among processes: about 3 s of work, against 1 s to
-start them."""
+"""Smallest number of new trials for which an experiment is shared among processes.
+
+They take about 3 s, and starting the processes takes 1 s.
+"""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
     """Compute and store missing stages if there is work for more than one process.
 
-    With less work, stages are computed on demand.
+    With less work, stages are computed when they are needed.
 
     Parameters
     ----------
     experiments : collection of ExperimentStages
         All trials of each experiment.
     needed : collection of str
-        Stages that will be asked for.
+        Stages that will be needed.
     """
     processors, waiting = os.cpu_count() or 1, unstored(experiments, needed)
     if processors < 2:
         return
-    # an experiment below the share of one processor is not split, and need not wait for other processes after each
-    # stage
+    # An experiment with less than the share of one processor is not split, and need not wait for other processes after
+    # each stage.
     share = sum(e.trials.num_rows for e in waiting) / processors
     large = [e for e in waiting if e.trials.num_rows > share and e.count_new_trials() >= LARGE]
     small = [e for e in waiting if all(e is not other for other in large)]
@@ -78,20 +80,21 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
             for experiment, tables in zip(small, done, strict=True):
                 take(experiment, tables)
         except BrokenProcessPool:
-            # a process was killed, or could not import the caller's main program (typed in, or without a guard): the
-            # stages are computed here on demand
+            # A process was killed, or could not import the caller's main program (typed in, or without a guard). The
+            # stages are then computed in this process when they are needed.
             return
 
 
 def unstored(experiments: Collection[ExperimentStages], needed: Collection[str]) -> list[ExperimentStages]:
-    """Return the experiments that lack a stage, the longest first, so that processes finish at similar times."""
+    """Return the experiments that lack a stage, sorted by decreasing length, so that processes finish at similar
+    times."""
     waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
     return sorted(waiting, key=lambda e: -e.trials.num_rows)
 
 
 @dataclass(frozen=True)
 class StageJob:
-    """An experiment whose stages are to be computed, as it is sent to another process.
+    """An experiment whose stages are to be computed, in the form in which it is sent to another process.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ class StageJob:
     spring, measuring : float, Measuring
         As for `ExperimentStages`.
     wanted : tuple of str
-        Stages, in the order in which they are computed.
+        Stages in the order of computation.
     code : str
         Hash of the code that must compute them.
     """
@@ -116,7 +119,7 @@ class StageJob:
 
 
 def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
-    """Return the job of computing some stages of an experiment."""
+    """Return the job of computing the given stages of an experiment."""
     place = origin(experiment.processed)
     place = place if is_url(place) else str(Path(place).absolute())
     wanted = tuple(sorted(needed, key=list(NEEDS).index))
@@ -125,28 +128,28 @@ def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
 
 
 def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
-    """Compute the stages of a job and store them; return their tables.
+    """Compute and store the stages of a job, and return their tables.
 
     Parameters
     ----------
     job : StageJob
     stored_suffices : bool
-        True to return only the tables that could not be stored.
+        Whether to return only the tables that could not be stored.
 
     Raises
     ------
     StoreError
-        If the trials are not accessible from this process, or its code differs.
+        If this process cannot access the trials, or has other code than the sender.
     """
     if job.code != _code():
         raise StoreError(
-            f"a worker runs other code (version {__version__}) than the command that sends it work, and its results "
-            "would not be those of the command. Install the same version for the workers and start them again."
+            f"a worker runs other code (version {__version__}) than the command that sends it work, so its results "
+            "could differ. Install the same version for all workers, and restart them."
         )
     if not is_url(job.place) and not Path(job.place).is_dir():
         raise StoreError(
-            f"{job.place}: a worker sees no such folder. Workers need the same folder under the same path, or an "
-            "object store (--processed s3://BUCKET/PREFIX)."
+            f"{job.place}: a worker cannot access this folder. All workers need the same folder under the same path, "
+            "or an object store (--processed s3://BUCKET/PREFIX)."
         )
     with opened(job.place, job.device, job.experiment) as processed:
         stages = ExperimentStages.stored(processed, job.device, job.experiment, job.spring, job.measuring)
@@ -170,14 +173,14 @@ def _code() -> str:
 
 @contextmanager
 def single_processes(count: int) -> Iterator[Sequence[Executor]]:
-    """Yield pools of one process each, which end as described in `process_pool`."""
+    """Yield pools with one process each, which are closed as described in `process_pool`."""
     with ExitStack() as stack:
         yield [stack.enter_context(process_pool(1)) for _ in range(count)]
 
 
 def map_jobs(pools: Sequence[Executor], function: Callable[..., Result], jobs: Sequence[Any]) -> list[Result]:
-    """Return the results of a function of jobs, which are sorted from long to short."""
-    # dealt out back and forth, so that the pool with the longest job gets the shortest next one
+    """Return the results of a function for jobs, which must be sorted by decreasing length."""
+    # Jobs are distributed back and forth, so that the pool with the longest job receives the shortest next one.
     order = [*range(len(pools)), *reversed(range(len(pools)))]
     running = [pools[order[n % len(order)]].submit(function, job) for n, job in enumerate(jobs)]
     results = list[Result]()
@@ -188,12 +191,12 @@ def map_jobs(pools: Sequence[Executor], function: Callable[..., Result], jobs: S
 
 
 class SharedTrials:
-    """Maps functions over the trials of an experiment in processes, as `MapTrials`.
+    """Map functions over the trials of an experiment in processes, as a `MapTrials`.
 
     Parameters
     ----------
     pools : sequence of Executor
-        Pools of one process each; trials are dealt out in turn, since neighbours take about equally long.
+        Pools with one process each. Trials are assigned in turn, because neighbours take similar times.
     trials : Trials
     """
 
@@ -206,7 +209,7 @@ class SharedTrials:
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None
     ) -> list[Result]:
-        """Return the results of a function of the trials at the given places, with the given verdicts, in this
+        """Return the results of a function for the trials at the given places, with the given verdicts, in this
         order."""
         count, jobs = len(self._pools), []
         for first, pool in enumerate(self._pools):

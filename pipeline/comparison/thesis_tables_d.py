@@ -1,4 +1,4 @@
-"""Tables in the format of D.1 to D.6: theoretical optima, measured optima, published values, deviations."""
+"""Tables in the format of D.1 to D.6: theoretical optima, measured optima, published values, and deviations."""
 
 from __future__ import annotations
 
@@ -22,19 +22,20 @@ _NUMBERS = ("stiffness", "damping", "cost")
 
 
 def condition_of(table: TableLayout, experiment: str, published_experiments: int) -> str:
-    """Return the name of a measured row: ``experiment`` if the table has only one, else ``experiment_<name>``."""
+    """Return the name of a measured row: ``experiment`` if the table has one experiment, else ``experiment_<name>``."""
     return "experiment" if published_experiments == 1 or table.kind == "delay" else f"experiment_{experiment}"
 
 
 @dataclass(frozen=True)
 class TableBuilder:
-    """Fills tables from theory and measured optima.
+    """Builder of tables from theory and measured optima.
 
     Parameters
     ----------
     data : StoredData
     theories : mapping of experiment to Theory
-        Theory for each experiment (and for those whose parameters a table names); missing where unavailable.
+        Theory for each experiment, and for experiments whose parameters a table names. Unavailable theories are
+        missing.
     """
 
     data: StoredData
@@ -53,11 +54,11 @@ class TableBuilder:
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
-        """Return all rows, table after table: per criterion those of theory, then the experiments."""
+        """Return all rows, table after table. For each criterion, theory precedes the experiments."""
         measured = {r.experiment: r for r in results}
         stages = {e.experiment: e for e in self.data.experiments}
 
-        @cache  # an experiment may appear in several tables
+        @cache  # an experiment may occur in several tables
         def made_of(experiment: str, leader: str, criterion: str) -> Deviation | None:
             theory, best = self.theories.get(leader), measured[experiment].optimum.get(criterion)
             return deviation_of(stages[experiment], best, theory, criterion, predictions) if theory else None
@@ -65,7 +66,7 @@ class TableBuilder:
         rows: list[ComparisonRow] = []
         for table in layouts(self.data):
             over_delay = table.kind == "delay"
-            # the figure over delay uses the rows even if the table is not shown
+            # The figure over delay uses the rows even if the table is not shown.
             if not (over_delay or self.data.scene.shown.has_table(table.name)):
                 continue
             leading = table.experiments if over_delay else (table.theory_from,)
@@ -77,7 +78,7 @@ class TableBuilder:
                     rows += [self._theory_row(table, criterion, theory, kind, predictions) for kind in kinds]
                 for experiment in (leader,) if over_delay else table.experiments:
                     result = measured[experiment]
-                    # without both there is nothing to show; the experiment has the reason
+                    # Without both, there is nothing to show. The experiment contains the reason.
                     if over_delay or discrete is not None or criterion in result.optimum:
                         parts = made_of(experiment, leader, criterion)
                         rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
@@ -100,7 +101,9 @@ class TableBuilder:
                     wanted[table.name, criterion, loop.delay_samples] = other, f"{criterion}{DISCRETE}"
         predictions.start((theory.normalised, name) for theory, name in wanted.values())
         predictions.finish()
-        return {place: best.cost for place, asked in wanted.items() if (best := predictions.get(*asked)) is not None}
+        return {
+            place: best.cost for place, requested in wanted.items() if (best := predictions.get(*requested)) is not None
+        }
 
     def _theory_row(
         self, table: TableLayout, criterion: str, theory: Theory, kind: str, predictions: Predictions
@@ -126,7 +129,7 @@ class TableBuilder:
         about: dict[str, Any] = {"experiment": result.experiment, "deviation": parts}
         if best is None:
             return self._row(table, criterion, condition, delay, None, result.missing.get(criterion), **about)
-        # None if theory is zero
+        # The ratio is None if theory is zero.
         for name in _NUMBERS if discrete else ():
             measured, theoretical = getattr(best, name), getattr(discrete, name)
             key = "deviation_percent" if name == "cost" else f"{name}_deviation_percent"
@@ -135,7 +138,7 @@ class TableBuilder:
         return self._row(table, criterion, condition, delay, best, _optimum_note(criterion, best), **about)
 
     def _published_size(self, table: TableLayout) -> int:
-        """Return the number of experiments in the published table, stored or not."""
+        """Return the number of experiments in the published table, whether they are stored or not."""
         original = [t for t in (self.data.device.tables if self.data.device else ()) if t.name == table.name]
         return len(original[0].experiments) if original else 1
 
@@ -153,7 +156,7 @@ class TableBuilder:
         device = self.data.device
         own = device.published_as if device is not None and device.published_as else self.data.scene.device
         if published is not None and published.device != own:
-            published = None  # a table of another device may have the same name
+            published = None  # another device may have a table with this name
         values = {name: getattr(point, name) if point else None for name in _NUMBERS}
         stated = {f"published_{name}": getattr(published, name) if published else None for name in _NUMBERS}
         stated["published_deviation_percent"] = published_deviation(published) if published else None
@@ -175,12 +178,12 @@ def _region_note(prediction: Prediction) -> str | None:
         return None
     low_k, high_k, low_b, high_b = prediction.region
     return (
-        f"The optimum is a region; given is the centre of its bounding box, K from {low_k:.4g} to {high_k:.4g}, "
+        f"The optimum is a region. The values are the centre of its bounding box, K from {low_k:.4g} to {high_k:.4g}, "
         f"B from {low_b:.4g} to {high_b:.4g}."
     )
 
 
 def _optimum_note(criterion: str, optimum: Optimum) -> str | None:
     if optimum.ties > 1 and criterion_of(criterion).family.whole:
-        return f"{optimum.ties} trials share this cost; the one nearest to the middle of them is given."
+        return f"{optimum.ties} trials have this cost. The values are those of the trial nearest to their middle."
     return None

@@ -1,4 +1,4 @@
-"""Velocity filter identified from recorded walls, for logs that are not stored; `compare` finds the same one."""
+"""Velocity filter identified from recorded walls in logs that are not stored. `compare` finds the same filter."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ OPEN = (
     *("velocity_filter", "adaptive_velocity", "position_filter"),
     *("decimated_rows", "several_steps", "unknown"),
 )
-"""Departures from the wall law that may be due to a velocity other than the plain difference."""
+"""Departures from the wall law that another velocity than the difference quotient may cause."""
 
-NOT_KNOWN = "The velocity filter of the walls is not known: {}. The boundary is for the plain difference."
+NOT_KNOWN = "The velocity filter of the walls is unknown: {}. The boundary is valid for the difference quotient."
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class WallFilter:
     Parameters
     ----------
     velocity : VelocityFilter or None
-        The filter on which most logs agree; None for the plain difference, or if unknown.
+        The filter on which most logs agree. None for the difference quotient, or if the filter is unknown.
     of_logs : tuple of VelocityFilter
         Filters of the single logs.
     sentence : str
@@ -42,8 +42,7 @@ class WallFilter:
     left_out: bool = False
 
     def at(self, period: float, wall_period: float) -> WallFilter:
-        """Return the filter for walls with another sampling period [s] than the logs; the same object if they are
-        equal."""
+        """Return the filter for walls with a sampling period [s] that may differ from the period of the logs."""
         if self.velocity is None or wall_period == period:
             return self
         if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= 0.5 / wall_period:
@@ -53,14 +52,14 @@ class WallFilter:
 
 
 def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
-    """Return the velocity filter identified from trials at walls (K > 0); None without such a trial."""
+    """Return the velocity filter identified from trials at walls (K > 0), or None without such a trial."""
     walls = [each for each in trials if each.logged.stiffness > 0]
     damped = [each for each in walls if each.logged.damping != 0]
     if not damped:
         return WallFilter(None, (), NOT_KNOWN.format("all walls have a damping of 0")) if walls else None
     rows = LawRows.of_logs(damped)
     if rows.misled:
-        return WallFilter(None, (), NOT_KNOWN.format("most logs obey another wall than their headers state"))
+        return WallFilter(None, (), NOT_KNOWN.format("most logs follow another wall than their headers state"))
     if not rows.compared:
         return WallFilter(None, (), NOT_KNOWN.format("no log has a step after which the command shows the wall law"))
     if (common := course_filter(rows)) is not None:
@@ -69,13 +68,11 @@ def wall_filter(trials: Sequence[MeasuredTrial]) -> WallFilter | None:
     others = sum(not set(OPEN).isdisjoint(codes) for codes in rows.of_stated_wall)
     if rows.compared - others > MOST * rows.compared:
         share = f"{rows.compared - others} of {counted(rows.compared, 'log')}"
-        return WallFilter(None, (), f"The wall's velocity is the plain difference ({share}).")
+        return WallFilter(None, (), f"The wall's velocity is the difference quotient ({share}).")
     departures = [each for each in law_departures(rows) if each.code in OPEN]
-    why = (
-        f"{others} of {counted(rows.compared, 'log')} depart from the law of the plain difference, each in another way"
-    )
+    why = f"{others} of {counted(rows.compared, 'log')} deviate from the difference quotient, each differently"
     if departures and departures[0].code == "velocity_filter":
-        why = "the logs show different ones"
+        why = "the logs show different filters"
     elif departures and departures[0].most:
         why = SENTENCES[departures[0].code].rstrip(".")
         why = f"{why[0].lower()}{why[1:]} ({departures[0].shown})"

@@ -88,10 +88,10 @@ def test_censored_limits_are_left_out_and_brackets_stand_for_missing_estimates()
     assert found.judged == 0
     none, reason = compare_boundaries(points(line, damping, censored=damping), points(line, damping), ONE, ONE)
     assert none is None
-    assert "ended before a trial was unstable" in reason
+    assert "no trial was unstable up to the end" in reason
     apart, reason = compare_boundaries(points(line, damping), points(line, damping + 100), ONE, ONE)
     assert apart is None
-    assert reason == "they cover no common damping"
+    assert reason == "the boundaries cover no common damping"
 
 
 def test_devices_that_differ_in_mass_and_period_alone_have_one_boundary_in_the_normalised_plane():
@@ -183,7 +183,7 @@ def test_costs_are_compared_at_common_points_alone():
     assert half.points == 100
     (none,) = compare_costs(trials, {"energy_step_w0": (k + 0.5, b, cost)})
     assert (none.points, none.median) == (0, None)
-    assert "same stiffness and damping" in none.reason
+    assert "equal stiffness and damping" in none.reason
 
 
 def test_repeated_trials_at_a_point_count_by_their_median_and_overshoot_by_its_difference():
@@ -194,7 +194,7 @@ def test_repeated_trials_at_a_point_count_by_their_median_and_overshoot_by_its_d
     assert (found.kind, found.points) == ("difference", 2)
     assert found.median == pytest.approx(0.05)
     assert found.significant is None
-    assert "fewer than 6 points" in found.reason
+    assert "at least 6 points" in found.reason
 
 
 @pytest.mark.slow
@@ -306,14 +306,14 @@ def test_against_an_earlier_document_of_another_version(falcon_outcome, tmp_path
 def test_wrong_documents_and_pairs_are_refused(falcon, falcon_outcome, tmp_path):
     for text in ("", "[]", "{}", '{"device": "falcon", "experiments": [1]}'):
         (tmp_path / "x.json").write_text(text)
-        with pytest.raises(UsageError, match="is no result"):
+        with pytest.raises(UsageError, match="is not a result"):
             read_document(tmp_path / "x.json", "falcon")
     with pytest.raises(UsageError, match="cannot be read"):
         read_document(tmp_path / "none.json", "falcon")
     (tmp_path / "x.json").write_text('{"device": "lwr", "experiments": []}')
-    with pytest.raises(UsageError, match="of device 'lwr'; expected one of 'falcon'"):
+    with pytest.raises(UsageError, match="belongs to device 'lwr'; expected device 'falcon'"):
         read_document(tmp_path / "x.json", "falcon")
-    with pytest.raises(UsageError, match="against itself"):
+    with pytest.raises(UsageError, match="compared with itself"):
         against_experiments(falcon.processed, ("falcon", "1"), ("falcon", "1"))
     with pytest.raises(DeviceError):
         against_experiments(falcon.processed, ("falcon", "1"), ("falcon", "2"))

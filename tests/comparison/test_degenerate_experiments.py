@@ -64,7 +64,7 @@ def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp
     assert found["free"].boundary == ()
     assert found["walls"].stiffest is not None
     page = against_experiments(tmp_path / "processed", ("dev", "walls"), ("dev", "free"))
-    assert page.result.pairs[0].boundary_reason == "the second one has no limits: no wall was tried (K > 0)"
+    assert page.result.pairs[0].boundary_reason == "the second boundary has no limits: no wall was tried (K > 0)"
 
 
 # logs of two or three rows, steps at the first and last rows

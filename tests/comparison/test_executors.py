@@ -148,7 +148,7 @@ def test_workers_of_another_version_are_refused(cluster, trials, monkeypatch):
 
 def test_a_folder_that_workers_do_not_see_is_told(cluster, trials, monkeypatch, tmp_path):
     monkeypatch.setattr(stage_pool, "origin", lambda *_: str(tmp_path / "elsewhere"))
-    with pytest.raises(StoreError, match=r"elsewhere: a worker sees no such folder.*s3://BUCKET/PREFIX"):
+    with pytest.raises(StoreError, match=r"elsewhere: a worker cannot access this folder.*s3://BUCKET/PREFIX"):
         executor_of(cluster.address)(experiments(trials), NEEDED)
 
 
@@ -169,20 +169,20 @@ def test_executors_by_name(monkeypatch):
 
 def test_no_scheduler(trials, monkeypatch):
     monkeypatch.setattr(executors, "CONNECT_S", 0.5)
-    with pytest.raises(ClusterError, match=r"not to be reached.*0 of 4 experiments are done.*Repeat the command"):
+    with pytest.raises(ClusterError, match=r"cannot be reached.*0 of 4 experiments are done.*Repeat the command"):
         executor_of(f"dask://127.0.0.1:{free_port()}")(experiments(trials), NEEDED)
 
 
 def test_an_experiment_that_ends_its_workers_is_told():
     last = SimpleNamespace(address="tcp://h:2")
     words = r"ended 4 workers in a row.*1 of 2 experiments are done"
-    with pytest.raises(ClusterError, match=words), executors._told("tcp://h:1", ["1"], 2):
+    with pytest.raises(ClusterError, match=words), executors._reported("tcp://h:1", ["1"], 2):
         raise KilledWorker("job", last, 3)
 
 
 def test_other_faults_stay_as_they_are():
     for fault in (PermissionError("no"), RuntimeError("a defect")):
-        with pytest.raises(type(fault)), executors._told("tcp://h:1", [], 2):
+        with pytest.raises(type(fault)), executors._reported("tcp://h:1", [], 2):
             raise fault
 
 
@@ -244,7 +244,7 @@ def test_all_workers_are_killed_and_another_cluster_does_the_rest(trials, local,
         cluster.workers[0].kill()
         error = run.ended()
         assert isinstance(error, ClusterError)
-        assert "has no worker since 0.5 s" in str(error)
+        assert "has had no worker for 0.5 s" in str(error)
         assert "Repeat the command" in str(error)
     before = results(trials)
     assert len(NEEDED) < len(before) < len(NAMES) * len(NEEDED)
@@ -271,5 +271,5 @@ def test_the_store_is_killed(logs, monkeypatch):
             own.process.kill()
             stages.table("boundary")
 
-        with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*repeat the command"):
+        with pytest.raises(StoreError, match=r"s3://lab/x: a request failed.*repeat the command"):
             stored_by(url, compute)

@@ -82,7 +82,7 @@ def test_nothing_is_recommended_in_units_that_the_command_does_not_obey(tmp_path
     assert "stiffness_max" not in {each.name for each in told.estimates}
     assert all(row.trial_id is None for row in result.tables)
     told = re.sub(r"<[^>]+>", " ", page.read_text(encoding="utf-8"))
-    assert "obeys another wall than the headers state" in told
+    assert "follows another wall than the headers state" in told
     assert not re.search(r"× K|largest stable K", told)
 
 

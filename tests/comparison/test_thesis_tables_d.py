@@ -214,7 +214,7 @@ def test_ties_are_counted_in_a_note(falcon, falcon_outcome, tmp_path):
     best = Optimum(stiffness=1.0, damping=2.0, cost=30.0, ties=3, censored=True)
     result = falcon_outcome.result.experiments[0].model_copy(update={"optimum": {"settle_2pct": best}, "missing": {}})
     (row,) = TableBuilder(data, {}).rows(Predictions(tmp_path), [result])
-    assert row.note.startswith("3 trials share this cost")
+    assert row.note.startswith("3 trials have this cost")
     assert row.censored
 
 

@@ -70,7 +70,7 @@ def test_the_filter_of_walls_is_that_of_their_controller(velocity, motion):
 def test_walls_of_a_plain_difference_and_logs_without_walls_have_no_filter():
     plain = wall_filter(logs())
     assert (plain.velocity, plain.left_out) == (None, False)
-    assert "plain difference (4 of 4 logs)" in plain.sentence
+    assert "difference quotient (4 of 4 logs)" in plain.sentence
     assert wall_filter(logs(stiffness=(0.0, 0.0), damping=(1.0, 2.0))) is None
 
 
@@ -78,7 +78,7 @@ def test_walls_of_a_plain_difference_and_logs_without_walls_have_no_filter():
     ("recorded", "why", "left_out"),
     [
         (logs(velocity=FOAW), "window that adapts to the motion", True),
-        (logs(velocity={"kind": "levant", "acceleration": 50.0}), "not that of the wall law", True),
+        (logs(velocity={"kind": "levant", "acceleration": 50.0}), "deviates from the wall law", True),
         (logs()[:1] + logs(velocity=DIFFERENCE)[:2] + logs(velocity=BUTTERWORTH)[:2], "the logs show different", True),
         (logs(damping=(0.0,) * 4), "damping of 0", False),
         ([replace(log, header=replace(log.header, stiffness=2e3)) for log in logs()], "another wall", False),
@@ -89,8 +89,8 @@ def test_a_filter_that_is_not_known_is_named_with_the_reason(recorded, why, left
     shown = wall_filter(recorded)
     assert (shown.velocity, shown.left_out) == (None, left_out)
     assert why in shown.sentence
-    assert "not known" in shown.sentence
-    assert "boundary is for the plain difference" in shown.sentence
+    assert "is unknown" in shown.sentence
+    assert "boundary is valid for the difference quotient" in shown.sentence
 
 
 def test_a_filter_at_another_period_is_assumed_the_same_or_not_known():
@@ -157,7 +157,7 @@ def test_a_delay_that_jitters_is_named_and_drawn_in_the_device_file(tmp_path):
     result = CliRunner().invoke(application("identify"), ["identify", str(folder), "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert "The delay jitters: standard deviation 0.7" in result.output
-    assert "left out of linear theory: jitter" in result.output
+    assert "not included in linear theory: jitter" in result.output
     device = read_device(out)
     assert device.experiments[0].jitter_samples == (2, 3, 4)
     other = pipeline.identify(folder, delay=5.0)

@@ -1,1 +1,1 @@
-"""Figures and trials of a report that need the stored logs: cost maps, responses, the explorer's data."""
+"""Figures and trials of a report that need the stored logs: cost maps, responses, and data of the explorer."""

@@ -1,4 +1,4 @@
-"""Cost maps of an experiment and of theory, and the deviation of measured costs from theory.
+"""Cost maps of experiments and theory, and the deviation of measured costs from theory.
 
 Source: Hulin 2017, Figs. 6.5 to 6.7, 6.10 and 6.11.
 """
@@ -41,53 +41,60 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 POINTS = 101
-"""Number of grid points along each axis of a drawn map; a finer grid does not visibly change the contours."""
+"""Number of grid points along each axis of a drawn map. A finer grid does not visibly change the contours."""
 
 FEW_NEIGHBOURS = 9
-"""Number of trials used to smooth a cost: a plane over more trials would fill valleys of the cost."""
+"""Number of trials used to smooth a cost. A plane over more trials would fill valleys of the cost."""
 
 FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
-"""Smallest number of stable trials with a cost, and smallest share of all stable trials, for which contour lines are
+"""Smallest number of stable trials with a cost, and smallest share of all stable trials, for which contours are
 drawn."""
 
 LINES_PER_DOUBLING, DOUBLINGS = 2, 5
-"""Contour lines of costs without stated levels, from the lowest cost to 32 times as much: higher ones merge with the
-stability boundary."""
+"""Number of contour lines for costs without stated levels, from the lowest cost to 32 times this cost.
+
+Higher lines merge with the stability boundary.
+"""
 
 OFTEN = 0.5
-"""Smallest number of trials, relative to that of the most tested value, for which a stiffness or damping counts as
-tested often."""
+"""Smallest number of trials at a stiffness or damping that counts as tested often, relative to the most tested
+value."""
 
 FEWEST_OFTEN = 5
-"""Smallest number of trials in such a row: the best of fewer depends on where they happen to lie."""
+"""Smallest number of trials at such a value. The best of fewer trials depends on where they happen to lie."""
 
 _FROM_OPTIMUM = 2 * LINES_PER_DOUBLING
-"""Index of the contour level at theory's optimum; the levels before it go down to a quarter of its cost."""
+"""Index of the contour level at theory's optimum. The levels before it go down to a quarter of its cost."""
 
 FRONT_RANGE = 4.0
-"""Upper end of the front view, as a multiple of the highest optimum: the range that matters for a choice."""
+"""Upper end of the front view, as a multiple of the highest optimum. This is the range that matters for a choice."""
 
 LONGEST_EDGE = 2.3
-"""Longest side, in grid steps, of a triangle for contours: it spans one missing trial at most."""
+"""Longest side of a triangle for contours, in grid steps. It spans at most one missing trial."""
 
 CELLS = (20, 14)
-"""Number of cells along both axes over which deviations from theory are collected: each is wider than the largest mark
-and contains at least ten of 2,500 trials, so that its median stands out from their scatter."""
+"""Number of cells along each axis over which deviations from theory are collected.
+
+Each cell is wider than the largest mark and contains at least ten of 2,500 trials, so that its median exceeds their
+scatter.
+"""
 
 RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
-"""Departures at which marks become larger: ratios of costs, in either direction, and differences of overshoot, where
-one sensor step makes one percentage point."""
+"""Deviations at which marks become larger: ratios of costs in either direction, and differences of overshoot.
+
+One sensor step changes the overshoot by one percentage point.
+"""
 
 SIZES, RING = (2.0, 4.0, 6.0, 8.5, 11.0), 2.6
-"""Sizes of the marks [px], from no departure to the largest, and width of the ring of an open mark."""
+"""Sizes of the marks [px], from no deviation to the largest, and width of the ring of an open mark."""
 
 
 @dataclass(frozen=True, eq=False)
 class CostMap:
-    """Costs of one criterion over the plane: theory on a grid, or the trials of an experiment, smoothed.
+    """Costs of a criterion over the plane: theory on a grid, or smoothed costs of an experiment's trials.
 
-    ``stiffness``, ``damping``, ``cost``: shape (n,) of points, (p,), (q,) and (q, p) of a grid. ``trials`` are
-    stiffness, damping and cost of the single trials, shape (3, m).
+    ``stiffness``, ``damping`` and ``cost`` have shape (n,) for points, and shapes (p,), (q,) and (q, p) for a grid.
+    ``trials`` contains stiffness, damping and cost of the single trials, shape (3, m).
     """
 
     label: str
@@ -100,8 +107,10 @@ class CostMap:
 
     @property
     def least(self) -> tuple[Floats, Floats]:
-        """Return the lowest cost of each stiffness that was tested at many dampings; never above that of a single
-        trial."""
+        """Return the lowest cost of each stiffness that was tested at many dampings.
+
+        It never exceeds the cost of a single trial.
+        """
         if self.cost.ndim == 2:
             found = np.where(np.isfinite(self.cost), self.cost, np.inf).min(axis=0)
             return self.stiffness, np.where(np.isfinite(found), found, np.nan)
@@ -116,9 +125,10 @@ class CostMap:
         return every, found
 
     def best(self, along_stiffness: bool) -> tuple[Floats, Floats]:
-        """Return stiffness and damping of an optimal curve: best damping for each stiffness, or the other way round.
+        """Return stiffness and damping of an optimal curve: best damping for each stiffness, or best stiffness for each
+        B.
 
-        If costs are equal over a stretch, its middle is taken; on a grid, a parabola interpolates between points.
+        If costs are equal over an interval, its middle is taken. On a grid, a parabola interpolates between points.
         """
         if self.cost.ndim == 2:
             cost, given, other = self.cost, self.stiffness, self.damping
@@ -143,7 +153,7 @@ def _often(given: Floats, other: Floats) -> Floats:
 
 
 def _lowest(cost: Floats, place: Floats, *, refine: bool = True) -> float:
-    """Return the position of the minimum of a row of costs; NaN without costs, or if the minimum is at an end."""
+    """Return the position of the minimum of a row of costs. It is NaN without costs, or if the minimum is at an end."""
     known = np.flatnonzero(np.isfinite(cost))
     if len(known) < 3:
         return np.nan
@@ -160,7 +170,7 @@ def _lowest(cost: Floats, place: Floats, *, refine: bool = True) -> float:
 def map_figures(
     data: StoredData, results: Sequence[ExperimentNumbers], theories: Mapping[str, Theory], predictions: Predictions
 ) -> list[Figure]:
-    """Return one cost figure for each criterion of each table of optima: theory, then each experiment."""
+    """Return a cost figure for each criterion of each table of optima. Theory is drawn first, then each experiment."""
     stages = {e.experiment: e for e in data.experiments}
     found: dict[str, Figure] = {}
     for table in (table for table in layouts(data) if table.kind == "optima"):
@@ -172,7 +182,7 @@ def map_figures(
             own += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
             if own:
                 figure = map_figure(table.name, criterion, own, data.units)
-                # experiments "a b" and "a-b" would share an identifier
+                # Experiments "a b" and "a-b" would share an identifier.
                 taken = f"-{len(found)}" if figure.identifier in found else ""
                 found[figure.identifier + taken] = replace(figure, identifier=figure.identifier + taken)
     return list(found.values())
@@ -198,7 +208,7 @@ def _theory_maps(
 
 
 def _measured_map(result: ExperimentNumbers, stages: ExperimentStages, criterion: str) -> CostMap:
-    """Return the map of an experiment: smoothed costs of its stable trials, and the unsmoothed trials."""
+    """Return the map of an experiment: smoothed costs of its stable trials, and the trials themselves."""
     cost = stages.sure_cost(criterion)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     verdict = stages.verdicts.verdict
@@ -213,7 +223,7 @@ def _measured_map(result: ExperimentNumbers, stages: ExperimentStages, criterion
 
 
 def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
-    """Return costs smoothed by planes over neighbouring trials; unchanged if there are few trials."""
+    """Return costs smoothed by planes over neighbouring trials. With few trials, they are returned unchanged."""
     if len(cost) < FEWEST:
         return cost
     if criterion_of(criterion).family.levels:
@@ -223,7 +233,7 @@ def _smoothed(K: Floats, B: Floats, cost: Floats, criterion: str) -> Floats:
 
 
 def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units) -> Figure:
-    """Return maps of one criterion side by side, with the table that lists their optima."""
+    """Return maps of a criterion side by side, with the name of the table that lists their optima."""
     family, label = criterion_of(criterion).family, table_label(table)
     edges = [s for each in maps for s in each.boundary]
     limits = (0.0, reach(*(s.x for s in edges), *(m.trials[0] for m in maps))[1]), reach(*(s.y for s in edges))
@@ -231,9 +241,9 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     top = family.levels[-1] if family.levels else FRONT_RANGE * max(lowest, default=1.0)
     levels = _levels(criterion, maps)
     lines = (
-        "every 10 percentage points, the heavy one around the region without (theory: at 0.1 %)"
+        "every 10 percentage points; the heavy line surrounds the region without overshoot (theory: 0.1 %)"
         if family is OVERSHOOT
-        else f"the same in all panels, two for each doubling of {cost_text(criterion, levels[_FROM_OPTIMUM])}"
+        else f"equal levels in all panels, two for each doubling of {cost_text(criterion, levels[_FROM_OPTIMUM])}"
         if levels.size
         else "none"
     )
@@ -260,7 +270,7 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: U
     third = {"value": B[inside], "value_name": f"damping B [{units.damping}]"}
     front = [Series("_trials", "dots", K[inside], cost[inside] * factor, **third)]
     front.append(Series("_least cost", "line", least[0], least[1] * factor))
-    map_series, told = list(shown.boundary), "No optimum is known."
+    map_series, remark = list(shown.boundary), "No optimum is known."
     for kind, along in (("best", True), ("best other", False)):
         x, y = shown.best(along)
         map_series += [Series(f"_{kind}", kind, x, y)] if len(x) > 2 else []
@@ -272,31 +282,31 @@ def _map_panel(shown: CostMap, criterion: str, limits: Any, top: float, units: U
         map_series.append(Series("_optimum", "optimum", place, np.array([best.damping])))
         front.append(Series("_optimum", "optimum", place, np.array([best.cost * factor])))
         at = f"{significant(best.stiffness, 4)} {units.stiffness} and {significant(best.damping, 4)} {units.damping}"
-        told = f"Optimum {cost_text(criterion, best.cost)} at {at}."
-    words = f"{shown.label}, {criterion_label(criterion)}: lines of equal cost. {told}"
+        remark = f"Optimum {cost_text(criterion, best.cost)} at {at}."
+    words = f"{shown.label}, {criterion_label(criterion)}: lines of equal cost. {remark}"
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
-    value, axes = partial(_tell_optimum, shown, criterion), (names[0], with_unit(family.title, family.printed_unit))
+    value, axes = partial(_draw_optimum, shown, criterion), (names[0], with_unit(family.title, family.printed_unit))
     below = Panel("", axes, tuple(front), "", (limits[0], (0.0, top * factor)), value)
     contours = partial(_contours, shown, criterion, levels)
     return Panel(shown.label, ("", names[1]), tuple(map_series), words, limits, contours, below)
 
 
-def _tell_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
+def _draw_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
     best, factor = shown.optimum, printed_scale(criterion)
     top = axes.get_ylim()[1] / factor
     if best is None or best.cost > top:
         return
     text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
-    offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
+    offset = (0, -15 if best.cost > 0.2 * top else 14)  # otherwise, the value would collide with the axis
     look: dict[str, Any] = {"color": BLUE, "fontweight": "bold", "ha": "center", "va": "center"}
     axes.annotate(text, (best.stiffness, best.cost * factor), offset, "data", textcoords="offset points", **look)
 
 
 def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> None:
-    """Draw labelled contour lines, heavier at whole doublings, which can be counted even in greyscale.
+    """Draw labelled contour lines, heavier at each doubling, so that they can be counted in greyscale.
 
-    Levels below the map's cost at its optimum are skipped, as they would exclude the plus: single trials may be lower
-    by chance than the costs around them.
+    Levels below the map's cost at its optimum are skipped, because they would exclude the plus. Single trials may have
+    lower costs by chance than the costs around them.
     """
     from matplotlib.colors import to_rgb
 
@@ -327,7 +337,7 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         lines = axes.tricontour(triangles, shown.cost, **look) if drawn else None
         if measured_overshoot:
-            # around the raw trials, not around values smoothed over their neighbours
+            # around the trials themselves, not around values smoothed over their neighbours
             own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}
             walls = zip(shown.stiffness.tolist(), shown.damping.tolist(), strict=True)
             free = np.array([float(own.get(wall, 1.0) <= 0) for wall in walls])
@@ -339,7 +349,7 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
 
 
 def _at_optimum(shown: CostMap) -> float:
-    """Return the cost of a map at its optimum; for trials it is smoothed and exceeds the cost of the best trial."""
+    """Return the cost of a map at its optimum. For trials, it is smoothed and exceeds the cost of the best trial."""
     least, best = float(np.nanmin(shown.cost)), shown.optimum
     if shown.cost.ndim == 2 or best is None:
         return least
@@ -348,9 +358,10 @@ def _at_optimum(shown: CostMap) -> float:
 
 
 def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
-    """Return the contour levels of all panels: those of the family, else two per doubling from theory's optimum.
+    """Return the contour levels of all panels: those of the family, or two per doubling from theory's optimum.
 
-    Without theory they start from the lowest optimum. Some levels are lower: experiments may be better than theory.
+    Without theory, they start from the lowest optimum. Some levels are lower, because experiments may be better than
+    theory.
     """
     levels = np.array(criterion_of(criterion).family.levels)
     if levels.size:
@@ -359,13 +370,13 @@ def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
     if not known:
         return np.empty(0)
     first = known[0] if maps[0].cost.ndim == 2 and maps[0].optimum is not None else min(known)
-    # a level equal to many costs (settling times are whole numbers) would fray along plateaus
+    # A level equal to many costs (settling times are integers) would give frayed lines along plateaus.
     exponents = np.arange(-_FROM_OPTIMUM, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
     return np.asarray(first * 2.0**exponents * (1 + 1e-6))
 
 
 def _without_steps(cost: Floats, criterion: str) -> Floats:
-    """Return a smoothed map of integer-valued costs, whose steps would fray contour lines."""
+    """Return a smoothed map of integer costs, whose steps would give frayed contour lines."""
     if not criterion_of(criterion).family.whole:
         return cost
     from scipy.ndimage import gaussian_filter
@@ -377,7 +388,7 @@ def _without_steps(cost: Floats, criterion: str) -> Floats:
 
 
 def _triangles(K: Floats, B: Floats) -> Any:
-    """Triangulate tested walls; None if they span no area. Distances are measured in grid steps."""
+    """Triangulate tested walls, with distances in grid steps. Return None if the walls span no area."""
     from matplotlib.tri import Triangulation
 
     order = np.lexsort((K, B))
@@ -398,7 +409,7 @@ def _triangles(K: Floats, B: Floats) -> Any:
 
 
 def departure_figures(data: StoredData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
-    """Return one figure per tabled criterion: where measured costs depart from theory at the tested walls."""
+    """Return a figure for each criterion in the tables: deviation of measured costs from theory at the tested walls."""
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)
     shown = [e for e in data.experiments if e.experiment in theories]
@@ -423,9 +434,9 @@ def departure_figures(data: StoredData, theories: Mapping[str, Theory], predicti
             name = criterion_name(criterion)
             differs = criterion_of(criterion).family.levels
             caption = (
-                f"Median {'difference in percentage points' if differs else 'departure in percent'} of measured cost "
-                "from theory over the stable trials of a cell. Filled marks: larger, open: smaller; dots: less than "
-                "the smallest step; size: the departure. Black: limit by theory."
+                f"Median {'difference in percentage points' if differs else 'deviation in percent'} of measured cost "
+                "from theory over the stable trials of a cell. Filled marks: larger, open marks: smaller, dots: less "
+                "than the smallest step. The size shows the deviation. Black: limit by theory."
             )
             about = (f"residual-{criterion}", f"Measured against theory, {name}", caption, tuple(panels), name)
             figures.append(Figure("residuals", *about, "measured against theory, all experiments", (350.0, 310.0)))
@@ -433,8 +444,10 @@ def departure_figures(data: StoredData, theories: Mapping[str, Theory], predicti
 
 
 def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
-    """Return measured relative to theoretical costs: the difference for costs that may be zero, else the ratio minus
-    one."""
+    """Return the deviation of measured from theoretical costs.
+
+    It is the difference for costs that may be zero, otherwise the ratio minus one.
+    """
     family = criterion_of(criterion).family
     expected = np.where(expected <= family.none, 0.0, expected)
     if family.levels:
@@ -446,7 +459,7 @@ def departures(measured_: Floats, expected: Floats, criterion: str) -> Floats:
 def _departure_panel(
     name: str, trials: tuple[Floats, Floats, Floats], criterion: str, cell: tuple[float, float], units: Units
 ) -> Panel:
-    """Return marks of an experiment; ``trials`` are stiffness, damping and departure, ``cell`` width and height."""
+    """Return marks of an experiment. ``trials`` are stiffness, damping and deviation, ``cell`` is width and height."""
     import pandas as pd
 
     differs = bool(criterion_of(criterion).family.levels)
@@ -455,7 +468,7 @@ def _departure_panel(
     cells = frame.groupby(["B", "K"], as_index=False).median()
     x, y = ((cells[axis].to_numpy() + 0.5) * width for axis, width in zip("KB", cell, strict=True))
     off = cells["off"].to_numpy()
-    # ratios above and below one count equally
+    # Ratios above and below one count equally.
     size = np.abs(off) if differs else np.where(off > 0, 1 + off, 1 / (1 + off))
     step = np.searchsorted(OVERSHOOT_STEPS if differs else RATIO_STEPS, size, side="right")
     classes = (np.sign(off) * step).astype(int)

@@ -1,4 +1,4 @@
-"""Responses of single trials: the first step response of a report, and a trial with the loops that may explain it.
+"""Figures of single trials: the first step response of a report, and a trial with loops that may explain it.
 
 Source: Hulin 2017, Fig. 6.2.
 """
@@ -40,20 +40,23 @@ from pipeline.store.storage import read_trials
 from pipeline.theory.predictions import Theory
 
 LONGEST_SHOWN = 1 << 14
-"""Rows after the command edge that are shown, 16 s at 1 kHz: in a longer plot the motion would be invisible."""
+"""Number of rows shown after the command edge, 16 s at 1 kHz. In a longer plot the motion would be invisible."""
 
 CANDIDATES = 8
-"""Number of trials examined: at the lowest stiffness a log may end before its second maximum; at eight times that
-stiffness the period is a third as long."""
+"""Number of examined trials.
+
+At the lowest stiffness, a log may end before its second maximum. At eight times that stiffness, the period is a third
+as long.
+"""
 
 CLEAR = 0.05
-"""Height of a maximum above the final position, relative to F_0/K, for it to count: sensor steps cause lower ones."""
+"""Height above the final position, relative to F_0/K, from which a maximum counts. Sensor steps cause lower maxima."""
 
 BEFORE, AFTER = 2, 6
-"""Sampling periods that the close-up shows before the command edge and after the first change."""
+"""Number of sampling periods in the close-up before the command edge and after the first change."""
 
 REACH = 100.0
-"""Displacement relative to that of the log above which a simulated response is left out."""
+"""Displacement, relative to that of the log, above which a simulated response is not drawn."""
 
 MILLI = 1e3
 TIME = "time after the command edge [ms]"
@@ -74,11 +77,11 @@ def trials_of(stages: ExperimentStages) -> tuple[Floats, Floats, np.ndarray]:
 
 
 def response_figures(data: StoredData) -> list[Figure]:
-    """Return the first response of the first experiment that has one, with a close-up of its onset; empty without a
-    step.
+    """Return the first response of the first suitable experiment, with a close-up of its onset.
 
-    The trial has the lowest stiffness whose log shows two maxima, at its lowest stable damping; if no log does, the
-    lowest stiffness of all. Experiments without operator come first.
+    The list is empty if there is no step. The trial has the lowest stiffness whose log shows two maxima, and the lowest
+    stable damping at this stiffness. If no log shows two maxima, it has the lowest stiffness of all. Experiments
+    without operator have priority.
     """
     grips = {stages.experiment: set(stages.trials.column("grip").to_pylist()) for stages in data.experiments}
     for stages in sorted(data.experiments, key=lambda stages: grips[stages.experiment] != {"none"}):
@@ -89,7 +92,7 @@ def response_figures(data: StoredData) -> list[Figure]:
 
 
 def _candidates(stages: ExperimentStages) -> Iterator[tuple[Trial, int, int, tuple[float, float] | None]]:
-    """Yield the softest trials: log, row of the edge, rows to the first change, times of the first two maxima."""
+    """Yield the softest trials: log, row of the edge, rows to the first change, and times of the first two maxima."""
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     chosen = softest(k, b, stages.verdicts.verdict == "stable")
     if not len(chosen):
@@ -107,7 +110,7 @@ def _candidates(stages: ExperimentStages) -> Iterator[tuple[Trial, int, int, tup
 
 
 def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
-    """Return at most `CANDIDATES` stable trials at the lowest stiffnesses above zero, each at its lowest damping."""
+    """Return at most `CANDIDATES` stable trials with the lowest positive stiffnesses, each at its lowest damping."""
     usable = np.flatnonzero(stable & (stiffness > 0))
     order = usable[np.lexsort((damping[usable], stiffness[usable]))]
     return order[np.diff(stiffness[order], prepend=-np.inf) > 0][:CANDIDATES]
@@ -116,15 +119,15 @@ def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
 def oscillation_period(time: Floats, displacement: Floats, final: float) -> tuple[float, float] | None:
     """Return the times of the first two maxima of a step response, or None if it has fewer than two.
 
-    A maximum is the middle of the highest samples between two crossings of the final position, and only a complete
-    stretch above it counts.
+    A maximum is the middle of the highest samples between two crossings of the final position. Only a complete interval
+    above the final position counts.
     """
     relative = displacement / final
     change = np.flatnonzero(np.diff(np.concatenate([[False], relative > 1, [False]]).astype(np.int8)))
     maxima = []
     for start, end in zip(change[::2].tolist(), change[1::2].tolist(), strict=True):
         lobe = relative[start:end]
-        if end < len(relative) and lobe.max() >= 1 + CLEAR:  # a stretch cut off by the end of the log may still rise
+        if end < len(relative) and lobe.max() >= 1 + CLEAR:  # an interval cut off by the end of the log may still rise
             maxima.append(float(time[start + np.flatnonzero(lobe == lobe.max())].mean()))
     return (maxima[0], maxima[1]) if len(maxima) > 1 else None
 
@@ -144,11 +147,11 @@ def _response_figure(
     ends, units, at = np.array([time[0], time[-1]]), UNITS[motion], change * step
     whole = [Series("_log", "log", *thinned(time, position)), Series("_final value", "final", ends, np.full(2, final))]
     words = f"K = {stiffness_text(K)} {units.stiffness}, B = {damping_text(B)} {units.damping}"
-    told = ""
+    remark = ""
     if period is not None:
         between = MILLI * np.array(period)
         whole.append(Series("oscillation period", "line", between, np.full(2, 0.5 * final)))
-        told = f" The oscillation period is {decimal(between[1] - between[0], 0)} ms."
+        remark = f" The oscillation period is {decimal(between[1] - between[0], 0)} ms."
     near = (time >= -(BEFORE + 0.5) * step) & (time <= at + (AFTER + 0.5) * step)
     spans = Series("_delay", "span", np.array([at - step, at]), np.zeros(2))
     first = Series("first change", "mark", np.array([at]), position[near][np.argmin(np.abs(time[near] - at))][None])
@@ -162,7 +165,7 @@ def _response_figure(
     )
     begin = (spans, Series("_log", "log", time[near], position[near]), first)
     panels = (
-        Panel("step response", (TIME, _length(motion)), tuple(whole), f"Displacement over time, {words}.{told}"),
+        Panel("step response", (TIME, _length(motion)), tuple(whole), f"Displacement over time, {words}.{remark}"),
         Panel(
             "beginning",
             ("", _length(motion)),
@@ -172,22 +175,22 @@ def _response_figure(
         ),
     )
     caption = (
-        f"Trial {trial.trial_id} of experiment {stages.experiment}: {words}.{told} Right, the beginning: the "
-        f"position first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded period (6.3)."
+        f"Trial {trial.trial_id} of experiment {stages.experiment}: {words}.{remark} Right: the onset. The position "
+        f"first changes at t_obs = {decimal(at, 3)} ms, so that the delay lies in the shaded period (6.3)."
     )
     return Figure("response", "first-response", "Step response", caption, panels, size=(440.0, 290.0))
 
 
 def trial_figure(stages: ExperimentStages, result: ExperimentNumbers, trial: str, motion: Motion) -> Figure:
-    """Return a trial with theory and fitted loops, and the residual of the wall law.
+    """Return a trial with theory, fitted loops, and the residual of the wall law.
 
     Parameters
     ----------
     stages : ExperimentStages
-        Stages of its experiment. Missing results, such as those of an excluded trial, are left out.
+        Stages of its experiment. Missing results, such as those of an excluded trial, are omitted.
     result : ExperimentNumbers
     trial : str
-        Its id.
+        Id of the trial.
     motion : {"translation", "rotation"}
     """
     stored = read_trials(stages.processed, stages.device, stages.experiment)
@@ -198,7 +201,7 @@ def trial_figure(stages: ExperimentStages, result: ExperimentNumbers, trial: str
     time, measured = MILLI * (of.trial.time[:rows] - of.trial.time[edge]), of.trial.displacement[:rows]
     log = LogRows.of(of.logged, of.response)
     residual, rounding = log.residual[:rows], float(log.rounding.max())
-    beside, told = _beside(stages, result, of, measured)
+    beside, sentences = _beside(stages, result, of, measured)
     series = [Series("log", "wide log", *thinned(time, MILLI * measured))]
     series += [Series(label, kind, *thinned(time, MILLI * position)) for label, kind, position in beside]
     stiffness, ends = of.trial.stiffness, np.array([time[0], time[-1]])
@@ -236,8 +239,8 @@ def trial_figure(stages: ExperimentStages, result: ExperimentNumbers, trial: str
             (limits, around(residual, np.array([-rounding, rounding]))),
         ),
     )
-    told.append(_law(stages, trial, residual, rounding, _force(motion)))
-    words = ". ".join(text.rstrip(".") for text in told) + "."
+    sentences.append(_law(stages, trial, residual, rounding, _force(motion)))
+    words = ". ".join(text.rstrip(".") for text in sentences) + "."
     simulated = bool(own.column("simulated")[0].as_py())
     return Figure(
         "response", f"trial-{trial}", f"Trial {trial}", words, panels, size=(440.0, 310.0), simulated=simulated
@@ -245,7 +248,7 @@ def trial_figure(stages: ExperimentStages, result: ExperimentNumbers, trial: str
 
 
 SHOWN_SAMPLES = 150
-"""Samples after the command edge in the figure of the recommended wall: three times a settling time with d = 8."""
+"""Number of samples after the command edge in this figure. It is three times a settling time with d = 8."""
 
 
 def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: Theory, best: ComparisonRow) -> Figure:
@@ -257,9 +260,9 @@ def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: The
         Stages and result of an experiment with a recommended wall.
     theory : Theory
     best : ComparisonRow
-        Theory's optimum for sampled responses.
+        Optimum of theory for sampled responses.
     """
-    assert result.use is not None, "without a recommended wall there is nothing to draw"
+    assert result.use is not None, "this figure needs a recommended wall"
     point = result.use.point
     (trial,) = load_trials(stages.processed, stages.trials.filter(pc.equal(stages.trials["trial_id"], point.trial_id)))
     edge = max(find_response(trial).edge_row, 0)
@@ -277,8 +280,8 @@ def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: The
     )
     cost = f"{criterion_label(best.criterion)} {cost_text(best.criterion, best.cost or 0.0)}"
     caption = (
-        f"Recommended, a tested wall: {recommended}. Optimum: {optimum}, {cost}, the fastest wall of the linear loop, "
-        "tested or not."
+        f"Recommended, a tested wall: {recommended}. Optimum: {optimum}, {cost}, the fastest of all walls "
+        "of the linear loop."
     )
     names = (TIME, "displacement over F_0/K")
     panel = Panel("", names, tuple(series), "Responses over time, relative to the final displacement.")
@@ -287,7 +290,7 @@ def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: The
 
 
 def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
-    """Return the superimposed responses of several trials, each with its theoretical response (dashed, same colour)."""
+    """Return the superimposed responses of trials, each with its theoretical response (dashed, same colour)."""
     series = []
     for number, (figure, label) in enumerate(zip(figures, labels, strict=True)):
         for each in figure.panels[0].series:
@@ -301,23 +304,25 @@ def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
 
 
 def response(theory: Theory, stiffness: float, damping: float, force: Floats) -> Floats:
-    """Return the displacement [m, rad] of a loop at each sample, from rest, under an external force added to the
-    command.
+    """Return the displacement [m, rad] of a loop at each sample, from rest.
+
+    An external force is added to the command.
+
 
     Parameters
     ----------
     theory : Theory
     stiffness, damping : float
-        Of the wall: K [N/m, Nm/rad], B [Ns/m, Nms/rad].
+        Wall: K [N/m, Nm/rad], B [Ns/m, Nms/rad].
     force : float64, shape (n,)
         External force at each sample [N, Nm].
 
     Raises
     ------
     ParameterError
-        If delay plus velocity filter exceeds 96 samples.
+        If delay and velocity filter together exceed 96 samples.
 
-    Source: Hulin 2017, eqs. 3.9 and 3.18, extended by the parts of a non-ideal loop.
+    Source: Hulin 2017, eqs. 3.9 and 3.18, extended to the parts of a non-ideal loop.
     """
     free, push, position, velocity = theory.normalised.open_loop
     units = theory.units
@@ -334,11 +339,13 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 def _beside(
     stages: ExperimentStages, result: ExperimentNumbers, of: MeasuredTrial, measured: Floats
 ) -> tuple[list[tuple[str, str, Floats]], list[str]]:
-    """Return label, kind and displacement of the responses to compare with a log, and their errors or why they are
-    missing."""
+    """Return label, kind and displacement of the responses to compare with a log.
+
+    The second result has sentences on their errors, and on the reasons for missing responses.
+    """
     trial, edge, rows = of.trial, of.response.edge_row, len(measured)
     if edge < 0:
-        return [], ["No step was found in this log, so that no loop can be compared with it"]
+        return [], ["No step was found in this log, so no loop can be compared with it"]
     force = np.where(np.arange(rows) >= edge, trial.step, 0.0)
     fitted = adequate_theory(result, stages)
     loops = [("fitted loop", "fitted", fitted)] if fitted is not None else []
@@ -371,15 +378,17 @@ def _beside(
 
 
 def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:
-    """Return in words how far the command of a log deviates from the wall law, and the reason if the stage found
-    one."""
+    """Return a sentence on how far the command of a log deviates from the wall law.
+
+    If the stage found a reason, it is included.
+    """
     largest = float(np.nanmax(np.abs(residual), initial=0.0))
     if largest <= rounding:
-        return "The logged command is that of the wall law, up to rounding"
+        return "The logged command agrees with the wall law, up to rounding"
     ids = stages.texts("response", "trial_id")
     known = trial in ids and stages.is_stored("wall_law")
     why = stages.texts("wall_law", "law_evidence")[ids.index(trial)] if known else ""
     return (
-        f"The logged command is off the wall law by up to {significant(largest, 3)} {unit}, of which rounding is "
+        f"The logged command deviates from the wall law by up to {significant(largest, 3)} {unit}; rounding explains "
         f"{significant(rounding, 2)} {unit}{': ' if why else ''}{why}"
     )

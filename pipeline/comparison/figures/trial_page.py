@@ -1,11 +1,12 @@
 """The trials of a comparison for the interactive part of its report.
 
-Every trial is a point, and the most relevant ones have their response.
+Every trial is a point, and the most relevant trials have their response.
 
-A page with every response of 11,000 trials would have 8 MB. Therefore every trial has stiffness, damping, verdict,
-outcome and costs, but responses are limited to a total number of samples: first the optima, then in turn the trials at
-the stability boundary and those of an increasingly fine grid over the plane. The coding loss is invisible: rounding
-moves a line by a quarter of a pixel, and rows are left out only if several share a column of pixels.
+A page with all responses of 11,000 trials would have 8 MB. Therefore, every trial has stiffness, damping, verdict,
+outcome and costs, but the total number of response samples is limited. Responses are added in this order: the optima,
+then alternately trials at the stability boundary and trials of an increasingly fine grid over the plane. The loss due
+to coding is invisible: rounding moves a line by a quarter of a pixel, and rows are omitted only if several share a
+column of pixels.
 """
 
 from __future__ import annotations
@@ -36,41 +37,43 @@ from pipeline.rendering.report.tables import TrialPage
 from pipeline.theory.predictions import Theory
 
 SAMPLES = 200_000
-"""Number of response samples in a report, about 280 kB: a report on all thesis experiments stays below 2 MB."""
+"""Number of response samples in a report, about 280 kB. A report on all thesis experiments has less than 2 MB."""
 
 PORTION = 64
-"""Number of responses prepared at once: simulating one takes about as long as simulating this many."""
+"""Number of responses prepared together. Simulating a single response takes about as long as simulating this many."""
 
 COST_DIGITS = 3
-"""Digits of a cost in the plane; a trial with a response shows the cost as printed in the tables."""
+"""Digits of a cost in the plane. A trial with a response shows the cost as printed in the tables."""
 
 EDGE_TURNS = 3
-"""Number of boundary trials per grid trial: the tables name all boundary trials."""
+"""Number of boundary trials for each grid trial. The tables name all boundary trials."""
 
 FINEST_GRID = 64
-"""Number of cells along each axis of the finest grid: experiments have fewer dampings."""
+"""Number of cells along each axis of the finest grid. Experiments have fewer dampings."""
 
 VERDICTS = ("stable", "unstable", "undecided")
 
 LEVELS = 500
-"""Number of steps into which the range of a response is divided: in a plot 250 pixels high, half a step is a quarter
-pixel."""
+"""Number of steps into which the range of a response is divided. In a plot 250 pixels high, half a step is a quarter of
+a pixel."""
 
 COLUMNS, WHOLE = 700, 30
-"""Number of pixel columns of the plot, and number of samples after the command edge that are all kept: they show delay
-and onset."""
+"""Number of pixel columns of the plot, and number of samples after the command edge that are all kept.
+
+The kept samples show delay and onset.
+"""
 
 LAGS = (1, 2, 3, 4)
-"""Lags of the samples that predict one: two oscillations, or one with drift and offset; more lags save nothing."""
+"""Lags of the samples that predict a sample: two oscillations, or one with drift and offset. More lags save nothing."""
 
 PARTS = 4096
-"""Denominator of the coefficients: a power of two, by which a browser divides exactly."""
+"""Denominator of the coefficients. It is a power of two, so that a browser divides exactly."""
 
 
 def trial_page(
     data: StoredData, results: Sequence[ExperimentNumbers], theories: Mapping[str, Theory], *, full: bool = False
 ) -> TrialPage:
-    """Collect the trials of all experiments, in the order of ``data``; with ``full`` every response."""
+    """Collect the trials of all experiments in the order of ``data``. With ``full``, all have their response."""
     criteria, modelled = data.scene.criteria, "model" in needed_stages(data)
     share = None if full else SAMPLES // len(results)
     gathered = [
@@ -112,7 +115,7 @@ def reference(experiment: int, trial: int) -> str:
 
 @dataclass
 class _Experiment:
-    """One experiment while its page content is built; rows are those of its stages."""
+    """Content of the page for an experiment. Rows are those of its stages."""
 
     number: int
     stages: ExperimentStages
@@ -168,7 +171,7 @@ class _Experiment:
         return {trial: reference(self.number, row) for row, trial in enumerate(self.ids) if trial in named}
 
     def boundary(self) -> dict[tuple[float, float], int]:
-        """Return the rows of the trials at the boundary by damping and stiffness."""
+        """Return the rows of the trials at the boundary, by damping and stiffness."""
         rows = zip(self.damping.tolist(), self.stiffness.tolist(), self.verdict.tolist(), strict=True)
         first: dict[tuple[float, float, str], int] = {}
         for row, key in enumerate(rows):
@@ -191,7 +194,7 @@ class _Experiment:
                 yield entry
 
     def _order(self) -> Integers:
-        """Return all rows, the most relevant first."""
+        """Return all rows, the most relevant ones first."""
         place = {trial: row for row, trial in enumerate(self.ids)}
         use = [self.result.use.point.trial_id] if self.result.use else []
         best = [place[str(name)] for name in [*use, *(o.trial_id for o in self.result.optimum.values())]]
@@ -203,7 +206,7 @@ class _Experiment:
         return _each_once(np.concatenate([np.array(best, dtype=np.int64), both]))
 
     def _entries(self, rows: Sequence[int]) -> list[dict[str, Any]]:
-        """Return the responses of some trials."""
+        """Return the responses of the given trials."""
         measured = [MeasuredTrial(self.stages.samples[row]) for row in rows]
         device, alone = self.stages.once(identified_device) if self.modelled else None, {}
         if device is not None:
@@ -212,7 +215,7 @@ class _Experiment:
         return [self._entry(row, measured[place], alone.get(place)) for place, row in enumerate(rows)]
 
     def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> dict[str, Any]:
-        """Return the response of a trial, with the response of the device alone from the command edge."""
+        """Return the response of a trial, with the response of the device without a wall from the command edge on."""
         trial, response, ghost = of.logged, of.response, np.full(of.logged.rows, np.nan)
         edge = max(response.edge_row, 0)
         if alone is not None:
@@ -228,19 +231,19 @@ class _Experiment:
         }
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
-        """Return the texts of a trial: id, verdict, evidence, model, costs with intervals or the reason why they are
-        missing."""
+        """Return the texts of a trial: id, verdict, evidence, model, and costs with intervals or reasons for missing
+        costs."""
         units = UNITS[self.stages.motion]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
-        told = {
+        texts = {
             "id": self.ids[row],
             "why": self.stages.text("response", "reason", row),
             "evidence": self.stages.text("outcome", "evidence", row).replace("+-", "±"),
             "model": ", ".join(fitted) if np.isfinite(model["mass"]) else "",
             "costs": [self._cost_text(criterion, row) for criterion in self.criteria],
         }
-        return {name: text for name, text in told.items() if text}
+        return {name: text for name, text in texts.items() if text}
 
     def _cost_text(self, criterion: str, row: int) -> str:
         cost = float(self.costs[criterion][row])
@@ -253,9 +256,10 @@ class _Experiment:
 
 
 def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> dict[int, Floats]:
-    """Return the motion of the device alone from the command edge [m, rad], by the index of each trial with a step.
+    """Return the motion of the device without a wall from the command edge on [m, rad], by index of each trial with a
+    step.
 
-    The motion of a linear device scales with the size of the step; with friction or a constant force it does not.
+    The motion of a linear device is proportional to the step. With friction or a constant force it is not.
     """
     linear = not (loop.friction or loop.constant_force)
     places = [i for i, of in enumerate(measured) if of.response.edge_row >= 0 and of.logged.step != 0]
@@ -272,7 +276,7 @@ def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> d
 
 
 def reason_of(criterion: str, reasons: str) -> str:
-    """Return why a trial has no cost: the family's reasons for this criterion, each once.
+    """Return the reason why a trial has no cost: the family's reasons for this criterion, each once.
 
     >>> reason_of("settle_1pct", "settle_1pct: too short; settle_1pct: too short; settle_2pct: coarse sensor")
     'too short'
@@ -284,7 +288,7 @@ def reason_of(criterion: str, reasons: str) -> str:
 
 
 def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict[str, Any]:
-    """Return the coded log and model of one trial, and the index of the command edge among the kept rows."""
+    """Return the coded log and model of a trial, and the index of the command edge among the kept rows."""
     rows = len(position)
     kept = visible_rows((position, ghost), edge, rows)
     shown = {} if kept is None else {"rows": np.diff(kept, prepend=0).tolist()}
@@ -296,16 +300,16 @@ def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict
 
 
 def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers | None:
-    """Return the rows that a plot of some signals needs, or None where it needs all of them.
+    """Return the rows that a plot of signals needs, or None if it needs all rows.
 
-    In each column of pixels the rows with the lowest and highest value of each signal are kept, and the first and last
-    row overall, so that the drawing covers the same pixels. Rejected: every n-th row (loses peaks), largest triangles
-    (Steinarsson 2013; loses the envelope of an oscillation faster than the pixels).
+    In each column of pixels, the rows with the lowest and highest value of each signal are kept. The first and last row
+    are also kept, so that the drawing covers the same pixels. Two methods were rejected: every n-th row loses peaks,
+    and largest triangles (Steinarsson 2013) lose the envelope of an oscillation that is faster than the pixels.
 
     Parameters
     ----------
     signals : tuple of float64, shape (N,) each
-        Drawn over the same rows; NaN where there is no value.
+        Signals over the same rows. A missing value is NaN.
     edge, rows : int
         Row of the command edge, and number of rows.
     """
@@ -331,24 +335,25 @@ def step_size(values: Floats, quantum: float) -> float:
 
 
 def code(values: Floats, step: float) -> dict[str, list[int]] | None:
-    """Return the one-step prediction errors of a quantised signal; None for a signal without values.
+    """Return the one-step prediction errors of a quantised signal, or None for a signal without values.
 
     Parameters
     ----------
     values : float64, shape (N,)
-        A non-finite value repeats the previous one.
+        Signal. A non-finite value repeats the previous value.
     step : float
 
     Returns
     -------
     dict
-        ``c``: coefficients of the four samples before, the latest first, in parts of `PARTS`; ``r``: value minus
-        prediction [steps]. All are integers, so that a browser finds the same ones.
+        ``c``: coefficients of the four previous samples, the latest first, as multiples of 1/`PARTS`. ``r``: value
+        minus prediction [steps]. All numbers are integers, so that a browser computes the same values.
 
     Notes
     -----
-    A response of the loop is a sum of few decaying oscillations, each predicted from two samples. Rejected: second
-    differences (twice the bytes for an oscillation); the model simulated in the page (a second definition of the loop).
+    A response of the loop is a sum of a few decaying oscillations, each of which two samples predict. Two methods were
+    rejected: second differences need twice the bytes for an oscillation, and simulating the model in the page would
+    need a second definition of the loop.
     """
     known = np.isfinite(values)
     if not known.any():
@@ -356,7 +361,7 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
     counted = np.rint(np.nan_to_num(values[last]) / step).astype(np.int64)
     past = np.stack([np.concatenate([np.zeros(lag, np.int64), counted])[: len(counted)] for lag in LAGS], axis=1)
-    # the first samples have no past and would bias the coefficients
+    # The first samples have no past and would bias the coefficients.
     fitted = np.linalg.lstsq(past[len(LAGS) :].astype(float), counted[len(LAGS) :].astype(float), rcond=None)[0]
     coefficients = np.rint(fitted * PARTS).astype(np.int64)
     missed = counted - (past @ coefficients + PARTS // 2) // PARTS

@@ -1,1 +1,1 @@
-"""The identified loop of an experiment: its parameters, whether it is adequate, and the conclusions from it."""
+"""The identified loop of an experiment: its parameters, its adequacy, and the conclusions from it."""

@@ -21,16 +21,16 @@ from pipeline.records.results import ImpliedDelay, MeasuredExperiment, StraightB
 from pipeline.records.trials import Floats
 
 NEAR = 0.5
-"""Largest damping near the origin, relative to that of the stiffest wall: in the thesis 50 of 94 Ns/m."""
+"""Largest damping near the origin, relative to that of the stiffest wall. In the thesis it is 50 of 94 Ns/m."""
 
 FEWEST = 3
-"""Smallest number of limits for a delay estimate; a line has one more parameter and needs one limit more."""
+"""Smallest number of limits for a delay estimate. A line has one more parameter and needs one more limit."""
 
 DELAYS = np.concatenate([np.linspace(0, 4, 17), np.geomspace(4.5, LARGEST_DELAY, 24)])
 """Grid of delays [samples] for the search of the least-squares delay."""
 
 STEP = 1e-3
-"""Step of the delay [samples] for the numerical slope of limits over delay."""
+"""Step of the delay [samples] for the numerical derivative of limits with respect to delay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,35 +58,35 @@ def _limits(result: MeasuredExperiment) -> _Limits:
 
 
 def implied_delay(result: MeasuredExperiment, basis: LoopBasis | None) -> ImpliedDelay:
-    """Return the pure delay with which theory comes closest to the measured boundary, near its origin and as a whole.
+    """Return the pure delay with which theory fits the measured boundary best, near its origin and for all limits.
 
     Parameters
     ----------
     result : MeasuredExperiment
-        Its measured limits.
+        Experiment with measured limits.
     basis : LoopBasis or None
-        Source of mass, damping and stiffness. Lag, filter, mode and friction are left out, so that the delay includes
+        Source of mass, damping and stiffness. Lag, filter, mode and friction are neglected, so that the delay includes
         their effect.
 
     Notes
     -----
-    Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), apart from theory's small curvature; least squares
-    weight each limit by its interval. 95 % intervals include the scatter of the limits about the curve, and the errors
-    of mass and damping.
+    Near the origin a limit is (B + b)/(T (d + 1/2)) by (3.25), except for theory's small curvature. Least squares
+    weight each limit by its interval. The 95 % intervals include the scatter of the limits about the curve, and the
+    errors of mass and damping.
     """
-    limits, reason = _limits(result), "no mass and damping are known, with which theory would have these limits"
+    limits, reason = _limits(result), "mass and damping are unknown, so theory gives no limits"
     if basis is None:
         return ImpliedDelay(origin=_none(reason), whole=_none(reason))
     loops = _ideal(basis)
     near = _near_origin(limits)
     return ImpliedDelay(
         origin=_delay(near, loops, "slope of the boundary near its origin (3.25)"),
-        whole=_delay(limits, loops, "theory's boundary with this delay, by all limits"),
+        whole=_delay(limits, loops, "fit of theory's boundary to all limits"),
     )
 
 
 def _near_origin(limits: _Limits) -> _Limits:
-    """Return the limits near the origin; empty if there are no limits."""
+    """Return the limits near the origin, or no limits if there are none."""
     if not len(limits):
         return limits
     stiffest = limits.damping[np.argmax(limits.stiffness)]
@@ -94,8 +94,10 @@ def _near_origin(limits: _Limits) -> _Limits:
 
 
 def _ideal(basis: LoopBasis) -> list[Loop]:
-    """Return the loop of mass, damping, stiffness and delay alone, and those with mass and damping at the ends of their
-    intervals."""
+    """Return loops with only mass, damping, stiffness and delay.
+
+    The first loop has the estimated values. In the others, mass or damping is at an end of its interval.
+    """
     of = basis.loop.apparent()
     ideal = Loop(
         mass=of.mass,
@@ -119,10 +121,12 @@ def _none(reason: str) -> Quantity:
 
 
 def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
-    """Return the delay with which the first loop fits the limits best; its interval includes the fits of the other
-    loops."""
+    """Return the delay with which the first loop fits the limits best.
+
+    The interval includes the fits of other loops.
+    """
     if len(limits) < FEWEST:
-        have = f"{len(limits)} such limits were enclosed by a stable and an unstable trial"
+        have = f"{len(limits)} such limits are enclosed by a stable and an unstable trial"
         return _none(f"{have}; {FEWEST} are needed. Record walls on both sides of the limit at more dampings.")
 
     def curve(loop: Loop) -> Callable[[float], Floats]:
@@ -137,7 +141,7 @@ def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
     scatter = float(rest @ rest) / freedom
     factor = NORMAL_95 if scatter <= 1 else float(student_95(freedom)) * np.sqrt(scatter)
     if not float(slope @ slope) > 0:
-        return _none("the limits of theory do not depend on delay at these dampings. Record walls of less damping.")
+        return _none("theory's limits do not depend on delay at these dampings. Record walls with less damping.")
     own = factor / np.sqrt(float(slope @ slope))
     near = int(np.abs(DELAYS - value).argmin())
     off = np.array([_nearest(each, limits, near) - value for each in others])
@@ -149,9 +153,9 @@ def _delay(limits: _Limits, loops: list[Loop], method: str) -> Quantity:
 def _nearest(curve: Callable[[float], Floats], limits: _Limits, start: int) -> float:
     """Return the delay with the least sum of squared residuals of the limits, in units of their standard errors.
 
-    The grid is searched upwards from an index, and from there downwards while the residuals shrink. A longer delay
+    The grid is searched upwards from an index, and downwards from it as long as the residuals decrease. A longer delay
     lowers every limit, so the search ends at the first delay for which all limits of theory are below the measured
-    ones.
+    limits.
     """
     from scipy.optimize import minimize_scalar
 
@@ -177,20 +181,22 @@ def _nearest(curve: Callable[[float], Floats], limits: _Limits, start: int) -> f
 
 
 def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> StraightBound | None:
-    """Return the line through the measured limits at and beyond the damping of the stiffest wall; None for fewer than
-    four limits.
+    """Return the line through the measured limits at and beyond the damping of the stiffest wall.
+
+    The result is None if there are fewer than four limits.
+
 
     Parameters
     ----------
     result : MeasuredExperiment
     basis : LoopBasis or None
-        Loop whose limits at the same dampings give the curvature to compare with the measured one.
+        Loop whose limits at the same dampings give the theoretical curvature.
 
     Notes
     -----
-    K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits; the confidence intervals
-    include the scatter about the line. The curvature is half the second derivative of a parabola through the same
-    limits.
+    The line is K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits. The confidence
+    intervals include the scatter about the line. The curvature is half the second derivative of a parabola through the
+    same limits.
     """
     limits = _limits(result)
     if not len(limits):
@@ -215,7 +221,8 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
 
 
 def _polynomial(limits: _Limits, stiffness: Floats, degree: int) -> tuple[Floats, Floats]:
-    """Return the coefficients of a polynomial over damping, the constant first, and their half widths, 95 %."""
+    """Return the coefficients of a polynomial over damping, the constant first, and the half widths of 95 %
+    intervals."""
     found, known = np.polyfit(limits.damping, stiffness, degree, w=1 / limits.error, cov="unscaled")
     rest = (stiffness - np.polyval(found, limits.damping)) / limits.error
     freedom = len(limits) - degree - 1

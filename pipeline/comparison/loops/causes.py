@@ -1,4 +1,4 @@
-"""Why an experiment deviates from the ideal loop: departures from the wall law and parts of the device, in one list."""
+"""Causes of deviations from the ideal loop: departures from the wall law, and parts of the device, in one list."""
 
 from __future__ import annotations
 
@@ -23,22 +23,26 @@ from pipeline.records.results import Cause, CauseCode, MeasuredExperiment
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
-"""Smallest number of trials for which differences between trials are reported: with fewer, a share of them is uncertain
-by more than 30 %."""
+"""Smallest number of trials for which differences between trials are reported. With fewer, their share is uncertain by
+more than 30 %."""
 
 ALONG = np.linspace(0.0, 1.0, 6)
-"""Dampings, relative to that of the stiffest wall, at which changes of the limit are evaluated: at larger ones the
-limit falls so steeply that any change is large."""
+"""Dampings, relative to that of the stiffest wall, at which changes of the limit are evaluated.
+
+At larger dampings the limit decreases so steeply that any change is large.
+"""
 
 
 Candidate = tuple[float, Cause]
-"""A possible cause after the largest change of a result that it makes, or the share of logs that show it."""
+"""A possible cause, with the largest change of a result that it makes, or the share of logs that show it."""
 
 
 @dataclass(frozen=True, eq=False)
 class LoopEvidence:
-    """Input for the search of causes: the experiment, its usual trial, departures, filter, other gains, and its loop,
-    if any."""
+    """Input for the search of causes.
+
+    It has the experiment, its usual trial, departures, velocity filter, other gains, and the loop if there is one.
+    """
 
     result: MeasuredExperiment
     stages: ExperimentStages
@@ -51,22 +55,25 @@ class LoopEvidence:
 
     @property
     def motion(self) -> Motion:
-        """Kind of motion, which decides the units."""
+        """Kind of motion, which determines the units."""
         return self.stages.motion
 
 
 def causes_of(evidence: LoopEvidence) -> tuple[Cause, ...]:
-    """Return the causes that change a result by more than `MATTERS`: departures by number of logs, then parts of
-    the device by their effect, then gaps in the tested walls; empty for an ideal loop."""
+    """Return the causes that change a result by more than `MATTERS`.
+
+    Departures are listed first, by number of logs, then parts of the device by their effect, then gaps in the tested
+    walls. The tuple is empty for an ideal loop.
+    """
     first = [cause_of(each) for each in evidence.result.recording if each.is_unsafe]
     first += [] if evidence.gains is None or evidence.gains.few else [evidence.gains.cause]
     parts = sorted(_parts(evidence), key=lambda candidate: -candidate[0])
     found = [*_departures(evidence), *parts, *_course(evidence)]
     causes = [*first, *(cause for effect, cause in found if effect > MATTERS)]
-    told: dict[str, Cause] = {}
+    by_code: dict[str, Cause] = {}
     for cause in causes:
-        told.setdefault(cause.code, cause)
-    return tuple(told.values())
+        by_code.setdefault(cause.code, cause)
+    return tuple(by_code.values())
 
 
 def _candidate(code: CauseCode, effect: float, sentence: str, evidence: str) -> Candidate:
@@ -81,7 +88,7 @@ def _departures(evidence: LoopEvidence) -> Iterator[Candidate]:
     for each in evidence.departures:
         sentence = SENTENCES[each.code]
         if each.code == "velocity_filter":
-            # a controller filters the velocity in all trials or in none; single logs can imitate it
+            # A controller filters the velocity in all trials or in none. Single logs can imitate a filter.
             if not each.most or evidence.velocity is None:
                 continue
             sentence = f"The velocity of the wall law {evidence.velocity.words}."
@@ -91,10 +98,10 @@ def _departures(evidence: LoopEvidence) -> Iterator[Candidate]:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a device as a cause: code, the name in `PARAMETERS` of its main parameter, and the sentence.
+    """A part of a device as a cause: code, name of its main parameter in `PARAMETERS`, and sentence.
 
-    ``over`` is the reference for the shift of the rest position by the parameter: the step's force or the softest
-    wall's stiffness. ``scale`` and ``unit`` override those of `PARAMETERS`.
+    ``over`` is the reference for the shift of the rest position by the parameter: the force of the step, or the
+    stiffness of the softest wall. ``scale`` and ``unit`` override those of `PARAMETERS`.
     """
 
     code: CauseCode
@@ -112,13 +119,18 @@ PARTS = {
     "lag": Part(
         "actuator_lag",
         "actuator_lag_s",
-        "The force lags the command by a time constant of {value}{more}.",
+        "The force lags the command with a time constant of {value}{more}.",
         scale=1e3,
         unit="ms",
     ),
-    "spring": Part("operator", "stiffness", "A spring of {value} acts on the device: a hand, or part of it.", "wall"),
+    "spring": Part(
+        "operator",
+        "stiffness",
+        "A spring of {value} acts on the device. It may be a hand or part of the device.",
+        "wall",
+    ),
     "force": Part("constant_force", "constant_force", "A constant force of {value} acts on the device.", "step"),
-    "saturation": Part("saturation", "force_limit", "The drive gives no more than {value}, whatever is commanded."),
+    "saturation": Part("saturation", "force_limit", "The drive is limited to {value}."),
     "mode": Part("vibration_mode", "mode.frequency_hz", "The device vibrates at {value}, as seen by a sensor {at}."),
 }
 
@@ -141,12 +153,15 @@ def _parts(evidence: LoopEvidence) -> Iterator[Candidate]:
         number, rest = device.interval(part.number), abs(device.values[part.number]) / least[part.over]
         effect, change = _limit_change(device.loop, _without(device, name), evidence)
         if name == "saturation":
-            effect, change = device.saturated, f"{share_text(device.saturated)} % of the stable trials command more"
+            effect, change = (
+                device.saturated,
+                f"{share_text(device.saturated)} % of the stable trials command a larger force",
+            )
         elif rest > effect:
             effect, change = rest, f"{significant(100 * rest, 2)} % of the final displacement at most"
         more = _rest_off_target(number.value, evidence.trial.step) if name == "friction" else ""
         if name == "lag" and "delay_samples" in device.bounds:
-            more = ", or a fast mode vibrates and the delay is longer by as much: logs cannot decide"
+            more = ", or there is a fast mode and the delay is longer by this time (not distinguishable by logs)"
         unit = part.unit or PARAMETERS[part.number].unit(evidence.motion)
         value = f"{significant(part.scale * number.value, 3)} {unit}"
         sentence = part.sentence.format(value=value, more=more, at=f"at the {device.mode_sensor}")
@@ -163,17 +178,17 @@ def _without(device: IdentifiedLoop, part: str) -> Loop:
 
 
 def _rest_off_target(coulomb: float, step: float) -> str:
-    """Return the effect of friction in words if it exceeds half the usual settling band, 2 %."""
+    """Return a clause on the effect of friction if it exceeds half the usual settling band, 2 %."""
     if not step or abs(coulomb) <= MATTERS * abs(step):
         return ""
-    return f", {share_text(coulomb / abs(step), 0)} % of the step: it rests off target, and settling times show that"
+    return f", {share_text(coulomb / abs(step), 0)} % of the step; it affects rest positions and settling times"
 
 
 def _limit_change(loop: Loop, other: Loop, evidence: LoopEvidence) -> tuple[float, str]:
-    """Return the largest relative difference between the limits of two devices, and both limits in words."""
+    """Return the largest relative difference between the limits of two devices, and a text with both limits."""
     where = np.unique(np.concatenate([ALONG * damping_of_stiffest(each) for each in (loop, other)]))
     limits, others = linear_limits(loop, where), linear_limits(other, where)
-    if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # friction is negligible for large motions
+    if loop.value("friction.coulomb") != other.value("friction.coulomb"):  # for large motions friction is negligible
         limits = np.maximum(np.nan_to_num(step_limits(loop, where, evidence.trial, np.zeros(len(where)))[0]), limits)
     larger = np.maximum(limits, others)
     some = larger > LOW * larger.max(initial=0.0)
@@ -197,9 +212,9 @@ def _shared(evidence: LoopEvidence, basis: LoopBasis, device: IdentifiedLoop) ->
         yield _candidate(
             "fractional_delay",
             effect * (effect > basis.error),
-            f"The delay is no whole number of samples, {significant(delay.value, 3)}, or an actuator lag of less than "
-            "a sample adds to a whole one: logs cannot decide.",
-            f"by the likelihood of all trials, 95 %: {_span(delay)}",
+            f"The delay is not an integer, {significant(delay.value, 3)} samples, or an actuator lag of less than a "
+            "sample adds to an integer delay (not distinguishable by logs).",
+            f"likelihood of all trials, 95 %: {_span(delay)}",
         )
     stated = basis.loop.mass if basis.nominal is not None else None
     if stated is not None and max(mass.low - stated, stated - mass.high) > MATTERS * stated:
@@ -208,13 +223,13 @@ def _shared(evidence: LoopEvidence, basis: LoopBasis, device: IdentifiedLoop) ->
             "force_gain",
             _limit_change(loop, device.at({**device.values, "mass": stated}), evidence)[0],
             f"Force per unit of command, or the stated mass, is off by {change} %.",
-            f"mass by the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
+            f"mass from the logs {significant(mass.value, 4)} ({_span(mass)}), by the device file "
             f"{significant(stated, 4)}",
         )
 
 
 def _jitter(evidence: LoopEvidence, device: IdentifiedLoop) -> Iterator[Candidate]:
-    """Yield jitter of the delay within trials."""
+    """Yield the jitter of the delay within trials."""
     jitter = evidence.result.estimates.get("jitter_samples")
     if jitter is not None and (jitter.low or 0.0) > 0:
         later = device.values["delay_samples"] + (jitter.low or 0.0)
@@ -233,15 +248,15 @@ def _course(evidence: LoopEvidence) -> Iterator[Candidate]:
     yield _candidate(
         "coarse_sensor",
         middle,
-        "The position sensor is coarse for the motions that were recorded.",
-        f"its quantum is {share_text(middle)} % of the final displacement in the median of "
+        "The position sensor is coarse for the recorded motions.",
+        f"its resolution is {share_text(middle)} % of the final displacement in the median of "
         f"{counted(len(share), 'stable trial')}",
     )
     yield _candidate(
         "few_trials",
         float(result.trials < FEW),
         "There are few trials.",
-        f"{counted(result.trials, 'trial')}; what differs between trials shows from {FEW} on",
+        f"{counted(result.trials, 'trial')}; differences between trials need at least {FEW}",
     )
     verdict = stages.verdicts.verdict[stages.column("response", "stiffness") > 0]
     counts = {said: int((verdict == said).sum()) for said in ("stable", "unstable")}

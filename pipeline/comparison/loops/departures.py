@@ -1,4 +1,4 @@
-"""How logs depart from the wall law that their headers state, and the velocity filter that they show."""
+"""Departures of logs from the wall law that their headers state, and the velocity filter that the logs show."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ from pipeline.records.trials import Floats
 from pipeline.rendering.labels import range_text, significant
 
 SAME_FILTER = 0.05
-"""Largest difference of gain at any frequency for which two filters count as equal: rounding of the commands limits
-estimates."""
+"""Largest difference of gain at any frequency for which two filters count as equal.
+
+Rounding of the commands limits the accuracy of the estimates.
+"""
 
 ANGLES = 512
-"""Frequencies between rest and half the sampling frequency at which gains are compared."""
+"""Frequencies between zero and half the sampling frequency at which gains are compared."""
 
 NAMED = 10
-"""Largest number of logs that are named; the list of trials shows the others as undecided, each with its reason."""
+"""Largest number of logs listed by name. The list of trials shows all others as undecided, with the reasons."""
 
-SHORT = "the command obeys another wall than the headers state"
+SHORT = "the command follows another wall than the headers state"
 
 SENTENCES = {
     "saturation": "The command is clipped.",
@@ -42,29 +44,31 @@ SENTENCES = {
     "missing_rows": "Rows are missing in the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
-    "position_filter": "The position that the wall acts on is filtered.",
-    "adaptive_velocity": "The velocity of the wall law is taken over a window that adapts to the motion.",
-    "decimated_rows": "The logs contain one of several samples of the control loop.",
-    "command_shifted": "The logged command is that of another row than its position.",
+    "position_filter": "The position in the wall law is filtered.",
+    "adaptive_velocity": "The velocity of the wall law is estimated over a window that adapts to the motion.",
+    "decimated_rows": "The logs contain only one of several samples of the control loop.",
+    "command_shifted": "The logged command and position belong to different rows.",
     "rate_limit": "The rate of the command is limited.",
-    "sampling_period": "The time stamps are those of another sampling period than the header states.",
+    "sampling_period": "The sampling period of the time stamps differs from that in the header.",
     "scattered_stamps": "The time stamps scatter, but no row is missing.",
-    "step_not_a_step": "The external force is not the step that the header states.",
+    "step_not_a_step": "The external force differs from the step in the header.",
     "several_steps": "The external force has several steps.",
-    "other_wall": "The command obeys another wall than the header states.",
-    "other_unit": "The command obeys another wall than the header states, by a power of ten.",
-    "unknown": "The logged command is not that of the wall law.",
+    "other_wall": "The command follows another wall than the header states.",
+    "other_unit": "The command follows another wall than the header states, by a power of ten.",
+    "unknown": "The logged command deviates from the wall law.",
 }
-"""Possible departures of a log from the wall law. ``other_wall``: other K, B or sign than the header's;
-``other_unit``: K and B a power of ten off."""
+"""Possible departures of a log from the wall law.
+
+``other_wall``: K, B or a sign differs from the header. ``other_unit``: K and B are wrong by a power of ten.
+"""
 
 UNTIMED = {
     "decimated_rows": (
-        "the controller runs faster than rows are logged, and its commands between them are unknown: mass, damping "
-        "and delay depend on them; to resolve this, log each sample of the control loop"
+        "the controller runs faster than rows are logged, and mass, damping and delay depend on the commands between "
+        "the rows, which are unknown; to resolve this, log each sample of the control loop"
     ),
     "command_shifted": (
-        "the command is logged in another row than its position, and the delay is off by as many samples; to resolve "
+        "the command is logged in another row than its position, so the delay is wrong by as many samples; to resolve "
         "this, log command and position of the same sample in one row"
     ),
     "sampling_period": (
@@ -73,7 +77,7 @@ UNTIMED = {
         "of the time stamps in the profile"
     ),
 }
-"""Departures that, if most logs show them, leave the time from command to motion unknown, each with the consequence."""
+"""Departures that leave the time from command to motion unknown if most logs show them, with the consequences."""
 
 IMITATED = {
     "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
@@ -83,13 +87,16 @@ IMITATED = {
     "velocity_filter": {"position_filter": 1.0},
     "position_filter": {"velocity_filter": 1.0},
 }
-"""Departures, and other ones that imitate them in single logs; a departure needs more logs than those that imitate
-it."""
+"""Departures, with other departures that imitate them in single logs.
+
+A departure must have more logs than those that imitate it.
+"""
 
 
 @dataclass(frozen=True)
 class LawDeparture:
-    """A departure from the wall law: its code, number of logs that show it, number of logs in total, first evidence."""
+    """A departure from the wall law: code, number of logs that show it, total number of logs, and evidence of the
+    first."""
 
     code: str
     logs: int
@@ -98,7 +105,7 @@ class LawDeparture:
 
     @property
     def most(self) -> bool:
-        """Whether most logs show it."""
+        """Whether most logs show the departure."""
         return self.logs > MOST * self.of
 
     @property
@@ -109,7 +116,7 @@ class LawDeparture:
 
 @dataclass(frozen=True, eq=False)
 class LawRows:
-    """Results of the wall-law test, one entry per log.
+    """Results of the wall-law test, with one entry for each log.
 
     Parameters
     ----------
@@ -118,9 +125,9 @@ class LawRows:
     evidence : list of str
     filters : list of VelocityFilterFound or None
     residual : float64, shape (n,)
-        Residual of the law, NaN where there is no step for the comparison.
-    obeyed : float64, shape (n,)
-        Stiffness that the command obeys if the wall differs from the stated one [N/m, Nm/rad]; else NaN.
+        Residual of the law, or NaN if the log has no step.
+    followed : float64, shape (n,)
+        Stiffness that the command follows if the wall differs from the stated one [N/m, Nm/rad], otherwise NaN.
     verdict : array of str, shape (n,)
     """
 
@@ -128,7 +135,7 @@ class LawRows:
     evidence: list[str]
     filters: list[VelocityFilterFound | None]
     residual: Floats
-    obeyed: Floats
+    followed: Floats
     verdict: NDArray[np.str_]
 
     @classmethod
@@ -157,26 +164,26 @@ class LawRows:
 
     @property
     def of_stated_wall(self) -> list[list[str]]:
-        """Return the departures of each log from its stated wall; empty if it obeys another one."""
-        return [[] if off else codes for codes, off in zip(self.codes, np.isfinite(self.obeyed), strict=True)]
+        """Return the departures of each log from its stated wall. The list is empty if it follows another wall."""
+        return [[] if off else codes for codes, off in zip(self.codes, np.isfinite(self.followed), strict=True)]
 
     @property
     def compared(self) -> int:
         """Return the number of logs whose command could be compared with the law of the stated wall."""
-        seen = np.isfinite(self.residual) & ~np.isfinite(self.obeyed)
+        seen = np.isfinite(self.residual) & ~np.isfinite(self.followed)
         return sum(bool(law or codes) for law, codes in zip(seen, self.of_stated_wall, strict=True))
 
     @property
     def misled(self) -> bool:
-        """Whether most logs obey another wall than stated, so that no result in units of K and B is possible."""
-        return int(np.isfinite(self.obeyed).sum()) > MOST * len(self.codes)
+        """Whether most logs follow another wall than stated, so that no result in units of K and B is possible."""
+        return int(np.isfinite(self.followed).sum()) > MOST * len(self.codes)
 
 
 def law_departures(rows: LawRows) -> list[LawDeparture]:
-    """Return the departures of logs from the wall law, the most frequent first.
+    """Return the departures of logs from the wall law, sorted by decreasing frequency.
 
-    A diverging log that is clipped shows its end and not another loop; it does not count. Logs that obey another wall
-    than stated are left out, too; see `other_gains`.
+    A clipped log that diverges does not count, because the clipping results from the divergence. Logs that follow
+    another wall than stated are also left out; see `other_gains`.
     """
     compared, of_stated_wall, found = rows.compared, rows.of_stated_wall, []
     for code in SENTENCES:
@@ -190,13 +197,13 @@ def law_departures(rows: LawRows) -> list[LawDeparture]:
 
 
 def untimed(departures: Sequence[LawDeparture]) -> str:
-    """Return why the device cannot be identified: most logs leave the time from command to motion open."""
+    """Return why the device cannot be identified because most logs leave the time from command to motion unknown."""
     return next((UNTIMED[each.code] for each in departures if each.most and each.code in UNTIMED), "")
 
 
 @dataclass(frozen=True)
 class CourseFilter:
-    """The velocity filter of an experiment, the filters of single logs, and a description."""
+    """The velocity filter of an experiment, the filters of its single logs, and a description."""
 
     velocity: VelocityFilter
     of_logs: Sequence[VelocityFilter]
@@ -204,10 +211,10 @@ class CourseFilter:
 
 
 def course_filter(rows: LawRows) -> CourseFilter | None:
-    """Return the velocity filter on which most logs agree; None if they do not agree.
+    """Return the velocity filter on which most logs agree, or None if they do not agree.
 
-    A controller has the same filter in all trials or in none. Single logs can imitate a filter, and an effect that
-    differs from log to log is not a filter.
+    A controller has the same filter in all trials or in none. Single logs can imitate a filter. An effect that differs
+    between logs is not a filter.
     """
     if not any(each.code == "velocity_filter" and each.most for each in law_departures(rows)):
         return None
@@ -223,12 +230,12 @@ def course_filter(rows: LawRows) -> CourseFilter | None:
 
 
 def experiment_departures(stages: ExperimentStages) -> list[LawDeparture]:
-    """Return the departures of the logs of an experiment from the wall law, the most frequent first."""
+    """Return the departures of the logs of an experiment from the wall law, sorted by decreasing frequency."""
     return law_departures(stages.once(LawRows.of))
 
 
 def experiment_filter(stages: ExperimentStages) -> CourseFilter | None:
-    """Return the velocity filter on which most logs of an experiment agree; None if they do not agree."""
+    """Return the velocity filter on which most logs of an experiment agree, or None if they do not agree."""
     return course_filter(stages.once(LawRows.of))
 
 
@@ -239,8 +246,8 @@ def _filter(text: str) -> VelocityFilterFound:
 
 @dataclass(frozen=True, eq=False)
 class OtherGains:
-    """Logs that obey another wall: their names, number of all logs, evidence of the first, and difference of the
-    gains."""
+    """Logs that follow another wall: their names, number of all logs, evidence of the first log, and gain
+    difference."""
 
     logs: tuple[str, ...]
     of: int
@@ -249,12 +256,12 @@ class OtherGains:
 
     @property
     def most(self) -> bool:
-        """Whether too many logs obey another wall for any result in units of K and B."""
+        """Whether too many logs follow another wall for any result in units of K and B."""
         return len(self.logs) > MOST * self.of
 
     @property
     def few(self) -> bool:
-        """Whether so few logs obey another wall that the rest remains valid; these few are left out by name."""
+        """Whether so few logs follow another wall that the rest remains valid. These logs are listed and left out."""
         return len(self.logs) < min(FEWEST_LOGS, self.of)
 
     @property
@@ -265,17 +272,17 @@ class OtherGains:
         used = "no wall, limit or cost is given in these units" if self.most else "they are left out"
         return Cause(
             code="other_gains",
-            sentence=f"The command of {many} obeys another wall than the headers state: {self.words}; {used}.",
+            sentence=f"The command of {many} follows another wall than the headers state: {self.words}; {used}.",
             evidence=f"{names}; in the first of them {self.evidence}",
         )
 
 
 def other_gains(stages: ExperimentStages) -> OtherGains | None:
-    """Return the logs of an experiment that obey another wall than stated; None if all obey their headers."""
-    obeyed = np.stack(
+    """Return the logs of an experiment that follow another wall than stated, or None if all follow their headers."""
+    followed = np.stack(
         [stages.column("wall_law", f"obeyed_{name}") for name in ("stiffness", "damping", "step")], axis=1
     )
-    off = np.flatnonzero(np.isfinite(obeyed).all(axis=1))
+    off = np.flatnonzero(np.isfinite(followed).all(axis=1))
     if not len(off):
         return None
     rows = {row["trial_id"]: row for row in stages.trials.select(["trial_id", "step", "source_path"]).to_pylist()}
@@ -284,20 +291,20 @@ def other_gains(stages: ExperimentStages) -> OtherGains | None:
     stated = np.stack([stages.column("wall_law", "stiffness"), stages.column("wall_law", "damping"), step], axis=1)
     names = tuple(PurePath(trials[i]["source_path"]).name for i in off)
     evidence = stages.texts("wall_law", "law_evidence")[off[0]]
-    return OtherGains(names, len(obeyed), evidence, _words(obeyed[off], stated[off]))
+    return OtherGains(names, len(followed), evidence, _words(followed[off], stated[off]))
 
 
-def _words(obeyed: Floats, stated: Floats) -> str:
+def _words(followed: Floats, stated: Floats) -> str:
     pairs = (stated[:, 1::-1], stated[:, :2])
-    swapped, same = (np.isclose(obeyed[:, :2], each, rtol=MATTERS).all() for each in pairs)
+    swapped, same = (np.isclose(followed[:, :2], each, rtol=MATTERS).all() for each in pairs)
     if swapped and not same:
         return "K and B are swapped"
     found: dict[str, list[str]] = {}
-    for symbol, one, other in zip(("K", "B", "the step"), obeyed.T, stated.T, strict=True):
+    for symbol, one, other in zip(("K", "B", "the step"), followed.T, stated.T, strict=True):
         known = (other != 0) & (one != 0)
         factor = one[known] / other[known]
         if len(factor) and (np.abs(factor - 1) > MATTERS).any():
             low, high = np.quantile(factor, (0.05, 0.95))
             found.setdefault(range_text(lambda value: significant(value, 3), low, high), []).append(symbol)
-    told = [f"{listed(symbols)} {factor} times as large" for factor, symbols in found.items()]
-    return "; ".join(told) or "one that the headers have without stiffness or damping"
+    differences = [f"{listed(symbols)} {factor} times as large" for factor, symbols in found.items()]
+    return "; ".join(differences) or "the headers state neither stiffness nor damping"

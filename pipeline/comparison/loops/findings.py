@@ -42,26 +42,25 @@ from pipeline.rendering.labels import Units, significant
 OTHER_WALL = (
     "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
 )
-NOTHING = "no device was found in the logs, since mass, damping or delay are not known"
+NOTHING = "no device was identified from the logs, because mass, damping or delay are unknown"
 HELD = (
     "a spring (perhaps a hand) acts on the device, so that its own damping is unknown and passivity cannot be shown. "
     "Provide a device file, or trials without the hand"
 )
 GRIPPED = (
-    "a hand was on the device (grip {}), whose damping is gone when it lets go, and how much of the damping is the "
-    "device's own is not known: provide a device file with the hand as its operator, or record trials without it "
-    "(grip none)"
+    "a hand was on the device (grip {}). Its damping vanishes when it lets go, and the damping of the device alone is "
+    "unknown. Provide a device file with the hand as its operator, or record trials without it (grip none)"
 )
 
 JITTERS = (
-    "the delay jitters, and passivity is known of constant delays alone (4.6): stability with every hand cannot be "
-    "promised"
+    "the delay jitters. Passivity is proven only for a constant delay (4.6), so stability with any operator is not "
+    "guaranteed"
 )
 
 
 @dataclass(frozen=True)
 class LogsUnusable:
-    """The recordings, or the walls that their commands obey, show no loop."""
+    """The recordings, or the walls that their commands follow, do not allow identification of a loop."""
 
     reason: str
 
@@ -83,7 +82,7 @@ class Inadequate:
     limits : tuple of Limit
         Limits of the loop at the tested dampings.
     replay : WallReplay or None
-        None if no tested wall could be replayed.
+        Replay, or None if no tested wall could be replayed.
     reason : str
         Result of the replay and source of the loop, as a clause.
     """
@@ -105,21 +104,21 @@ Findings = LogsUnusable | NotIdentified | Inadequate | Adequate
 def examine_loop(
     measured: MeasuredExperiment, stages: ExperimentStages, device: Device | None, units: Units
 ) -> LoopFindings:
-    """Return the loop of an experiment, its adequacy, its limits, a passive wall and causes.
+    """Return the loop of an experiment, its adequacy, its limits, a passive wall, and causes of deviations.
 
     Parameters
     ----------
     measured : MeasuredExperiment
     stages : ExperimentStages
     device : Device or None
-        Device as its file describes it.
+        Device as described by its file, or None.
     units : Units
     """
     gains, fault = stages.once(other_gains), stages.once(unsafe_recording)
     misled = gains is not None and gains.most
     departures = [] if misled else stages.once(experiment_departures)
     velocity = None if misled else stages.once(experiment_filter)
-    unusable = f"{gains.cause.sentence.rstrip('.')}; what would help: {OTHER_WALL}" if misled and gains else ""
+    unusable = f"{gains.cause.sentence.rstrip('.')}; to resolve this, provide {OTHER_WALL}" if misled and gains else ""
     unusable = words_of(fault) if fault is not None else unusable or untimed(departures)
     entry = next((entry for entry in device.experiments if entry.name == stages.experiment), None) if device else None
     of_file = device.loop_for(entry) if device is not None and entry is not None else None
@@ -127,7 +126,7 @@ def examine_loop(
     found = LogsUnusable(unusable) if unusable else judge_loop(measured, stages, of_file, trial)
     basis = found.basis if isinstance(found, Inadequate) else None
     causes = causes_of(LoopEvidence(measured, stages, trial, units, departures, velocity, gains, basis))
-    # the damping of a hand vanishes when it lets go
+    # The damping of a hand vanishes when it lets go.
     grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
     refused = _passivity_unknown(found, grips, trial)
     wall, none = (None, refused) if basis is None or refused else passive_wall(basis, measured)
@@ -160,14 +159,14 @@ def judge_loop(
     measured : MeasuredExperiment
     stages : ExperimentStages
     of_file : Loop or None
-        Loop of the device file.
+        Loop of the device file, or None.
     trial : StepTrial
         Usual trial of the experiment.
 
     Notes
     -----
     Only the replay of the identified device decides. The loop is that of the device file if it reproduces the measured
-    limits (without any, those of the identified device); else it is the identified one.
+    limits, or without measured limits those of the identified device. Otherwise, it is the identified loop.
     """
     basis = loop_basis(stages.once(identified_device), of_file)
     if basis is None:
@@ -187,11 +186,11 @@ def judge_loop(
 
 
 def _passivity_unknown(found: Findings, grips: Sequence[str], trial: StepTrial) -> str:
-    """Return why no passive wall can be given; empty if one may be."""
+    """Return the reason why no passive wall can be given, or "" if it can."""
     if isinstance(found, LogsUnusable | NotIdentified):
         return found.reason
     if not isinstance(found, Adequate):
-        return f"needs an adequate loop, and this one is not: {found.reason}"
+        return f"an adequate loop is required, but {found.reason}"
     if grips:
         return GRIPPED.format(listed(grips))
     basis = found.basis
@@ -201,19 +200,20 @@ def _passivity_unknown(found: Findings, grips: Sequence[str], trial: StepTrial) 
 
 
 def _grips(stages: ExperimentStages, of: Experiment | None) -> list[str]:
-    """Return the grips of the hand on the device, by logs and device file; empty without a hand."""
+    """Return the grips of hands on the device, from logs and device file. The list is empty without a hand."""
     grips = {*stages.trials.column("grip").to_pylist(), *([of.grip] if of is not None else [])}
     return sorted(grip for grip in grips if grip and grip != "none")
 
 
 def _file_refused(measured: MeasuredExperiment, by_file: Floats, by_logs: Floats) -> str:
-    """Return why the limits of the device file's loop are not used; empty if they agree with the measured ones."""
+    """Return the reason why the limits of the device file's loop are not used, or "" if they agree with measured
+    limits."""
     off = limits_off(measured, by_file)
     if off is None:
         off = median(100 * np.abs(by_file / np.where(by_logs > 0, by_logs, np.nan) - 1))
     if off is None or off <= LIMITS_WITHIN:
         return ""
-    return f"the limits of the device file's loop are {significant(off, 2)} % off, so that the found device is used"
+    return f"the limits of the device file deviate by {significant(off, 2)} %, so the identified device is used"
 
 
 def _record(
@@ -237,21 +237,21 @@ def _record(
 
 
 def _reason(basis: LoopBasis, replay: WallReplay | None, refused: str, of_file: Loop | None, *, walls: bool) -> str:
-    """Return the replay's verdict on a loop, and the source of the loop; ``walls``: whether any was tested."""
+    """Return the result of the replay, and the source of the loop. ``walls``: whether any wall was tested."""
     if not walls:
-        return "no wall was tried (K > 0), so that the loop was compared with no verdict"
+        return "no wall was tried (K > 0), so the loop could not be compared with verdicts"
     if replay is None or replay.verdicts_same is None:
         return (
             "no wall outside the interval of a measured limit has a verdict, so the identified device cannot be checked"
         )
-    said = [replay_words(replay)]
+    clauses = [replay_words(replay)]
     if refused:
-        said.append(refused)
+        clauses.append(refused)
     elif basis.nominal is not None and of_file is not None and of_file.parts_in_words():
-        said.append(f"the loop of the device file ({of_file.parts_in_words()}) has the same limits")
+        clauses.append(f"the loop of the device file ({of_file.parts_in_words()}) has the same limits")
     else:
         side = f"mode at the {basis.devices[0].mode_sensor}"
         parts = [side if part == "mode" else part for part in basis.devices[0].parts]
         what = listed(["mass", "damping", "delay", *parts])
-        said.append(f"it has {what}; what changes force per command alone shows in the mass")
-    return "; ".join(said)
+        clauses.append(f"it has {what}; a deviation of force per command appears in the mass")
+    return "; ".join(clauses)

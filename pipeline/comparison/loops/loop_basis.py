@@ -1,4 +1,4 @@
-"""The loop on which all conclusions depend: the identified one, or that of the device file if its limits agree."""
+"""The loop on which all conclusions depend: the identified loop, or that of the device file if its limits agree."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from pipeline.theory.predictions import Theory
 
 @dataclass(frozen=True, eq=False)
 class LoopBasis:
-    """The loop by the logs, by the device file, or by both.
+    """The loop from the logs, from the device file, or from both.
 
     Parameters
     ----------
     identified : IdentifiedLoop or None
-        By the logs.
+        Loop from the logs.
     nominal : IdentifiedLoop or None
-        By the device file, its parameters without intervals.
+        Loop from the device file. Its parameters have no intervals.
     error : float
-        Relative error of its limits by replay, 95 %.
+        Relative error of the limits according to the replay, 95 %.
     operator_damping : float
-        Damping of the operator by the file, per unit of command [Ns/m, Nms/rad].
+        Damping of the operator in the file, per unit of command [Ns/m, Nms/rad].
     """
 
     identified: IdentifiedLoop | None
@@ -47,7 +47,7 @@ class LoopBasis:
 
     @property
     def devices(self) -> list[IdentifiedLoop]:
-        """The device that conclusions use, and the other one."""
+        """The device that conclusions use, followed by the other device if there is one."""
         return [device for device in (self.nominal, self.identified) if device is not None]
 
     @property
@@ -63,8 +63,10 @@ class LoopBasis:
         ]
 
     def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-        """Return the lower and upper bound of the limits of its devices, by the intervals of their parameters and by
-        replay."""
+        """Return the lower and upper bound of the limits of its devices.
+
+        They include the intervals of the parameters and the error found by the replay.
+        """
         middle = limits[0][0]
         low = np.fmin.reduce([limit - reach for limit, reach in limits])
         high = np.fmax.reduce([limit + reach for limit, reach in limits])
@@ -72,20 +74,25 @@ class LoopBasis:
         return np.maximum(middle - np.hypot(middle - low, off), 0.0), middle + np.hypot(high - middle, off)
 
     def interval(self, name: str) -> Interval:
-        """Return a parameter with its 95 % interval; the interval of a file's value extends to the logs' estimate."""
+        """Return a parameter with its 95 % interval.
+
+        The interval of a file's value extends to the estimate from the logs.
+        """
         by_logs = self.identified.interval(name) if self.identified else None
         if self.nominal is None:
             assert by_logs is not None, "a loop is identified or nominal"
             return by_logs
         value, off = self.nominal.values[name], 0.0
-        if name == "delay_samples" and self.identified is not None:  # for a device without lag, the lag counts as delay
+        if (
+            name == "delay_samples" and self.identified is not None
+        ):  # in a device without lag, the delay includes the lag
             off = (self.loop.actuator_lag_s - self.identified.loop.actuator_lag_s) / self.loop.sampling_period_s
         ends = [value, *((by_logs.low - off, by_logs.high - off) if by_logs else ())]
         return Interval(value, min(ends), max(ends))
 
 
 def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
-    """Return the loop by all logs, with their velocity filter; None if mass or delay cannot be identified."""
+    """Return the loop from all logs, with their velocity filter, or None if mass or delay cannot be identified."""
     identified = stages.once(identified_loop)
     if identified is None or "delay_samples" in identified.unidentifiable:
         return None
@@ -94,7 +101,7 @@ def identified_device(stages: ExperimentStages) -> IdentifiedLoop | None:
 
 
 def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopBasis | None:
-    """Return the loop by the file, if any, and by the logs; None without both."""
+    """Return the loop from the device file and from the logs, or None without both."""
     nominal, damping = None, 0.0
     if of_file is not None:
         nominal = nominal_loop(of_file) if of_file.delay_samples <= LARGEST_DELAY else None
@@ -103,9 +110,9 @@ def loop_basis(identified: IdentifiedLoop | None, of_file: Loop | None) -> LoopB
 
 
 def adequate_theory(findings: LoopFindings, stages: ExperimentStages) -> Theory | None:
-    """Return the theory by the identified loop of an experiment that is adequate and has stable walls, else None.
+    """Return the theory of the identified loop of an experiment, or None if it is not adequate or has no stable walls.
 
-    A negative damping counts as zero, as theory needs b >= 0. Theory does not include friction.
+    A negative damping is replaced by zero, because theory needs b >= 0. Theory does not include friction.
     """
     identified = stages.once(identified_device) if findings.loop is not None and findings.loop.adequate else None
     if identified is None or identified.loop.friction is not None:
@@ -115,10 +122,9 @@ def adequate_theory(findings: LoopFindings, stages: ExperimentStages) -> Theory 
 
 
 def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: Any) -> dict[str, Any]:
-    """Return the parameters of a loop as fields of a result: estimates with intervals, those of a file as stated.
+    """Return the parameters of a loop as fields of a result: estimates with intervals, values of a file as stated.
 
-    All are effective values at the wall, per unit of command; ``operator`` is the operator of the file, included in
-    them.
+    All are effective values at the wall, per unit of command. They include ``operator``, the operator of the file.
     """
     device, velocity, motion = basis.devices[0], basis.loop.velocity, basis.loop.motion
     intervals = {name: basis.interval(name) for name in ("mass", "damping", "delay_samples")}
@@ -137,7 +143,8 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
         interval = device.interval(name)
         low, high = max(interval.low, 0.0), interval.high
         if name == "mode.mass":
-            # with the sensor at the load and damping on both sides, the motion does not depend on the share of the mass
+            # With the sensor at the load and damping on both sides, the motion does not depend on the share of the
+            # mass.
             low, high = (0.0, np.inf) if at_load and basis.nominal is None else (low, high)
             high = min(high, device.values["mass"])
         mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), motion)
@@ -146,13 +153,13 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
 
 
 def as_quantity(name: str, interval: Interval, motion: Motion) -> Quantity:
-    """Return a parameter of a loop, by its name in `PARAMETERS`, with its unit."""
+    """Return a parameter of a loop with its unit, given its name in `PARAMETERS`."""
     unit = PARAMETERS[name].unit(motion)
     return Quantity(value=interval.value, low=interval.low, high=interval.high, unit=unit)
 
 
 def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Quantity]:
-    """Return a filter by the names of a device file; intervals span the parameters of single logs.
+    """Return a filter with the parameter names of a device file. Intervals include the parameters of single logs.
 
     A single log determines its filter within the rounding of its commands, and may give a rounder number.
     """
@@ -162,7 +169,7 @@ def filter_quantities(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
     result = {}
     for name, value in numbers.items():
         low, high = np.quantile([other[name] for other in (numbers, *others)], (0.025, 0.975))
-        # half of the last digit if by logs; a device file is exact
+        # The interval is half of the last digit for a filter from logs. A device file is exact.
         digit = 10.0 ** (np.floor(np.log10(value)) + 1 - SET_DIGITS) if of_logs and name == "cutoff_hz" else 0.0
         result[name] = Quantity(value=value, low=min(low, value) - 0.5 * digit, high=max(high, value) + 0.5 * digit)
     return result

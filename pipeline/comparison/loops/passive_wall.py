@@ -1,4 +1,4 @@
-"""The stiffest guaranteed passive wall: passive and stable over the whole 95 % range of an adequate loop."""
+"""The stiffest wall that is guaranteed to be passive and stable over the 95 % range of an adequate loop."""
 
 from __future__ import annotations
 
@@ -17,44 +17,48 @@ from pipeline.records.results import MeasuredExperiment, PassiveWall
 from pipeline.theory.passivity import required_damping, stiffest_passive
 
 SPARE = 1e-4
-"""Safety margin, as a fraction of damping and limit: a hundred times the error of the frequency grid."""
+"""Safety margin, as a fraction of damping and limit. It is a hundred times the error of the frequency grid."""
 
 TRIES = 200
-"""Largest number of steps, of two units of the last of `SET_DIGITS` digits, by which a stiffness is lowered: 4 % in
-total, while rounding costs 0.1 %."""
+"""Largest number of steps by which a stiffness is lowered.
+
+A step is two units of the last of `SET_DIGITS` digits. All steps lower it by 4 %; rounding costs 0.1 %.
+"""
 
 
 def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveWall | None, str | None]:
-    """Return the stiffest wall that is passive and stable for all loops within intervals and replay error, or None and
-    why.
+    """Return the stiffest wall that is passive and stable for all loops within intervals and replay error.
+
+    If there is none, return None and the reason.
+
 
     Parameters
     ----------
     basis : LoopBasis
     result : MeasuredExperiment
-        Its measured limits bound the wall.
+        Experiment whose measured limits bound the wall.
 
     Notes
     -----
-    A passive wall is given only where limits were measured at its damping or on both sides of it, and not from few
-    trials. The smallest device damping is the lower end of b, minus the parts of an operator and of the far side of a
-    mode. The stiffness is rounded down and the rounded pair is checked against passivity, the limits of theory over all
-    intervals, and the measured limits, interpolated between the dampings: the stable region is convex there, so its
-    chords lie inside.
+    A passive wall is given only if limits were measured at its damping or on both sides of it, and not for few trials.
+    The smallest device damping is the lower end of b, minus the parts of an operator and of the far side of a mode. The
+    stiffness is rounded down. The rounded pair is checked against passivity, the limits of theory over all intervals,
+    and the measured limits interpolated between the dampings. The stable region is convex there, so that its chords lie
+    inside.
     """
     if result.trials < FEW:
-        return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEW}"
+        return None, f"{result.trials} trials are too few to guarantee stability with any operator; record {FEW}"
     damping = _least_damping(basis)
     if damping <= 0:
         return None, (
-            "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
-            "cannot be promised (4.6)"
+            "no wall is passive for the whole range of the device's damping, which may be 0: stability with any "
+            "operator is not guaranteed (4.6)"
         )
     if _is_sensed_at_load(basis):
-        return None, "the position is sensed beyond the vibration mode: no wall is passive for every hand"
+        return None, "the position is sensed beyond the vibration mode: no wall is passive for every operator"
     loops = _loops(basis)
     if not loops:
-        return None, "the delay may be longer than theory is computed for"
+        return None, "the delay may exceed the range of theory"
     plants = [(LoopUnits.of(loop), NormalisedLoop.of(loop)) for loop in loops]
     walls = [(units, *stiffest_passive(plant, damping / units.damping)) for units, plant in plants]
     highest, wall_damping = min((alpha * units.stiffness, beta * units.damping) for units, alpha, beta in walls)
@@ -66,7 +70,7 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
     at = np.array([wall_damping])
     stable = float(basis.band([limits_of(device, at) for device in basis.devices])[0][0]) * (1 - SPARE)
     stiffness = _rounded_down(min(highest, stable, measured))
-    # a smaller stiffness at the same damping needs less damping, in the limit only that for B itself
+    # A smaller stiffness at the same damping needs less device damping. In the limit K = 0, it needs that for B alone.
     for _ in range(TRIES):
         if stiffness <= 0 or all(_needed(*plant, stiffness, wall_damping) <= damping for plant in plants):
             break
@@ -74,14 +78,14 @@ def passive_wall(basis: LoopBasis, result: MeasuredExperiment) -> tuple[PassiveW
     else:
         return None, "no passive wall was found at dampings with a measured limit"
     if stiffness <= 0:
-        return None, "the logs show no stable wall at the damping of the stiffest passive one"
+        return None, "the logs show no stable wall at the damping of the stiffest passive wall"
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
 
 
 def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | None:
-    """Return whether a wall [N/m, Nm/rad; Ns/m, Nms/rad] is passive for the whole range of a loop.
+    """Return whether a wall [N/m, Nm/rad; Ns/m, Nms/rad] is passive over the whole range of a loop.
 
-    None if a delay exceeds the range of theory.
+    The result is None if a delay exceeds the range of theory.
     """
     least = _least_damping(basis)
     if least <= 0 or _is_sensed_at_load(basis):
@@ -91,7 +95,7 @@ def is_passive(basis: LoopBasis, stiffness: float, damping: float) -> bool | Non
 
 
 def _least_damping(basis: LoopBasis) -> float:
-    """Return the smallest damping of the device alone, where the wall acts [Ns/m, Nms/rad]."""
+    """Return the smallest damping of the device without operator and load, where the wall acts [Ns/m, Nms/rad]."""
     of_load = max(loop.load_damping for loop in basis.loops)
     return (basis.interval("damping").low - basis.operator_damping - of_load) * (1 - SPARE)
 
@@ -101,9 +105,9 @@ def _is_sensed_at_load(basis: LoopBasis) -> bool:
 
 
 def _loops(basis: LoopBasis) -> list[Loop]:
-    """Return the devices, within the range of a loop, for which a wall must be passive; empty if a delay is too long.
+    """Return the devices within the range of a loop for which a wall must be passive, or () if a delay is too long.
 
-    The passivity condition is most restrictive at an end of the delay's interval or at an integer inside it.
+    The passivity condition is most restrictive at an end of the delay's interval, or at an integer inside it.
     """
     delay = basis.interval("delay_samples")
     low, high = max(delay.low, 0.0), max(delay.high, 0.0)
@@ -121,9 +125,9 @@ def _rounded_down(value: float) -> float:
 
 
 def _measured(result: MeasuredExperiment, damping: float) -> float | None:
-    """Return the lower end of the measured limits at a damping; None outside the dampings with a measured limit.
+    """Return the lower end of the measured limits at a damping, or None outside the dampings with a measured limit.
 
-    If no trial was stable, only the softest unstable one is known.
+    If no trial was stable, only the softest unstable trial is known.
     """
     limits = measured_limits(result.boundary)
     ended = limits.known & ~limits.censored
@@ -135,6 +139,6 @@ def _measured(result: MeasuredExperiment, damping: float) -> float | None:
 
 
 def _needed(units: LoopUnits, plant: NormalisedLoop, stiffness: float, damping: float) -> float:
-    """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
+    """Return the device damping [Ns/m, Nms/rad] that a wall requires."""
     wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
     return float(required_damping(plant, *wall)[0]) * units.damping

@@ -1,4 +1,4 @@
-"""Faults of the recordings of an experiment, and whether they rule out any delay or limit."""
+"""Faults of the recordings of an experiment, and whether they exclude any delay or limit."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pipeline.records.findings import Finding, are_unsafe, stored_findings
 from pipeline.records.results import Cause, RecordingFault
 
 NAMED = 10
-"""Largest number of logs named per fault."""
+"""Largest number of logs listed for a fault."""
 
 
 def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
-    """Return the faults of the recordings of an experiment by their codes, unsafe ones first, then the most frequent.
+    """Return the faults of an experiment's recordings by code: unsafe faults first, then the most frequent faults.
 
     The sentence is that of the first log with the fault. Findings from reading the log, such as repairs, are stored
     with the trial.
@@ -44,14 +44,14 @@ def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
 
 
 def unsafe_recording(stages: ExperimentStages) -> RecordingFault | None:
-    """Return the fault that rules out any delay and limit of an experiment, as more than a few logs have it."""
+    """Return the fault that excludes any delay and limit of an experiment, because too many logs have it, or None."""
     if not are_unsafe(stages.once(recording_findings)):
         return None
     return next(fault for fault in stages.once(recording_faults) if fault.is_unsafe)
 
 
 def words_of(fault: RecordingFault) -> str:
-    """Return a fault as a reason: its evidence and the number of logs that have it."""
+    """Return a fault as a reason, with its evidence and the number of logs that have it."""
     evidence = fault.sentence.removesuffix(fault.remedy).strip().rstrip(".")
     return f"{evidence[0].lower()}{evidence[1:]} ({fault.trials} of {counted(fault.of, 'log')})"
 

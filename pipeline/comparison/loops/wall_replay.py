@@ -1,4 +1,4 @@
-"""Replay of the identified device at tested walls left out of its fit: predictions and their errors."""
+"""Replay of the identified device at tested walls that were left out of its fit: predictions and their errors."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from pipeline.records.trials import Booleans, Floats, Integers, Trial
 from pipeline.rendering.labels import share_text, significant
 
 MOST_WALLS = 150
-"""Largest number of replayed trials, spread over the tested walls: a share of 95 % is then known to 2 %."""
+"""Largest number of replayed trials, spread over the tested walls. A share of 95 % is then accurate to 2 %."""
 
 REPEATS = 4
-"""Number of runs per wall of a device with jitter; a verdict counts only if all runs agree."""
+"""Number of runs for each wall of a device with jitter. A verdict counts only if all runs agree."""
 
 QUANTILES = [NormalDist().inv_cdf((fold + 0.5) / FOLDS) for fold in range(FOLDS)]
-"""Friction in the trials of each fold, in standard deviations of its scatter: midpoints of equal probability shares."""
+"""Friction in the trials of each fold, in standard deviations of its scatter, at equally probable quantiles."""
 
 LOW = 0.25
-"""Smallest limit, relative to the largest, that is compared in percent: at its ends a boundary tends to zero."""
+"""Smallest limit, relative to the largest, that is compared in percent. A boundary tends to zero at its ends."""
 
 
 def usual_trial(result: MeasuredExperiment, stages: ExperimentStages) -> StepTrial:
@@ -54,9 +54,9 @@ def usual_trial(result: MeasuredExperiment, stages: ExperimentStages) -> StepTri
 
 
 def usual_step(stages: ExperimentStages) -> float:
-    """Return the usual size of a step [N, Nm], > 0: steps in both directions count by their sizes.
+    """Return the usual size of a step [N, Nm], > 0. Steps in both directions count by their magnitudes.
 
-    For trials without a step it is the equivalent force of the excitation; 1 if unknown.
+    For trials without a step, it is the equivalent force of the excitation, or 1 if that is unknown.
     """
     size = np.abs(stages.step_sizes)
     size = size[size > 0]
@@ -67,7 +67,7 @@ def usual_step(stages: ExperimentStages) -> float:
 
 
 def excitation(of: MeasuredTrial) -> float:
-    """Return the equivalent force of the excitation of a trial without a step [N, Nm]; NaN if unknown."""
+    """Return the equivalent force of the excitation of a trial without a step [N, Nm], or NaN if unknown."""
     return find_release(of.trial).size
 
 
@@ -88,7 +88,7 @@ def coarse(stages: ExperimentStages) -> Floats:
 def wall_replay(
     result: MeasuredExperiment, stages: ExperimentStages, device: IdentifiedLoop, limits: Floats, trial: StepTrial
 ) -> WallReplay | None:
-    """Return the cross-validated predictions of an identified device at the tested walls; None without a wall.
+    """Return the cross-validated predictions of an identified device at the tested walls, or None without a wall.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def wall_replay(
     stages : ExperimentStages
     device : IdentifiedLoop
     limits : float64, shape (n,)
-        Limits that the device identified from all logs predicts at the tested dampings.
+        Limits at the tested dampings, as predicted by the device that was identified from all logs.
     trial : StepTrial
 
     Notes
     -----
-    The walls of a fold are simulated with the device identified from the other folds, its friction drawn from its
-    scatter. Verdicts are compared if log and simulation are both decided. Walls within the interval of a measured limit
-    are left out, and so are those at which the simulated verdict changes from run to run because of jitter.
+    The walls of a fold are simulated with the device identified from the other folds, with friction drawn from its
+    scatter. Verdicts are compared if both log and simulation are decided. Two kinds of walls are left out: walls within
+    the interval of a measured limit, and walls at which jitter changes the simulated verdict between runs.
     """
     K, B = (stages.column("response", name) for name in ("stiffness", "damping"))
     verdict = stages.verdicts.verdict
@@ -114,9 +114,13 @@ def wall_replay(
         return None
     ids = stages.texts("response", "trial_id")
     place = {name: i for i, name in enumerate(device.trials)}
-    # the fold whose fit left the trial out; folds in turn for trials that no fit used
+    # Use the fold whose fit left the trial out. Trials that no fit used are assigned to the folds in turn.
     fold = np.array([place.get(ids[i], number) % FOLDS for number, i in enumerate(chosen)])
-    said, fits, costs = np.empty(len(chosen), dtype="<U9"), np.full(len(chosen), np.nan), np.full(len(chosen), np.nan)
+    predicted_verdict, fits, costs = (
+        np.empty(len(chosen), dtype="<U9"),
+        np.full(len(chosen), np.nan),
+        np.full(len(chosen), np.nan),
+    )
     steps = stages.step_sizes
     repeats = REPEATS if trial.jitter else 1
     logged = stages.map_trials(motion, chosen.tolist())
@@ -128,21 +132,21 @@ def wall_replay(
         walls = chosen[some]
         runs = [_behind(loop, K[walls], B[walls], steps[walls], trial, run) for run in range(repeats)]
         for i, simulated, *others in zip(some.tolist(), *runs, strict=True):
-            # with a spring on the device it comes to rest at x_0 + F_0/(K + k)
+            # With a spring on the device, it comes to rest at x_0 + F_0/(K + k).
             simulated = replace(simulated, stiffness=simulated.stiffness + loop.stiffness)
             response = find_response(simulated)
             judged = judge(simulated, response)
             same = all(judge(other).verdict == judged.verdict for other in others)
-            said[i] = judged.verdict if same else "undecided"
+            predicted_verdict[i] = judged.verdict if same else "undecided"
             fits[i] = _fit(logged[i], simulated)
             counted_about = about(response, stages.measuring.final)
             costs[i] = settling(simulated, counted_about, judged, int(loop.delay_samples))["settle_2pct"].value
-    stable = (verdict[chosen] == "stable") & (said == "stable")
-    decided = said != "undecided"
+    stable = (verdict[chosen] == "stable") & (predicted_verdict == "stable")
+    decided = predicted_verdict != "undecided"
     off, known, outside = _limit_errors(result, limits)
     return WallReplay(
         fit_percent=median(fits[stable]),
-        verdicts_same=float((said == verdict[chosen])[decided].mean()) if decided.any() else None,
+        verdicts_same=float((predicted_verdict == verdict[chosen])[decided].mean()) if decided.any() else None,
         limits_off_percent=median(off),
         limits_known_percent=median(known),
         limits_error_percent=float(np.quantile(outside, 0.95)) if len(outside) else None,
@@ -153,16 +157,17 @@ def wall_replay(
 
 
 def _residuals(K: Floats, B: Floats, percent: Floats) -> ReplayResiduals:
-    """Return the known residuals of a replay, to three digits."""
+    """Return the known residuals of a replay, rounded to three digits."""
     known = np.isfinite(percent)
     rounded = [float(f"{value:.3g}") for value in percent[known].tolist()]
     return ReplayResiduals(stiffness=tuple(K[known].tolist()), damping=tuple(B[known].tolist()), percent=tuple(rounded))
 
 
 def _behind(loop: Loop, K: Floats, B: Floats, steps: Floats, trial: StepTrial, run: int) -> list[Trial]:
-    """Return a device at walls, each with the step of its log, since friction and a constant force are nonlinear.
+    """Return simulated trials of a device at walls.
 
-    A log without a step gets the usual one.
+    Each has the step of its log, because friction and a constant force are nonlinear. A log without a step has the
+    usual step.
     """
     steps = np.where(steps != 0, steps, trial.step)
     trials: dict[int, Trial] = {}
@@ -182,7 +187,7 @@ def _of_chance(result: MeasuredExperiment, K: Floats, B: Floats) -> Booleans:
 
 
 def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
-    """Return the devices identified without one fold each, with friction at a different quantile of its scatter."""
+    """Return the devices identified without one fold each, with friction at different quantiles of its scatter."""
     name, loops = "friction.coulomb", []
     for fold, quantile in zip(device.folds or ({},) * FOLDS, QUANTILES, strict=True):
         values: Mapping[str, float] = {**device.values, **fold}
@@ -192,28 +197,30 @@ def _without_each_fold(device: IdentifiedLoop) -> list[Loop]:
 
 
 def replay_error(replay: WallReplay | None) -> float:
-    """Return the relative error of limits by a replay, 95 %."""
+    """Return the relative error of limits according to a replay, 95 %."""
     return (replay.limits_error_percent or 0.0) / 100 if replay is not None else 0.0
 
 
 def replay_words(replay: WallReplay) -> str:
-    """Return how an identified device predicts walls, as a clause."""
+    """Return a clause that states how well an identified device predicts walls."""
     verdicts = share_text(replay.verdicts_same or 0.0, 0)
     walls = counted(replay.trials, "wall")
-    text = f"behind {walls} that it was not fitted to the found device is right in {verdicts} % of verdicts"
+    text = f"at {walls} left out of its fit, the identified device predicts {verdicts} % of verdicts"
     off, known = replay.limits_off_percent, replay.limits_known_percent
     if off is None:
         return text
     if known is not None and replay.limits_open:
-        return f"{text}, its limits within the brackets of the tested walls, {significant(known, 2)} % to either side"
-    return f"{text}, its limits within {significant(off, 2)} %"
+        return f"{text} and limits within the brackets of the tested walls, {significant(known, 2)} % to either side"
+    return f"{text} and limits within {significant(off, 2)} %"
 
 
 def limits_with_intervals(
     result: MeasuredExperiment, basis: LoopBasis, limits: Sequence[tuple[Floats, Floats]]
 ) -> tuple[Limit, ...]:
-    """Return the limits of a loop at the tested dampings with their intervals, and those of the linear loop if they
-    differ."""
+    """Return the limits of a loop at the tested dampings with their intervals.
+
+    If the limits of the linear loop differ, they are included.
+    """
     damping = np.array([each.damping for each in result.boundary])
     stiffness, linear, (low, high) = limits[0][0], linear_limits(basis.loop, damping), basis.band(limits)
     apart = not np.array_equal(stiffness, linear)
@@ -228,9 +235,9 @@ def limits_with_intervals(
 def large_motion_limits(
     measured: MeasuredExperiment, findings: LoopFindings, stages: ExperimentStages
 ) -> dict[float, float | None]:
-    """Return the linear limit at each tested damping; empty unless the logs show friction.
+    """Return the linear limit at each tested damping, or {} if the logs show no friction.
 
-    The effect of Coulomb friction decreases with the size of a motion and is negligible for a large one.
+    The effect of Coulomb friction decreases with the size of a motion, and is negligible for a large motion.
     """
     has_friction = any(cause.code == "coulomb_friction" for cause in findings.causes)
     device = stages.once(identified_device) if has_friction else None
@@ -247,8 +254,7 @@ def limits_off(result: MeasuredExperiment, predicted: Floats) -> float | None:
 
 
 def _limit_errors(result: MeasuredExperiment, predicted: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the errors of predicted limits, the half widths of the measured intervals, and the distances of predicted
-    limits outside these intervals [%]."""
+    """Return errors of predicted limits, half widths of measured intervals, and distances outside intervals [%]."""
     measured = measured_limits(result.boundary)
     some = measured.known & ~measured.censored & (measured.low > 0)
     some &= measured.limit > LOW * measured.limit[some].max(initial=0.0)
@@ -266,7 +272,7 @@ def motion(of: MeasuredTrial) -> Floats:
 
 
 def _fit(position: Floats, simulated: Trial) -> float:
-    """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated to a logged motion; NaN without motion."""
+    """Return the fit 100 (1 - |y - found| / |y - mean y|) of a simulated to a logged motion, or NaN without motion."""
     rows = min(len(position), simulated.rows - 1)
     y, found = position[:rows], simulated.displacement[1 : rows + 1]
     size = float(np.linalg.norm(y - y.mean())) if rows else 0.0
@@ -274,7 +280,7 @@ def _fit(position: Floats, simulated: Trial) -> float:
 
 
 def median(values: Floats) -> float | None:
-    """Return the median of the known values; None without any."""
+    """Return the median of the known values, or None if there are none."""
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else None
 
@@ -282,7 +288,7 @@ def median(values: Floats) -> float | None:
 def _costs_off(
     result: MeasuredExperiment, stages: ExperimentStages, chosen: Integers, predicted: Floats
 ) -> float | None:
-    """Return the median error of predicted settling times [%]; None if not requested."""
+    """Return the median error of predicted settling times [%], or None if they are not requested."""
     if "settle_2pct" not in {*result.optimum, *result.missing}:
         return None
     cost = stages.cost("settle_2pct")[0][chosen]

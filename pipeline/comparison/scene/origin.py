@@ -1,4 +1,4 @@
-"""Origin of a report: log hashes, profiles, parameters, versions, and the command that repeats it."""
+"""Origin of a report: hashes of logs, profiles, parameters, versions, and the command that repeats it."""
 
 from __future__ import annotations
 
@@ -24,14 +24,16 @@ from pipeline.rendering.labels import criterion_name, shortened
 from pipeline.store.storage import natural_key
 
 MOST_VALUES, LONGEST_VALUE = 4, 60
-"""Largest number of listed values of a header line, and their longest length: a recording time differs in each
-trial."""
+"""Largest number of listed values of a header line, and their largest length.
+
+A recording time differs in each trial.
+"""
 
 _OWN_LINES, _OWN_KINDS = ("step_row", "integrated", "raw_count_decimals", "warnings"), ("provenance.", "stands_for.")
 """Texts that readers store with a trial for internal use."""
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
-"""Libraries whose version can affect a digit or a drawing."""
+"""Libraries whose version can affect a digit or a figure."""
 
 
 def log_list(stages: ExperimentStages) -> LogList:
@@ -51,7 +53,7 @@ def log_list(stages: ExperimentStages) -> LogList:
 
 
 def header_lines(stages: ExperimentStages) -> tuple[HeaderLine, ...]:
-    """Return the header lines of an experiment's logs that the pipeline does not use, by name."""
+    """Return the header lines of an experiment's logs that the pipeline does not use, sorted by name."""
     found: dict[str, Counter[str]] = {}
     for text in stages.trials.column("extra").to_pylist():
         for key, value in json.loads(text or "{}").items():
@@ -69,7 +71,7 @@ def header_lines(stages: ExperimentStages) -> tuple[HeaderLine, ...]:
 
 
 def excluded_trials(data: StoredData) -> tuple[ExcludedTrial, ...]:
-    """Return the trials that were excluded by hand, as a report names them."""
+    """Return the manually excluded trials as they appear in a report."""
     return tuple(
         ExcludedTrial(
             experiment=one.experiment,
@@ -83,14 +85,14 @@ def excluded_trials(data: StoredData) -> tuple[ExcludedTrial, ...]:
 
 
 def joint_sha256(hashes: Sequence[str]) -> str:
-    """Return a joint SHA-256 of logs, independent of their names and order."""
+    """Return a joint SHA-256 of logs, which does not depend on their names and order."""
     return sha256("\n".join(sorted(set(hashes))).encode())
 
 
 def provenance(
     data: StoredData, lists: Sequence[LogList], processed: str, *, key: str, code: str, output: Sequence[str] = ()
 ) -> dict[str, str]:
-    """Return the entries of a report's origin, for people.
+    """Return the entries of a report's section on its origin.
 
     Parameters
     ----------
@@ -102,9 +104,9 @@ def provenance(
     key : str
         Hash of all inputs of the report.
     code : str
-        Hash of the source code that made it.
+        Hash of the source code that made the report.
     output : sequence of str
-        Further words of the command.
+        Additional words of the command.
     """
     columns = ("profile", "profile_sha256")
     pairs = {
@@ -125,7 +127,7 @@ def provenance(
         "log files written": f"{_time(min(times))} to {_time(max(times))}",
     }
     for logs in lists:
-        entries[f"logs of experiment {logs.experiment}"] = f"{len(logs.files)} files, SHA-256 of theirs: {logs.sha256}"
+        entries[f"logs of experiment {logs.experiment}"] = f"{len(logs.files)} files, joint SHA-256: {logs.sha256}"
         entries[f"samples of experiment {logs.experiment}"] = logs.samples
     return entries
 
@@ -134,10 +136,10 @@ def request(data: StoredData, lists: Sequence[LogList], processed: str, code: st
     """Return request and inputs of the comparison, so that `verify` can repeat it."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
-    asked = {"processed": processed, "scene": data.scene.model_dump(mode="json")}
+    requested = {"processed": processed, "scene": data.scene.model_dump(mode="json")}
     truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
     device = digest_of(data.device) if data.device else None
-    return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth, "device_file": device}
+    return requested | {"logs": logs, "code": code, "excluded": excluded, "truth": truth, "device_file": device}
 
 
 def _command(data: StoredData, processed: str, output: Sequence[str]) -> str:
@@ -150,7 +152,7 @@ def _command(data: StoredData, processed: str, output: Sequence[str]) -> str:
     words += [] if chosen.momentum_delay is None else ["--momentum-delay", str(chosen.momentum_delay)]
     if chosen.momentum_window_s != MOMENTUM_WINDOW_S:
         words += ["--momentum-window", f"{chosen.momentum_window_s} s"]
-    # names come from logs and may contain any character
+    # Names come from logs and may contain any character.
     return shlex.join([*words, "--processed", processed, *output])
 
 

@@ -1,4 +1,4 @@
-"""Inputs of a comparison, planned backwards from the requested results."""
+"""Inputs of a comparison, and the stages that the requested results need."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from pipeline.store.storage import Exclusion, list_devices, list_experiments
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
 TABLED = tuple(c.name for c in CRITERIA.values() if c.tabled)
-"""Tabled criteria for an experiment without published values."""
+"""Criteria in the tables of an experiment without published values."""
 
 
 class PlannedStage(NamedTuple):
-    """One line of the plan: stage, action (run, reuse, leave out), and reason."""
+    """A line of the plan with stage, action (run, reuse, leave out), and reason."""
 
     stage: str
     action: str
@@ -42,27 +42,27 @@ class PlannedStage(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredData:
-    """Stored data of a comparison: its scene, the device, if known, and the stages of its experiments."""
+    """Stored data of a comparison: its scene, the device if it is known, and the stages of its experiments."""
 
     scene: Scene
     device: Device | None
     experiments: tuple[ExperimentStages, ...]
     simulated: bool
     overlay: bool
-    """Whether theory computed from the estimates is drawn, too; it needs delay, mass and damping."""
+    """Whether theory based on the estimates is also drawn. It needs delay, mass and damping."""
     truth: Mapping[str, Truth] = field(default_factory=dict)
     """Ground truth of simulated experiments, if known."""
     excluded: tuple[Exclusion, ...] = ()
-    """Trials of these experiments that are excluded by hand, including those of experiments without any other trial."""
+    """Manually excluded trials of these experiments, including experiments in which all trials are excluded."""
 
     @property
     def motion(self) -> Motion:
-        """Kind of motion, the same for a whole scene."""
+        """Kind of motion, which is the same for all experiments of a scene."""
         return self.experiments[0].motion
 
     @property
     def units(self) -> Units:
-        """Units of that motion."""
+        """Units for this motion."""
         return UNITS[self.motion]
 
 
@@ -73,17 +73,17 @@ def open_scene(
     criteria: Sequence[str] | None,
     shown: Shown | None = None,
 ) -> StoredData:
-    """Collect the stored data for a comparison, of a device by its name or by a device file.
+    """Collect the stored data for a comparison of a device, which is given by its name or its device file.
 
     Raises
     ------
     DeviceError
-        If no log of the device is stored, or an experiment has none (the message lists the stored ones), or all trials
-        are excluded.
+        If no log of the device is stored, an experiment has no logs (the message lists the stored experiments), or all
+        trials are excluded.
     UsageError
-        For an unknown criterion.
+        If a criterion is unknown.
     StoreError
-        If translation and rotation are mixed: one report has one set of units.
+        If translation and rotation are mixed, because a report has one set of units.
     """
     known = device if isinstance(device, Device) else known_devices().get(device)
     device = device.name if isinstance(device, Device) else device
@@ -91,7 +91,7 @@ def open_scene(
     unknown = [c for c in chosen if not is_measured(c)]
     if unknown:
         others = "and any band or exponent, such as settle_3pct or energy_step_w0.5"
-        raise UsageError(f"unknown criterion {unknown[0]!r}; expected some of {', '.join(MEASURED)}, {others}.")
+        raise UsageError(f"unknown criterion {unknown[0]!r}; expected criteria from {', '.join(MEASURED)}, {others}.")
     stored = list_experiments(processed, device)
     if not stored:
         devices = list_devices(processed)
@@ -105,16 +105,17 @@ def open_scene(
     if missing:
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
-    asked = shown or Shown()
+    requested = shown or Shown()
     every = [
-        ExperimentStages.stored(processed, device, e, declared_spring(known, e), asked.measuring) for e in chosen_names
+        ExperimentStages.stored(processed, device, e, declared_spring(known, e), requested.measuring)
+        for e in chosen_names
     ]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
     if left_out:
         raise DeviceError(
-            f"device {device!r}, experiment {left_out[0]!r}: all of its trials are excluded by hand; expected one "
-            "that is used. `pipeline status` lists them, `pipeline exclude TRIAL --undo` uses one again."
+            f"device {device!r}, experiment {left_out[0]!r}: all of its trials are excluded manually; expected at "
+            "least one used trial. `pipeline status` lists them, `pipeline exclude TRIAL --undo` restores one."
         )
     names = tuple(d.experiment for d in data)
     grips = {grip for d in data for grip in d.trials.column("grip").unique().to_pylist()}
@@ -123,7 +124,7 @@ def open_scene(
     if len(motions) > 1:
         raise StoreError(
             f"device {device!r}: its logs mix {' and '.join(motions)}; expected one kind of motion for one device. "
-            "Compare the experiments apart (--experiment), or name the devices apart in the logs' headers."
+            "Compare the experiments separately (--experiment), or use different device names in the logs' headers."
         )
     scene = Scene(
         device=device,
@@ -131,11 +132,11 @@ def open_scene(
         criteria=chosen,
         delay_sweep=len(added) > 1,
         operator=bool(grips - {"none"}),
-        shown=asked,
+        shown=requested,
     )
     needed = required(_wanted(chosen))
-    # for an unknown device, theory can only be computed from the estimates
-    estimates = asked.has_overlay("estimates") or (known is None and asked.has_overlay("theory"))
+    # For an unknown device, theory can only be based on the estimates.
+    estimates = requested.has_overlay("estimates") or (known is None and requested.has_overlay("theory"))
     return StoredData(
         scene=scene,
         device=known,
@@ -153,7 +154,7 @@ def _wanted(criteria: Sequence[str]) -> set[str]:
 
 
 def needed_stages(data: StoredData) -> set[str]:
-    """Return the stages of the measured branch that the scene needs."""
+    """Return the stages with measured results that the scene needs."""
     needed = required(_wanted(data.scene.criteria))
     if data.scene.shown.has_table("outcomes") or data.scene.shown.has_figure("trials"):
         needed |= {"outcome"}
@@ -162,19 +163,19 @@ def needed_stages(data: StoredData) -> set[str]:
     return needed
 
 
-_LEFT_OUT = {  # stages whose results a report shows only on request are missing: their omission is not reported
+_LEFT_OUT = {  # stages that are missing here compute results that a report shows only on request
     "outcome": "neither the table of outcomes nor the trials are shown",
-    "parts": "neither the measured boundary nor a cost that is asked for needs a device",
-    "device": "neither the measured boundary nor a cost that is asked for needs delay or mass",
-    "model": "neither delay nor mass is asked for",
-    "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
+    "parts": "neither the measured boundary nor a requested cost needs a device",
+    "device": "neither the measured boundary nor a requested cost needs delay or mass",
+    "model": "neither delay nor mass is requested",
+    "delay": "neither the measured boundary nor a requested cost needs the delay",
     "mass": "only energy costs need the mass",
-    **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
+    **{name: f"no {family.title} is requested" for name, family in FAMILIES.items() if members(family, REPORTED)},
 }
 
 
 def plan_measured(data: StoredData) -> list[PlannedStage]:
-    """Return the action for each experiment and stage, and its reason."""
+    """Return the action for each experiment and stage, with its reason."""
     needed = needed_stages(data)
     plan = []
     for experiment in data.experiments:
@@ -191,29 +192,30 @@ def plan_measured(data: StoredData) -> list[PlannedStage]:
 
 def layouts(data: StoredData) -> tuple[TableLayout, ...]:
     """Return the tables that the stored experiments can fill: published layouts, then one for each other experiment."""
-    asked = data.scene.criteria
+    requested = data.scene.criteria
     stored = data.scene.experiments
     known = data.device.tables if data.device else ()
     result = []
     for table in known:
         experiments = tuple(e for e in table.experiments if e in stored)
-        criteria = tuple(c for c in table.criteria if c in asked)
+        criteria = tuple(c for c in table.criteria if c in requested)
         if experiments and criteria and (table.kind == "optima" or len(experiments) > 1):
             result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
     covered = {e for table in result for e in table.experiments}
-    usual = tuple(c for c in TABLED if c in asked) or tuple(c for c in REPORTED if c in asked)
-    extra = tuple(c for c in asked if c not in REPORTED)  # in no published table
+    usual = tuple(c for c in TABLED if c in requested) or tuple(c for c in REPORTED if c in requested)
+    extra = tuple(c for c in requested if c not in REPORTED)  # these criteria are in no published table
     least = min((added_delay(e) for e in data.experiments), default=0)
     for stages in data.experiments:
         experiment = stages.experiment
-        # for a delay sweep of a device without layouts, one table over delay is clearer than one table per delay
+        # For a delay sweep of a device without layouts, a single table over delay is clearer than a table for each
+        # delay.
         swept = data.device is None and data.scene.delay_sweep and added_delay(stages) > least
         criteria = (() if experiment in covered else usual) + extra
         if criteria and not swept:
             name = f"experiment {experiment}"
             result.append(TableLayout(name=name, criteria=criteria, experiments=(experiment,), theory_from=experiment))
-    # an overshoot of zero at every delay is uninformative (Table D.6)
-    sweep = tuple(c for c in (*TABLED, *extra) if c in asked and not criterion_of(c).family.levels)
+    # An overshoot of zero at every delay gives no information (Table D.6).
+    sweep = tuple(c for c in (*TABLED, *extra) if c in requested and not criterion_of(c).family.levels)
     if data.device is None and data.scene.delay_sweep and sweep:
         fields: dict[str, Any] = {"experiments": stored, "theory_from": stored[0], "kind": "delay"}
         result.append(TableLayout(name="delay", criteria=sweep, **fields))
@@ -221,10 +223,10 @@ def layouts(data: StoredData) -> tuple[TableLayout, ...]:
 
 
 def _in_use(table: TableLayout, shown: Shown) -> bool:
-    """Return whether a layout is shown as a table, or determines figures."""
+    """Return whether a layout is shown as a table or determines figures."""
     return shown.has_table(table.name) or shown.has_figure("delay" if table.kind == "delay" else "maps")
 
 
 def added_delay(stages: ExperimentStages) -> int:
-    """Return the smallest delay added on purpose in the trials of an experiment, in samples."""
+    """Return the smallest delay that was added on purpose in the trials of an experiment [samples]."""
     return int(min(stages.trials.column("added_delay_samples").to_pylist()))

@@ -1,4 +1,4 @@
-"""Parts of a report, and scene files (TOML): reading with a list of all mistakes by line and key, and drafting."""
+"""Scene files (TOML): parts of a report, reading with a list of all mistakes by line and key, and drafts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FIGURE_NAMES: dict[FigureKind, str] = {
     "residuals": "measured minus theory",
     "delay": "costs over delay",
     "trend": "limits and estimates over experiments",
-    "trials": "trials to look into",
+    "trials": "trials to inspect",
 }
 
 REPORT_TABLES = {
@@ -36,7 +36,7 @@ REPORT_TABLES = {
     "boundary": "stability limits over damping",
     "experiments": "trials, verdicts, estimates",
     "methods": "estimates by method",
-    "header": "header lines that only the lab knows",
+    "header": "header lines without a meaning for the pipeline",
     "trend": "limits and estimates by header lines that differ",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
@@ -45,22 +45,22 @@ REPORT_TABLES = {
 
 
 def plan_parts(data: StoredData) -> list[PlannedStage]:
-    """Return the action for each figure and table of the report, and its reason."""
+    """Return the action for each figure and table of the report, with its reason."""
     shown = data.scene.shown
     plan = []
     for kind, name in FIGURE_NAMES.items():
         if not shown.has_figure(kind):
-            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "the scene does not ask for it"))
+            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "the scene does not request it"))
         elif kind == "delay" and not any(table.kind == "delay" for table in layouts(data)):
             plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "no experiment has added delay"))
         elif (kind == "plane" and len(data.experiments) < 2) or (kind == "trend" and len(data.experiments) < 2):
-            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "there is one experiment only"))
+            plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "there is only one experiment"))
         else:
-            plan.append(PlannedStage(f"figure: {name}", RUN, "with the report, where there is data for it"))
+            plan.append(PlannedStage(f"figure: {name}", RUN, "with the report, if there are data for it"))
     for table in layouts(data):
-        asked = shown.has_table(table.name)
-        reason = "; ".join(map(criterion_name, table.criteria)) if asked else "the scene does not ask for it"
-        plan.append(PlannedStage(f"table: {table.name}", RUN if asked else LEAVE_OUT, reason))
+        requested = shown.has_table(table.name)
+        reason = "; ".join(map(criterion_name, table.criteria)) if requested else "the scene does not request it"
+        plan.append(PlannedStage(f"table: {table.name}", RUN if requested else LEAVE_OUT, reason))
     return plan
 
 
@@ -70,7 +70,7 @@ def read_scene(path: Path) -> SceneFile:
     Raises
     ------
     SceneError
-        If the file is missing or invalid; the message names every mistake with its line and key.
+        If the file is missing or invalid. The message lists every mistake with its line and key.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -81,7 +81,7 @@ def read_scene(path: Path) -> SceneFile:
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{path}: is no TOML: {error}. Correct that line.") from error
+        raise SceneError(f"{path}: is not TOML: {error}. Correct this line.") from error
     mistakes = find_mistakes(values, text)
     if mistakes:
         raise SceneError("\n".join(f"{path}:{mistake.line}: {mistake.text}" for mistake in mistakes))
@@ -89,14 +89,14 @@ def read_scene(path: Path) -> SceneFile:
 
 
 def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
-    """Return all mistakes of a scene file in the order of their lines; empty without any.
+    """Return all mistakes of a scene file in the order of their lines. The list is empty if there are none.
 
     Parameters
     ----------
     values : mapping
         The parsed TOML.
     text : str
-        Its text, for the line numbers.
+        Text of the file, which gives the line numbers.
     """
     try:
         SceneFile.model_validate(values)
@@ -106,7 +106,7 @@ def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
         for entry in error.errors():
             place = tuple(entry["loc"])
             found.setdefault(place, _words(place, dict(entry)))
-        # report the wrong entries of a list, and not the list as empty
+        # Report the wrong entries of a list, instead of an empty list.
         held = {place[:length] for place in found for length in range(len(place))}
         mistakes = [Mistake(_line(lines, place), place, words) for place, words in found.items() if place not in held]
         return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
@@ -119,7 +119,7 @@ def _words(place: Place, error: Mapping[str, Any]) -> str:
         known = sorted(SceneFile.model_fields)
         near = get_close_matches(key, known, 1)
         expected = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}."
-        return f"key {key!r}: not known; {expected} Correct or remove it."
+        return f"key {key!r}: unknown; {expected} Correct or remove it."
     if error["type"] == "missing":
         return f"key {key!r}: missing. Add it."
     message = "a list" if error["type"] == "tuple_type" else str(error["msg"]).removeprefix("Input should be ")
@@ -131,29 +131,29 @@ def _words(place: Place, error: Mapping[str, Any]) -> str:
 
 
 def _line(lines: Mapping[Place, int], place: Place) -> int:
-    """Return the line of a key, or of the table that contains it."""
+    """Return the line of a key, or of the table that should contain it."""
     while place not in lines:
         place = place[:-1]
     return lines[place]
 
 
 def draft_scene(device: str, processed: Path) -> str:
-    """Return a scene file for all stored data of a device: every key with its choices, ready to be shortened.
+    """Return a scene file for all stored data of a device. It contains every key with its choices and may be shortened.
 
     Raises
     ------
     DeviceError, StoreError
-        If nothing is stored of the device; see `scene.open_scene`.
+        If nothing is stored for the device. See `scene.open_scene`.
     """
     data = open_scene(device, processed, None, None)
     trials = {e.experiment: e.trials.num_rows for e in data.experiments}
     lines = [
-        f"# Scene of device {_comment(device)}: what one report shows. Used by: pipeline compare --scene FILE",
-        "# A missing key means all that there is data for; only what is requested is computed.",
+        f"# Scene of device {_comment(device)}: contents of a report. Used by: pipeline compare --scene FILE",
+        "# A missing key includes everything with available data. Only requested results are computed.",
         f"device = {_quoted(device)}",
         f"experiments = {_list(trials)}  # {', '.join(f'{_comment(e)}: {n} trials' for e, n in trials.items())}",
         "",
-        "# settle stands for the settling times of the bands [%] below",
+        "# settle means the settling times for the bands [%] below",
         f"criteria = {_list(['settle', *(c for c in REPORTED if c not in SETTLING_BANDS)])}",
         "bands = [1, 2, 5]",
         "",
@@ -161,10 +161,10 @@ def draft_scene(device: str, processed: Path) -> str:
         f"figures = {_list(FIGURE_NAMES)}",
         "",
         "# overlays of the boundaries: theory, the identified loop with its interval (band), the linear condition, the",
-        "# passive region, with friction the limit for a harder push; robust: stable with every spring",
+        "# passive region, with friction the limit for a larger step; robust: stable with any spring",
         'overlays = ["theory", "estimates", "band", "linear", "passive", "friction"]',
         "",
-        "# delay factors of the theoretical curves, in place of those of the device file",
+        "# delay factors of the theoretical curves, which replace those of the device file",
         "# delays = [3, 4, 5]",
         "",
         "# tables: " + "; ".join(f"{name}: {words}" for name, words in REPORT_TABLES.items()),
@@ -172,7 +172,7 @@ def draft_scene(device: str, processed: Path) -> str:
         "",
         f"report = {_quoted(report_of(Path('reports'), device).as_posix())}",
         "",
-        "# costs about the expected (x_0 + F_0/K) or the measured final position; window of the momentum balance (6.4)",
+        "# final position for costs: expected (x_0 + F_0/K) or measured; window of the momentum balance (6.4)",
         "[measuring]",
         'final = "expected"',
         f"momentum_window_s = {MOMENTUM_WINDOW_S}",

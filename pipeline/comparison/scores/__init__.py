@@ -1,1 +1,1 @@
-"""Scores for theory's prediction of an experiment."""
+"""Scores of theory's predictions of an experiment."""

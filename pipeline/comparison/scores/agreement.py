@@ -1,4 +1,4 @@
-"""How measured and theoretical stability agree: distance of two boundaries, equal verdicts."""
+"""Agreement of measured and theoretical stability: distance of two boundaries, and equal verdicts."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from pipeline.records.results import DistanceScore, VerdictScore
 from pipeline.records.trials import Booleans, Floats
 
 NEAR_ZERO = 0.25
-"""Smallest theoretical limit, relative to the largest, by which a distance is divided. At both ends of a boundary the
-limit tends to zero, where one stiffness step (200 N/m of 13,000) could be any percentage of it."""
+"""Smallest theoretical limit, relative to the largest, by which a distance is divided.
+
+The limit tends to zero at both ends of a boundary. There, one stiffness step (200 N/m of 13,000) could be any
+percentage of it.
+"""
 
 FEWEST_COMPARISONS = 5
-"""Smallest number of comparisons whose median may be a headline."""
+"""Smallest number of comparisons whose median may be shown as a main result."""
 
 NEGLIGIBLE = 1e-3
-"""Absolute value below which the sign of a median is not significant; such a median is reported as less than 0.1 %."""
+"""Magnitude below which the sign of a median is not significant. Such a median is reported as less than 0.1 %."""
 
 
 def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:
@@ -29,12 +32,12 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
     limits : MeasuredLimits
         Limits at n dampings.
     theory : float64, shape (n,)
-        Limits [N/m, Nm/rad]; one below zero counts as zero.
+        Limits [N/m, Nm/rad]. A negative limit counts as zero.
 
     Notes
     -----
-    A lower bound below theory gives no information and is left out; one above it is a lower bound of the distance.
-    Relative distances are taken where theory exceeds `NEAR_ZERO` of its largest limit.
+    A lower bound below theory gives no information and is left out. A lower bound above theory is a lower bound of the
+    distance. Relative distances are computed where theory exceeds `NEAR_ZERO` of its largest limit.
     """
     known = limits.known
     limit, measured, censored = np.maximum(theory, 0.0)[known], limits.limit[known], limits.censored[known]
@@ -45,7 +48,7 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         return None
     share = (measured[relative] - limit[relative]) / limit[relative]
     low, high = limits.low[known][relative], limits.high[known][relative]
-    # an interval from zero contains any theoretical limit
+    # An interval that begins at zero contains any theoretical limit.
     bounded = (low > 0) & np.isfinite(high)
     size = np.abs(share)
     largest = int(np.argmax(np.where(bounded, size, -1.0) if bounded.any() else size))
@@ -69,10 +72,10 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
 
 
 def is_steady(values: Floats) -> bool:
-    """Return whether the median may be a headline: of at least five values, none of which is decisive.
+    """Return whether a median may be shown as a main result: of at least five values, none of which determines it.
 
-    Leaving out any value moves the median by less than half the half width of its 95 % interval (by order statistics),
-    and keeps its sign.
+    If any single value is left out, the median must keep its sign and move by less than half of the half width of its
+    95 % interval (by order statistics).
 
     >>> is_steady(np.array([0.27, 0.28, 0.29, 0.3, 0.31])), is_steady(np.array([0.1, 0.2, 0.21, 0.3, 0.4]))
     (True, True)
@@ -97,11 +100,11 @@ def verdict_agreement(stiffness: Floats, verdict: NDArray[np.str_], predicted: B
     Parameters
     ----------
     stiffness : float64, shape (n,)
-        K [N/m, Nm/rad]. At K <= 0 there is no equilibrium position, so stable means that the velocity decays.
+        K [N/m, Nm/rad]. At K <= 0 there is no equilibrium position, so that "stable" means a decaying velocity.
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     predicted : bool, shape (n,)
-        Whether theory calls (K, B) stable.
+        Whether (K, B) is stable according to theory.
     """
     wall = stiffness > 0
     stable, unstable = wall & (verdict == "stable"), wall & (verdict == "unstable")

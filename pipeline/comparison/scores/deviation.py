@@ -1,6 +1,6 @@
 """Decomposition of the deviation of a measured optimal cost from theory: range, grid, model, selection of a trial.
 
-The lowest measured cost comes from one noisy trial on a grid of limited range; the theoretical optimum has neither
+The lowest measured cost comes from one noisy trial on a grid of limited range. The theoretical optimum has neither
 noise nor grid nor range. Let C be theory's cost, with its optimum at p* (unconstrained), p_r (in the tested range) and
 p_g (among the tested points). Let s be the smoothed measured cost with its minimum at the tested point p_s, and M the
 cost of a single trial with its minimum at p_m. Then
@@ -26,14 +26,15 @@ FEWEST = 12
 """Smallest number of trials with both costs for which noise and deviation can be separated."""
 
 RESAMPLED = 200
-"""Number of resampled experiments for the interval of the model's part."""
+"""Number of resampled experiments for the interval of the model component."""
 
 LIKELY = 100
-"""Number of points of lowest smoothed cost among which the optimum of each resampled experiment is searched."""
+"""Number of points with the lowest smoothed cost among which the optimum of each resampled experiment is searched."""
 
 SEARCH, SEARCH_WHOLE, ZOOM, ROUNDS = 41, 201, 15, 4
-"""Number of grid points along an axis of the tested range (second: for integer costs, whose best region is small) and
-of a window around the best point, and number of times the window is narrowed."""
+"""Number of grid points along an axis of the tested range (second number: for integer costs, whose best region is
+small), number of grid points along an axis of a window around the best point, and number of times that the window is
+narrowed."""
 
 Rectangle = tuple[tuple[float, float], tuple[float, float]]
 
@@ -43,7 +44,7 @@ def deviation_of(
 ) -> Deviation | None:
     """Return the decomposition of the deviation of an experiment from a theory.
 
-    None if a cost is zero or missing, or if there are too few trials.
+    The result is None if a cost is zero or missing, or if there are too few trials.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def deviation_of(
     theory : Theory
     criterion : str
     predictions : Predictions
-        Must contain theory's discrete optimum of the criterion.
+        Predictions, which must contain theory's discrete optimum of the criterion.
     """
     best = predictions.get(theory, f"{criterion}{DISCRETE}")
     if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
@@ -74,25 +75,25 @@ def deviation_of(
 def deviation(
     alpha: Floats, beta: Floats, expected: Floats, measured: Floats, use: Booleans, least: tuple[float, float, float]
 ) -> Deviation:
-    """Return the four parts, in percent, with the 95 % interval of the model's part.
+    """Return the four components in percent, with the 95 % interval of the model component.
 
     Parameters
     ----------
     alpha, beta : float64, shape (n,)
         Tested points.
     expected, measured : float64, shape (n,)
-        Costs C and M of the tested points; NaN if missing.
+        Costs C and M of the tested points, NaN if missing.
     use : bool, shape (n,)
-        Points with both, at least `FEWEST`.
+        Points with both costs, at least `FEWEST`.
     least : tuple of float
         C(p*), C(p_r) and M(p_m).
 
     Notes
     -----
-    The smoothed quantity is the logarithm of M/C, which varies little even where C is curved. For the interval, the
-    residuals of single trials get random signs and the lowest cost is searched again; the gain by such residuals widens
-    the interval to both sides. The part is ``steady`` if no single trial decides it; tested are those around the best
-    point and theory's optimum.
+    The smoothed quantity is the logarithm of M/C, which varies little even where C is curved. For the interval, random
+    signs are assigned to the residuals of single trials, and the lowest cost is searched again. The reduction of the
+    lowest cost by such residuals widens the interval on both sides. The component is ``steady`` if no single trial
+    determines it. This is tested for the trials around the best point and around theory's optimum.
     """
     free, ranged, trial = least
     grid = float(np.nanmin(expected))
@@ -123,8 +124,10 @@ def deviation(
 
 
 def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decisive: Integers, half: float) -> bool:
-    """Return whether leaving out any one trial keeps the sign of the model's part and moves it by at most
-    ``half``/2."""
+    """Return whether the model component is insensitive to single trials.
+
+    Leaving out any trial must keep its sign, and must change it by at most ``half``/2.
+    """
 
     def model(kept: Booleans) -> float:
         level = local_planes(alpha[kept], beta[kept], ratio[kept]).of(ratio[kept])
@@ -141,7 +144,7 @@ def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decis
 
 
 def _least_in_range(loop: NormalisedLoop, alpha: Floats, beta: Floats, criterion: str) -> float:
-    """Return theory's lowest cost in the bounding box of the tested points; inf if there is none."""
+    """Return theory's lowest cost in the bounding box of the tested points, or inf if there is none."""
     ends = (float(alpha.min()), float(alpha.max())), (float(beta.min()), float(beta.max()))
     least, window = np.inf, ends
     points = SEARCH_WHOLE if criterion_of(criterion).family.whole else SEARCH
@@ -159,7 +162,7 @@ def _least_in_range(loop: NormalisedLoop, alpha: Floats, beta: Floats, criterion
 
 
 def _grid(window: Rectangle, ends: Rectangle, size: int) -> tuple[Floats, Floats]:
-    """Return the points of a grid over a window, moved into the tested range."""
+    """Return the points of a grid over a window, clipped to the tested range."""
     axes = (np.clip(np.linspace(*side, size), *end) for side, end in zip(window, ends, strict=True))
     a, b = np.meshgrid(*axes)
     return a.ravel(), b.ravel()

@@ -1,4 +1,4 @@
-"""Local planes that smooth values at scattered points; outliers get little weight.
+"""Local planes that smooth values at scattered points and give outliers little weight.
 
 Source: Cleveland, Robust locally weighted regression (1979), in two dimensions.
 """
@@ -20,19 +20,21 @@ ROBUST = 3
 """Number of rounds of robust reweighting."""
 
 NO_ERROR = 1e-12
-"""Errors of values below this one count as zero."""
+"""Magnitude below which errors of values count as zero."""
 
 LEAST_RATIO = 1e-9
-"""Ratio of eigenvalues of a plane's normal matrix below which the smaller one counts as zero: points on a line
-determine no slope across it."""
+"""Ratio of eigenvalues of a plane's normal matrix below which the smaller eigenvalue counts as zero.
+
+Points on a line do not determine the slope across the line.
+"""
 
 _SWEEPS = 12
-"""Largest number of Jacobi sweeps; a matrix of three rows needs four or five."""
+"""Largest number of Jacobi sweeps. A matrix with three rows needs four or five."""
 
 
 @dataclass(frozen=True)
 class LocalPlanes:
-    """Planes fitted around n points: each weights ``values[nearest]`` by ``weight``, both of shape (n, k)."""
+    """Planes fitted around n points. Each sums ``values[nearest]`` with ``weight``, both of shape (n, k)."""
 
     nearest: Integers
     weight: Floats
@@ -51,12 +53,12 @@ def local_planes(stiffness: Floats, damping: Floats, values: Floats, neighbours:
     stiffness, damping, values : float64, shape (n,)
         Coordinates in any units, and values.
     neighbours : int
-        Points to which a plane is fitted; all if there are fewer.
+        Number of points to which a plane is fitted. All points are used if there are fewer.
 
     Notes
     -----
-    Weights are tricubes of the distance in standard deviations, times bisquares of the residual over six times the
-    local median residual: close to the limit of stability, costs of single trials scatter much more than usual.
+    A weight is the tricube of the distance in standard deviations times the bisquare of the residual over six times the
+    local median residual. Close to the limit of stability, costs of single trials scatter much more than elsewhere.
 
     Examples
     --------
@@ -80,9 +82,9 @@ def local_planes(stiffness: Floats, damping: Floats, values: Floats, neighbours:
 
 @inlined
 def _first_of_inverse(normal: Floats, turned: Floats) -> tuple[float, float, float]:
-    """Return the first row of the inverse of least norm of a symmetric matrix (3, 3), by Jacobi's rotations.
+    """Return the first row of the minimum-norm inverse of a symmetric matrix (3, 3), by Jacobi rotations.
 
-    The matrix is destroyed; ``turned`` is memory (3, 3).
+    The matrix is overwritten. ``turned`` is work memory (3, 3).
     """
     for k in range(3):
         for j in range(3):
@@ -122,7 +124,7 @@ def _first_of_inverse(normal: Floats, turned: Floats) -> tuple[float, float, flo
 
 @inlined
 def _median(values: Floats, count: int) -> float:
-    """Return the median of the first values, which it sorts."""
+    """Return the median of the first ``count`` values. These values are sorted in place."""
     for i in range(1, count):
         value, at = values[i], i
         while at > 0 and values[at - 1] > value:
@@ -142,12 +144,12 @@ def fit_planes(
     ----------
     points : float64, shape (n, 2)
     near, nearest : float64, int64, shape (n, k)
-        Weights by distance, and the neighbours.
+        Weights by distance, and indices of the neighbours.
     values : float64, shape (n,)
     weight : float64, shape (n, k)
-        Is set.
+        Output.
     work, matrices : float64, shape (3, max(n, k)); (2, 3, 3)
-        Memory.
+        Work memory.
     """
     n, k = near.shape
     error, sure, around, normal = work[0], work[1], work[2], matrices[0]

@@ -1,4 +1,4 @@
-"""Scores for theory's prediction of the stability of each experiment: by device file, or by estimates without one."""
+"""Scores of theory's prediction of the stability of each experiment, with the device file or with the estimates."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from pipeline.theory.predictions import Theory
 def scores_of(
     result: MeasuredExperiment, stages: ExperimentStages, theory: Theory | None, *, by_file: bool
 ) -> tuple[Scores, ...]:
-    """Return the scores of one experiment, with reasons for missing ones; empty if theory or measured limits are
-    missing.
+    """Return the scores of an experiment, with reasons for missing scores.
+
+    The tuple is empty if theory or measured limits are missing.
+
 
     Parameters
     ----------
@@ -28,10 +30,10 @@ def scores_of(
     stages : ExperimentStages
     theory : Theory or None
     by_file : bool
-        Whether theory is by the device file, not by the estimates.
+        Whether theory is based on the device file, otherwise on the estimates.
     """
     gains = stages.once(other_gains)
-    # if the command obeys other walls, the few remaining trials are no evidence about the device in these units
+    # If the command follows other walls, the few remaining trials give no evidence about the device in these units.
     if theory is None or (gains is not None and gains.most):
         return ()
     limits = measured_limits(result.boundary)
@@ -46,13 +48,13 @@ def scores_of(
         "stiffness": _stiffness(limits, predicted, theory, result),
         "damping": _damping(theory, result),
     }
-    few = f"{counted(len(limits.damping), 'tested damping')}; a region needs two"
+    few = f"{counted(len(limits.damping), 'tested damping')}; a region needs at least two"
     unstable = "theory has no stable wall at the tested dampings"
     why = {
         "region": few if len(limits.damping) < 2 else unstable if limits.known.any() else "no trial is stable",
         "distance": "no damping with a measured limit and a stable wall in theory",
         "verdicts": "no trial at K > 0 with a verdict",
-        "stiffness": "no stable trial at K > 0, or none in theory at the tested dampings",
+        "stiffness": "no stable trial at K > 0, or no stable wall in theory at the tested dampings",
         "damping": "no stable trial at K > 0",
     }
     missing = {name: reason for name, reason in why.items() if found[name] is None}
@@ -61,7 +63,10 @@ def scores_of(
 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
-    """Return theory's stable stiffness K >= 0 at each damping; several stretches if the stable set has gaps."""
+    """Return theory's stable stiffness K >= 0 at each damping.
+
+    There are several intervals if the stable set has gaps.
+    """
     found = stable_intervals(theory.normalised, damping / theory.units.damping)
     layer = np.arange(len(found.index)) - np.searchsorted(found.index, found.index)
     shape = (int(layer.max(initial=-1)) + 1, len(damping))
@@ -72,8 +77,10 @@ def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:
 
 
 def _region(limits: MeasuredLimits, stretches: Stretches) -> RegionScore | None:
-    """Return the overlap of the stable regions inside the tested window, with its uncertainty by the limits'
-    intervals."""
+    """Return the overlap of the stable regions inside the tested window.
+
+    Its uncertainty follows from the intervals of the limits.
+    """
     top = np.where(limits.censored | ~limits.known, limits.limit, np.inf)
 
     def shared(limit: Floats) -> Overlap:

@@ -1,1 +1,1 @@
-"""Conclusions of a comparison, in sentences."""
+"""Conclusions of a comparison: answers, recommended walls, and warnings."""

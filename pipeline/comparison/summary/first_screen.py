@@ -1,4 +1,4 @@
-"""The first screen as data: recommended wall, its certainty, agreement with theory, causes, next measurement."""
+"""Data of a report's first screen: recommended wall, certainty, agreement with theory, causes, next measurement."""
 
 from __future__ import annotations
 
@@ -47,33 +47,36 @@ COARSE = 5.0
 """Smallest increase of an optimal cost by the grid of the trials [%] for which the grid is reported as coarse."""
 
 MOST_CAUSES = 2
-"""Largest number of causes on the first screen; the tables list all."""
+"""Largest number of causes on the first screen. The tables list all."""
 
 DRIFTING = 3
-"""Smallest number of parameters that drift with the wall for which no parameter gets an interval: of six tests at 5 %
-one may fail by chance, and many trials reveal a small drift; in a wrong device mass, damping and delay all drift."""
+"""Smallest number of parameters that drift with the wall for which no parameter has an interval.
 
-WRONG_RECORDING = "the logs were not recorded as they must be for that"
-"""Reason why no limit is compared."""
+Of six tests at 5 %, one may fail by chance, and many trials reveal a small drift. In a wrong device, mass, damping and
+delay all drift.
+"""
 
-OTHER_GAINS = "the command obeys another wall than the headers state"
-"""Reason why a limit in the units of the headers is meaningless."""
+WRONG_RECORDING = "the logs were not recorded as required for limits"
+"""Reason why no limit is compared, for faulty recordings."""
+
+OTHER_GAINS = "the command follows another wall than the headers state"
+"""Reason why a limit in the units of the headers has no meaning."""
 
 WELL = 0.9
-"""Smallest overlap of the regions for which theory counts as predicting a boundary: an error of 5 % in both K and B."""
+"""Smallest overlap of the regions for which theory predicts a boundary. It allows an error of 5 % in both K and B."""
 
 BY_CHANCE = 0.05
-"""Expected share of limits outside their 95 % intervals by chance."""
+"""Expected share of limits that lie outside their 95 % intervals by chance."""
 
 COSTS_WITHIN = (10.0, 30.0)
-"""Largest median deviation of costs [%] for which theory predicts them, and for which it predicts them partly."""
+"""Largest median deviation of costs [%] for which theory predicts them, and largest one for a partial prediction."""
 
 CLOSE = 0.05
 """Largest median distance of limits from those of the identified device with friction for which it predicts them."""
 
 
 def told_most(results: Sequence[ExperimentNumbers]) -> int:
-    """Return the index of the experiment to unfold: the first one with the most answers."""
+    """Return the index of the experiment to unfold, which is the first one with the most answers."""
     return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
 
 
@@ -87,9 +90,9 @@ def answer(
     data : StoredData
     stages : ExperimentStages
     result : ExperimentNumbers
-        Result of these stages, with its scores and walls to use.
+        Result of these stages, with scores and walls to use.
     rows : sequence of ComparisonRow
-        Rows of all experiments, whose costs are judged together: one has too few.
+        Rows of all experiments. Their costs are judged together, because a single experiment has too few.
     """
     known = data.device.experiments if data.device else ()
     of_file = next((each for each in known if each.name == result.experiment), None)
@@ -115,7 +118,7 @@ def answer(
 
 
 def _safest(stages: ExperimentStages) -> TestedWall | None:
-    """Return the stable tested wall whose motion decays fastest; None if no trial with K > 0 is stable."""
+    """Return the stable tested wall whose motion decays fastest, or None if no trial with K > 0 is stable."""
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     growth = stages.verdicts.growth_per_s
     calm = np.flatnonzero((stages.verdicts.verdict == "stable") & (K > 0) & np.isfinite(growth))
@@ -126,19 +129,21 @@ def _safest(stages: ExperimentStages) -> TestedWall | None:
 
 
 def _worth(result: ExperimentNumbers) -> tuple[bool, bool, bool]:
-    """Return whether an experiment has a limit to compare with theory, a wall to use, any limit."""
+    """Return whether an experiment has a limit to compare with theory, a wall to use, and any limit."""
     return bool(result.scores and _known(result)), result.use is not None, bool(result.boundary)
 
 
 def _known(result: ExperimentNumbers) -> bool:
-    """Return whether the region shows where the device becomes unstable: with stable trials only, any overlap is 1."""
+    """Return whether the region shows where the device becomes unstable. With stable trials only, any overlap is 1."""
     region = result.scores[0].region if result.scores else None
     return region is not None and region.censored < region.dampings
 
 
 def _spacing(result: ExperimentNumbers, rows: Sequence[ComparisonRow], stages: ExperimentStages) -> float | None:
-    """Return the grid spacing of the tested walls above the one to use [%]; None unless the coarse grid raises the cost
-    much."""
+    """Return the spacing of the tested stiffnesses above the wall to use [%].
+
+    The result is None unless the coarse grid increases the cost considerably.
+    """
     parts = [row.deviation for row in rows if row.deviation and row.experiment == result.experiment]
     if result.use is None or max((part.grid or 0.0 for part in parts), default=0.0) < COARSE:
         return None
@@ -149,7 +154,8 @@ def _spacing(result: ExperimentNumbers, rows: Sequence[ComparisonRow], stages: E
 
 
 def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple[AnswerEstimate, ...]:
-    """Return delay, mass, damping, friction, largest limit and replay, preferably of a device fitted to all trials."""
+    """Return delay, mass, damping, friction, largest limit and replay, preferably from a device fitted to all
+    trials."""
     found, doubt = [], _doubt(result)
     for name in ("delay_samples", "mass", "damping", "friction"):
         estimate = result.estimates.get(name)
@@ -195,23 +201,25 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
 
 
 def _doubt(result: ExperimentNumbers) -> str:
-    """Return why there are no intervals of delay, mass, damping and friction; empty if there are."""
+    """Return why there are no intervals of delay, mass, damping and friction, or "" if there are."""
     warned = {name: result.estimates[name].warning or "" for name in NEEDED}
     drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
     if len(drifting) >= DRIFTING:
-        return f"No interval where one model does not explain all trials: {listed(drifting)} drift with the wall."
+        return f"No intervals, because no single model explains all trials: {listed(drifting)} drift with the wall."
     if all(result.estimates[name].value is None for name in NEEDED):
         why = result.estimates["mass"].reason or "no usable trial"
         return f"{why[0].upper()}{why[1:].rstrip('.')}."
     loop, fitted = result.loop, "model" in result.estimates["delay_samples"].by_method
     if loop is None or loop.adequate or fitted:
         return ""
-    return f"No interval where the loop is not adequate: {first_clause(loop.reason)}."
+    return f"No intervals, because the loop is not adequate: {first_clause(loop.reason)}."
 
 
 def _other_parameters(result: ExperimentNumbers, of_file: Experiment | None, units: Units) -> list[Cause]:
-    """Return, as a cause, the parameters of the device file that lie more than `MATTERS` outside the intervals by the
-    logs."""
+    """Return a cause with the parameters of the device file that differ from the logs.
+
+    They lie more than `MATTERS` outside the intervals from the logs. The list is empty if there are none.
+    """
     scores = result.scores[0] if result.scores else None
     if scores is None or scores.basis != "device file" or scores.distance is None:
         return []
@@ -233,14 +241,14 @@ def _other_parameters(result: ExperimentNumbers, of_file: Experiment | None, uni
         and found.high is not None
         and max(found.low - value, value - found.high) > MATTERS * abs(value)
     ]
-    sentence = "The logs give other parameters than the device file."
+    sentence = "Parameters estimated from the logs differ from the device file."
     return [Cause(code="parameter_range", sentence=sentence, evidence="; ".join(off))] if off else []
 
 
 def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled: str) -> Prediction:
-    """Return whether theory predicts the device: limits of one experiment, costs of all.
+    """Return whether theory predicts the device, by the limits of one experiment and the costs of all.
 
-    ``misled`` is the reason why the logs give no limit; empty if they do.
+    ``misled`` is the reason why the logs give no limit, or "".
     """
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
@@ -257,8 +265,8 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         return Prediction(code="unknown", reason="no theory to compare limits with", **apart)
     if not _known(result):
         why = (
-            f"no trial was unstable at any of {counted(region.dampings, 'tested damping')}; theory calls "
-            f"{share_text(region.overlap, 0)} % of the tested region stable"
+            f"no trial was unstable at any of {counted(region.dampings, 'tested damping')}; according to theory, "
+            f"{share_text(region.overlap, 0)} % of the tested region is stable"
         )
         return Prediction(code="unknown", reason=why, **apart)
     if distance.dampings < FEWEST_COMPARISONS:
@@ -281,8 +289,10 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
 
 
 def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
-    """Return how many limits are missing to judge theory, at which dampings, and the prediction of the identified loop
-    there."""
+    """Return how many limits are missing to judge theory, and at which dampings.
+
+    The prediction of the identified loop at one of them is included.
+    """
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
     if not unknown and len(result.boundary) > 1:
         B = np.array([point.damping for point in result.boundary])
@@ -295,7 +305,7 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     best = max(result.loop_boundary or (), key=lambda limit: limit.stiffness, default=None)
     if best is None:
         return text
-    return f"{text}. The loop found in the logs predicts K = {significant(best.stiffness, 3)} at B = {best.damping:g}"
+    return f"{text}. The identified loop predicts K = {significant(best.stiffness, 3)} at B = {best.damping:g}"
 
 
 def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
@@ -303,7 +313,7 @@ def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
 
 
 def _reachable(result: ExperimentNumbers) -> ReachableCost | None:
-    """Return the lowest cost that the delay of an experiment allows; None if delay or sampling period is unknown."""
+    """Return the lowest cost that the delay of an experiment allows, or None if delay or period is unknown."""
     period, loop = result.sampling_period_s, result.loop
     delay = loop.delay_samples.value if loop is not None and loop.delay_samples is not None else result.delay.value
     if delay is None or period is None:
@@ -323,11 +333,10 @@ def _reachable(result: ExperimentNumbers) -> ReachableCost | None:
 
 
 def _with_friction(result: ExperimentNumbers) -> DistanceScore | None:
-    """Return the distance of the limits from those of the identified device with friction; None if these are wrong,
-    too.
+    """Return the distance of the limits from those of the identified device with friction, or None if these are wrong.
 
-    If the sign of such a small distance depends on one limit, all intervals must include the device's limits, or its
-    cross-validation must be correct.
+    If the sign of such a small distance depends on one limit, one of two conditions is required: all intervals include
+    the device's limits, or the cross-validation of the device is correct.
     """
     if all(cause.code != "coulomb_friction" for cause in result.causes) or not result.loop_boundary:
         return None
@@ -347,10 +356,10 @@ def _percent(distance: DistanceScore | None) -> float | None:
 def _next(
     data: StoredData, result: ExperimentNumbers, of_file: Experiment | None, stages: ExperimentStages
 ) -> dict[str, Any]:
-    """Return the next wall that the planner requests given the verdicts so far, or why there is none."""
+    """Return the next wall that the planner recommends given the verdicts so far, or why there is none."""
     name, wish = result.experiment, PlanOptions()
     try:
-        # limits alone need no device
+        # Limits alone need no device.
         found = stages.once(identified_device) if result.loop is not None else None
         if found is not None and found.may_have_friction:
             found = replace(found, directions=_directions(stages))
@@ -363,7 +372,7 @@ def _next(
         if all(limit.note == NOTES["undecided"] for limit in unmeasured):
             return {"limits_told": measured, "limits_wanted": wanted}
         others = "; ".join(f"B = {limit.damping:g}: {limit.note}" for limit in unmeasured)
-        reason = f"Nothing: verdicts give the limits at {measured} of {counted(wanted, 'damping')}. {others}"
+        reason = f"None: verdicts give the limits at {measured} of {counted(wanted, 'damping')}. {others}"
         return {"next_reason": reason, "limits_told": measured, "limits_wanted": wanted}
     wall = plan.next[0]
     command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(name)}"

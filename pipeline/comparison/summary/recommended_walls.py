@@ -1,4 +1,4 @@
-"""Which stiffness and damping to use: rectangles of tested walls around the best ones, far from the stability limit."""
+"""Recommended stiffness and damping: rectangles of tested walls around the best ones, far from the stability limit."""
 
 from __future__ import annotations
 
@@ -16,39 +16,48 @@ from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.labels import at_least, cost_range_text, criterion_name, damping_text, stiffness_text
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
-"""Criteria for recommended walls; the first one with a cost is used. A user feels how fast a wall comes to rest.
-Overshoot alone is not used: its optimum is a limit, not a point."""
+"""Criteria for recommended walls. The first criterion with a cost is used.
+
+A user feels how fast a wall comes to rest. Overshoot is not used as the only criterion, because its optimum is a limit,
+not a point.
+"""
 
 FAR = 2.0
-"""The same if no cost shows how good a wall is: a gain margin of two (6 dB) is usual in control."""
+"""Gain margin if no cost shows how good a wall is. A margin of two (6 dB) is usual in control."""
 
 CALM = 0.25
-"""Largest overshoot of a wall to use, that of a damping ratio of 0.4: a wall that overshoots more is not good, however
-early it happens to stay inside a band."""
+"""Largest overshoot of a wall to use, for a damping ratio of 0.4.
+
+A wall with more overshoot is not good, however early its motion happens to stay inside a band.
+"""
 
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
 """Outcomes of logs that do not characterise the wall alone."""
 
 STICKS = 2.0
-"""Stiction relative to sliding friction: 1 to 2 in dry contacts."""
+"""Ratio of stiction to sliding friction. It is 1 to 2 in dry contacts."""
 
 GOOD = (1.25, 1.5, 2.0)
-"""Largest level, relative to the lowest, of a good wall; the first value that gives a region of `FEWEST` trials is
-used. A quarter of a settling time cannot be felt, but valleys of that depth are narrower than the grid of many
-experiments."""
+"""Largest level of a good wall, relative to the lowest level. The first value with a region of `FEWEST` trials is used.
+
+A quarter of a settling time cannot be felt, but valleys of this depth are narrower than the grid of many experiments.
+"""
 
 MOSTLY = 0.9
 """Smallest share of good trials in a region."""
 
 NEIGHBOURS = 8
-"""Number of trials around a trial whose median cost is its level. The trial's cost itself does not count: the best of
-many is the luckiest, and costs selected for being low do not predict a further trial."""
+"""Number of neighbours of a trial whose median cost is the trial's level.
+
+The cost of the trial does not count: the best of many trials is partly lucky, and costs selected for being low do not
+predict a further trial.
+"""
 
 FEWEST = 5
-"""Smallest number of trials in a region: a further trial lies outside their range with a probability of one third."""
+"""Smallest number of trials in a region. A further trial lies outside their range with a probability of one third."""
 
 Rectangle = tuple[float, float, float, float]
-"""Least and largest stiffness, least and largest damping."""
+"""Smallest and largest stiffness, smallest and largest damping."""
 
 
 def recommended(result: MeasuredExperiment) -> tuple[str, Optimum] | None:
@@ -76,7 +85,7 @@ def region_to_use(
     wall of the least cost is recommended alone, if as many of its neighbours are stable and calm. The wall to set has
     a cost, its log came to rest undisturbed, and no softer wall of its damping is undecided.
     """
-    # keep away from limits that have a lower bound only
+    # Keep away from limits of which only a lower bound is known.
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     if not limits.known.any():
@@ -88,7 +97,7 @@ def region_to_use(
         usable = calm & (np.array([linear[damping] for damping in B.tolist()]) >= NARROW * K)
     clean, finished = _judged(result, stages)
     finished &= ~_above_undecided(K, B, stages.verdicts.verdict == "undecided")
-    found, why, region = recommended(result), "no criterion by which walls are chosen has a cost", None
+    found, why, region = recommended(result), "no criterion for the choice of walls has a cost", None
     criterion = found[0] if found else STIFFEST
     if found:
         cost = stages.sure_cost(criterion)
@@ -138,25 +147,25 @@ def _lacking(limits: MeasuredLimits, stiffness: Floats, damping: Floats, usable:
 
 
 def _no_limit(stiffness: Floats, stages: ExperimentStages) -> str:
-    """Return why no stability limit is known, and what to do."""
+    """Return why no stability limit is known, and the remedy."""
     wall = stiffness > 0
     if not wall.any():
         return "no wall was tried: record trials with K > 0"
     verdict = stages.verdicts.verdict[wall]
     if (verdict == "undecided").all():
-        return "no stability limit is known, since no trial is decided: record longer logs with larger steps"
+        return "no stability limit is known, because all trials are undecided: record longer logs with larger steps"
     if not (verdict == "stable").any():
-        return "no stability limit is known, since no trial was stable: record softer walls"
+        return "no stability limit is known, because no trial was stable: record softer walls"
     unstable = int((verdict == "unstable").sum())
     stable = int((verdict == "stable").sum())
     return (
-        f"no stability limit is known: it needs a stable and an unstable trial at one damping; stable are {stable}, "
+        f"no stability limit is known: it needs a stable and an unstable trial at one damping. Stable are {stable}, "
         f"unstable {unstable}. Record {'other stiffnesses at their dampings' if unstable else 'stiffer walls'}"
     )
 
 
 def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:
-    """Return which trials have a softer undecided trial of K > 0 at the same damping."""
+    """Return which trials have a softer undecided trial with K > 0 at the same damping."""
     least = np.full(len(stiffness), np.inf)
     for B in np.unique(damping[undecided]):
         at = damping == B
@@ -197,7 +206,7 @@ def _described(
     stages: ExperimentStages,
     linear: Mapping[float, float],
 ) -> UseRegion:
-    """Return a region with the costs of its trials, and the one of them to set."""
+    """Return a region with the costs of its trials and the recommended wall."""
     at = tested.inside(region)
     room, bound = room_of(limits, region)
     rooms = room_at(limits, tested.damping)
@@ -255,10 +264,10 @@ def _range(values: Floats) -> CostRange:
 
 @dataclass(frozen=True, eq=False)
 class WallTrials:
-    """Stiffness, damping, cost (NaN where there is none) and usability of trials, shape (n,) each.
+    """Stiffness, damping, cost (NaN if missing) and usability of trials, shape (n,) each.
 
-    ``level`` is the cost that ranks them, inf if unknown. A region contains only usable trials and grows from one that
-    is ``finished``, as the wall to set is.
+    ``level`` is the cost by which trials are ranked, inf if unknown. A region contains only usable trials, and grows
+    from a ``finished`` trial. The wall to set is also that of a finished trial.
     """
 
     stiffness: Floats
@@ -269,12 +278,15 @@ class WallTrials:
     finished: Booleans
 
     def inside(self, region: Rectangle) -> Booleans:
-        """Return which trials lie in a rectangle, its edges included."""
+        """Return which trials lie in a rectangle, including its edges."""
         K, B = self.stiffness, self.damping
         return (region[0] <= K) & (region[1] >= K) & (region[2] <= B) & (region[3] >= B)
 
     def favoured(self, region: Rectangle, room: Floats) -> int:
-        """Return the trial of a region with low cost and low level; of equal ones, the one farthest from the limit."""
+        """Return the trial of a region with low cost and level.
+
+        Of equal trials, it is the one farthest from the limit.
+        """
         at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
         worse = np.maximum(self.cost[at], self.level[at])
         return int(at[np.lexsort([-room[at] / self.stiffness[at], worse])[0]])
@@ -301,7 +313,7 @@ def _nearest(stiffness: Floats, damping: Floats) -> np.ndarray:
 
 
 def room_at(limits: MeasuredLimits, damping: Floats) -> Floats:
-    """Return the lower end of the limit [N/m, Nm/rad] at given dampings; 0 where the limit is unknown."""
+    """Return the lower end of the limit [N/m, Nm/rad] at the given dampings, and 0 where the limit is unknown."""
     known = limits.known
     if not known.any():
         return np.zeros_like(damping)
@@ -319,7 +331,7 @@ def room_of(limits: MeasuredLimits, region: Rectangle) -> tuple[float, bool]:
 
 
 def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) -> Rectangle | None:
-    """Return a rectangle of good walls, or None if there are no `FEWEST` good neighbours.
+    """Return a rectangle of good walls, or None if there are fewer than `FEWEST` good neighbours.
 
     Parameters
     ----------
@@ -330,9 +342,10 @@ def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) ->
 
     Notes
     -----
-    It starts at the trial of the lowest level that keeps the margin, and grows by the next tested stiffness or damping,
-    on the side with the lowest median level, while all its trials are usable, `MOSTLY` of them are good, and its
-    stiffest wall keeps the margin. If it stays too small, the next good trial outside it is the start.
+    The rectangle starts at the trial with the lowest level that has the margin. It grows by the next tested stiffness
+    or damping, on the side with the lowest median level, as long as all its trials are usable, the share `MOSTLY` of
+    them is good, and its stiffest wall has the margin. If it remains too small, the next good trial outside it is the
+    start.
     """
     starts = tested.usable & tested.finished & (margin * tested.stiffness <= room_at(limits, tested.damping))
     order = np.argsort(np.where(starts, tested.level, np.inf), kind="stable")
@@ -352,7 +365,7 @@ def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) ->
 
 
 def _grown(tested: WallTrials, good: Booleans, limits: MeasuredLimits, margin: float, start: int) -> Rectangle:
-    """Return the largest rectangle around a trial: none of its sides can be moved further out."""
+    """Return the largest rectangle around a trial, none of whose sides can be moved outwards."""
     K, B = float(tested.stiffness[start]), float(tested.damping[start])
     region = (K, K, B, B)
 
@@ -367,7 +380,7 @@ def _grown(tested: WallTrials, good: Booleans, limits: MeasuredLimits, margin: f
 
 
 def _wider(region: Rectangle, tested: WallTrials) -> Iterator[Rectangle]:
-    """Yield the rectangle extended to the next tested stiffness or damping, one side at a time."""
+    """Yield the rectangle, extended on one side at a time to the next tested stiffness or damping."""
     k0, k1, b0, b1 = region
     K, B = tested.stiffness, tested.damping
     along, across = K[(b0 <= B) & (b1 >= B) & (K > 0)], B[(k0 <= K) & (k1 >= K)]

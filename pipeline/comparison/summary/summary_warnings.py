@@ -1,4 +1,4 @@
-"""Warnings about the numbers of a comparison, as codes and numbers; a template turns them into words."""
+"""Warnings about the results of a comparison, as codes and numbers. A template converts them to sentences."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from pipeline.rendering.report.page_template import fill_template
 from pipeline.store.storage import natural_key
 
 NEEDED = ("mass", "damping", "delay_samples")
-"""Estimates that theory needs; other missing estimates are listed with their reasons in the table of methods."""
+"""Estimates that theory needs. The table of methods lists other missing estimates with their reasons."""
 
 FEW_TRIALS = 30
 """Smallest number of trials for a meaningful optimum or boundary."""
 
 PERIOD_TOLERANCE = 0.01
-"""Relative difference of sampling periods without visible effect: K scales with 1/T^2, B with 1/T."""
+"""Relative difference of sampling periods without visible effect. K is proportional to 1/T^2, B to 1/T."""
 
 BAD_FITS = 0.2
-"""Share of unexplained trials above which it is reported: by chance, the model does not explain 5 % of the trials."""
+"""Share of unexplained trials above which it is reported. By chance, the model does not explain 5 % of the trials."""
 
 EXTRAPOLATED = 0.05
 """Share of an optimal energy cost beyond the end of the log above which it is reported."""
 
 _ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
-"""Parts in which equal warnings of several experiments differ."""
+"""Parts in which equal warnings of several experiments may differ."""
 
 
 def warnings_of(data: StoredData, results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
-    """Return the warnings about the numbers, the most serious first; empty without any."""
+    """Return the warnings about the results, the most serious ones first, or () if there are none."""
     found = [*_of_trials(data, results), *_of_device(data, results), *_of_estimates(results)]
     text = fill_template("warnings.txt.j2", found=found, all=len(results), device=data.scene.device)
     return tuple(" ".join(line.split()) for line in text.splitlines() if line.strip())
@@ -88,7 +88,7 @@ def _of_trials(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterat
 
 
 def _cure(stages: ExperimentStages, gains: OtherGains) -> str:
-    """Return the warning about the first log that obeys another wall."""
+    """Return the warning about the first log that follows another wall."""
     for text, path in zip(*(stages.trials.column(name).to_pylist() for name in ("extra", "source_path")), strict=True):
         if PurePath(path).name == gains.logs[0]:
             return str(json.loads(text or "{}").get("other_gains", ""))
@@ -96,7 +96,7 @@ def _cure(stages: ExperimentStages, gains: OtherGains) -> str:
 
 
 def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[float]]]:
-    """Return the dampings at which a wall was both stable and unstable, with its stiffnesses [N/m, Nm/rad]."""
+    """Return the dampings at which a wall was both stable and unstable, with the stiffnesses [N/m, Nm/rad]."""
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     verdict = stages.verdicts.verdict
     stable, unstable = (
@@ -110,7 +110,7 @@ def contradictory_walls(stages: ExperimentStages) -> list[tuple[float, list[floa
 
 
 def _extrapolated(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterator[tuple[str, float, float]]:
-    """Yield experiment, weight and share of the optimal energy costs that lie beyond the end of the recording."""
+    """Yield experiment, weight, and share of the optimal energy costs beyond the end of the recording."""
     for result, stages in zip(results, data.experiments, strict=False):
         for criterion in members(ENERGY):
             best = result.optimum.get(criterion.name)
@@ -142,15 +142,15 @@ def _of_device(data: StoredData, results: Sequence[ExperimentNumbers]) -> Iterat
 
 
 def _too_late(device: Device, name: str) -> float:
-    """Return the longest delay in the range of theory if the delay of an experiment exceeds it; else 0."""
+    """Return the longest delay in the range of theory if the delay of an experiment exceeds it, otherwise 0."""
     entry = next(e for e in device.experiments if e.name == name)
     return LARGEST_DELAY if entry.delay_samples > LARGEST_DELAY else 0.0
 
 
 def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, Any]]:
-    """Yield warnings about missing or doubtful estimates; equal ones of several experiments are merged.
+    """Yield warnings about missing or doubtful estimates. Equal warnings of several experiments are merged.
 
-    Remarks on single numbers are in the table of methods.
+    Remarks on single values are in the table of methods.
     """
     late = [r.experiment for r in results if too_late(r)]
     if late:
@@ -162,7 +162,7 @@ def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, An
         if any(fault.is_unsafe for fault in result.recording) and all(
             each.value is None for each in result.estimates.values()
         ):
-            continue  # the fault is a separate warning
+            continue  # a separate warning reports the fault
         for name, estimate in result.estimates.items():
             quantity, reason = quantity_name(name), estimate.reason or ""
             if estimate.value is None and name in NEEDED and "left out" not in reason:
@@ -187,7 +187,6 @@ def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, An
 
 
 def too_late(result: ExperimentNumbers) -> bool:
-    """Return True if a delay, or the upper end of its interval, exceeds the longest delay for which theory is
-    computed."""
+    """Return whether a delay, or the upper end of its interval, exceeds the range of theory."""
     delay = result.estimates["delay_samples"]
     return max(value for value in (delay.value, delay.high, 0.0) if value is not None) > LARGEST_DELAY

@@ -100,7 +100,7 @@ def test_theory_and_fits_lie_on_a_simulated_log(first):
         assert np.sqrt(np.mean((series.y - beside["log"].y) ** 2)) < 0.02 * largest, series.label
     residual, rounding, _ = law.series
     assert np.abs(residual.y).max() <= rounding.y[0]
-    assert "The logged command is that of the wall law" in figure.caption
+    assert "The logged command agrees with the wall law" in figure.caption
     assert result.theory.source in figure.caption
     assert figure.simulated
     both = overlaid_figure([figure, figure], ["a", "b"])

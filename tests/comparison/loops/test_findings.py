@@ -25,7 +25,7 @@ def test_a_passive_wall_is_named_of_an_adequate_loop_alone(falcon, falcon_outcom
         assert found.passive is not None
     else:
         assert found.passive is None
-        assert "needs an adequate loop" in found.passive_reason
+        assert "an adequate loop is required" in found.passive_reason
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pipeline.records.findings import Estimate
 @pytest.mark.parametrize(
     ("coulomb", "step", "told"),
     [
-        (0.9, -8.0, ", 11 % of the step: it rests off target"),
+        (0.9, -8.0, ", 11 % of the step; it affects rest positions"),
         (0.2, 8.0, ", 2 % of"),
         (0.1, 8.0, ""),
         (0.9, 0.0, ""),

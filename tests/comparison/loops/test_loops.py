@@ -99,7 +99,7 @@ def test_what_logs_show_is_named_and_statements_rest_on_the_replay_alone(compare
     assert {cause.code for cause in found.causes} - {"coarse_sensor"} == {code}
     assert all(cause.evidence for cause in found.causes)
     assert found.loop.adequate == found.replay.is_right
-    assert "is right in" in found.loop.reason
+    assert "the identified device predicts" in found.loop.reason
     assert found.loop_boundary
     if found.loop.adequate:
         assert found.loop.mass.value == pytest.approx(course.experiment.mass, rel=0.02)

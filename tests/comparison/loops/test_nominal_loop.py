@@ -151,7 +151,7 @@ def test_a_file_of_another_loop_gives_way_to_the_found_device(told, name, other)
     device, result = told(name, *DEVICES[name], other=other)
     (found,) = result.experiments
     assert found.loop.source == "estimated"
-    assert "the limits of the device file's loop are" in found.loop.reason
+    assert "the limits of the device file deviate by" in found.loop.reason
     if found.loop.adequate:
         truth = truth_of(device)
         with mp.workdps(40):

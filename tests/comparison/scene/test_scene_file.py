@@ -65,7 +65,7 @@ def test_every_mistake_is_told_with_file_line_and_key(scene):
 def test_a_missing_device_and_a_wrong_syntax_are_told(scene, tmp_path):
     with pytest.raises(SceneError, match=r"scene\.toml:1: key 'device': missing"):
         read_scene(scene('criteria = ["overshoot"]\n'))
-    with pytest.raises(SceneError, match=r"is no TOML: Invalid value \(at end of document\)"):
+    with pytest.raises(SceneError, match=r"is not TOML: Invalid value \(at end of document\)"):
         read_scene(scene('device = "a"\ncriteria = [\n'))
     with pytest.raises(SceneError, match="--save-scene"):
         read_scene(tmp_path / "none.toml")
@@ -170,10 +170,10 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
 def test_dry_run_tells_of_figures_and_tables(falcon, tmp_path):
     outcome = compare("falcon", falcon.processed, report=tmp_path / "r.html", dry_run=True, shown=SETTLING)
     plan = {stage: (action, reason) for stage, action, reason in outcome.stages}
-    assert plan["figure: trials to look into"] == (LEAVE_OUT, "the scene does not ask for it")
+    assert plan["figure: trials to inspect"] == (LEAVE_OUT, "the scene does not request it")
     assert plan["figure: cost maps"][0] == "run"
     assert plan["table: D.1"][0] == "run"
-    assert plan["table: D.2"] == (LEAVE_OUT, "the scene does not ask for it")
+    assert plan["table: D.2"] == (LEAVE_OUT, "the scene does not request it")
 
 
 def test_delays_of_the_scene_replace_those_of_the_device_file(falcon, tmp_path):
@@ -203,4 +203,4 @@ def test_a_scene_is_saved_and_used(falcon, tmp_path):
     result = runner.invoke(app, ["compare", "--scene", str(path), *processed, "--dry-run", "--criteria", "overshoot"])
     assert result.exit_code == 0, result.output
     assert "1: settling" in result.stdout
-    assert "no settling time is asked for" in result.stdout
+    assert "no settling time is requested" in result.stdout

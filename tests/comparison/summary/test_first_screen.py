@@ -146,7 +146,7 @@ def test_without_an_unstable_trial_nothing_is_said_to_be_predicted(data, result)
     open_end = region.model_copy(update={"overlap": 1.0, "censored": 4, "dampings": 4})
     found = told(data, result, scores=scored(result, region=open_end)).predicts
     assert (found.code, found.percent) == ("unknown", None)
-    assert "theory calls 100 % of the tested region stable" in found.reason
+    assert "according to theory, 100 % of the tested region is stable" in found.reason
 
 
 def test_a_headline_rests_on_five_comparisons_and_on_no_single_one(data, result):
@@ -214,7 +214,7 @@ def test_intervals_are_left_out_where_the_loop_does_not_hold(data, result):
     without = {n: e.model_copy(update={"by_method": {}}) for n, e in experiment.estimates.items()}
     found = told(data, result, loop=loop, estimates=without)
     assert {(e.low, e.high) for e in found.estimates[:3]} == {(None, None)}
-    assert found.estimates_reason == "No interval where the loop is not adequate: the mass drifts."
+    assert found.estimates_reason == "No intervals, because the loop is not adequate: the mass drifts."
     (limit,) = (each for each in found.estimates if each.name == "stiffness_max")
     assert limit.low is not None
 

@@ -28,7 +28,7 @@ def test_warnings(data, result):
     missing = Estimate(value=None, unit="kg", method="none", reason="no trial moved")
     text = warned(data, result, estimates=experiment.estimates | {"mass": missing})
     assert text == "Experiment 1: no estimate of mass m (no trial moved)."
-    left_out = missing.model_copy(update={"reason": "left out: neither a criterion"})
+    left_out = missing.model_copy(update={"reason": "left out: neither a requested criterion"})
     assert warned(data, result, estimates=experiment.estimates | {"mass": left_out}) == ""
     recorded = experiment.model_copy(update={"experiment": "2", "simulated": False})
     (text,) = warnings_of(data, [experiment, recorded])
