@@ -621,13 +621,12 @@ def _predicts(
 
     There are two ways: the fit leaves less random force (`_takes_away`), or its free runs of logs left out have at most
     `LEFT` of the variance of the error. The second one is for a ripple of the force at each turn, a random force that
-    no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, for a single
-    log, and while the estimate of friction is negative, which no free run can have.
+    no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, and for a
+    single log.
     """
     recordings, units, lead = logs
     taken = _takes_away(*fits)
-    slides = all(fit.device.numbers.get("coulomb", 0.0) >= 0 for fit in fits)
-    judged = len(recordings) > 1 and slides and not any(any(each.wall) for each in recordings)
+    judged = len(recordings) > 1 and not any(any(each.wall) for each in recordings)
     if not judged or (taken and name not in {*SENSED.values(), *LOAD_PARTS}):
         return taken
     before, behind = (medians(replays_left_out(recordings, units, lead, segments, fit))[0] for fit in fits)

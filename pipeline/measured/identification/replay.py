@@ -12,9 +12,12 @@ from pipeline.measured.identification.likelihood import Device, Fit, columns_of,
 from pipeline.measured.identification.motion import matrices_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
-from pipeline.measured.identification.scatter import FOLDS
+from pipeline.measured.identification.scatter import FOLDS, inverse
 from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Floats
+
+FRICTIONS = ("coulomb", "load_coulomb")
+"""Numbers of the friction of motor and load."""
 
 STILL = 3.0
 """Largest standard deviation of the velocity of a log without motion, relative to the error of the velocity."""
@@ -103,10 +106,25 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
 
 
 def devices_without_folds(segments: Segments, fit: Fit) -> list[Device]:
-    """Return the device without each fold of trials, by one Newton step from the whole fit."""
-    portions = portions_of(segments)
+    """Return the device without each fold of trials, by one Newton step from the fit to all trials."""
+    portions, solved = portions_of(segments), fit.solved
     trials = np.repeat(segments.trial, portions) if portions else None
-    return [replace(fit.device.stepped(step), effects=None) for _, _, step in fit.solved.folds(trials)]
+    steps = [_sliding_step(fit.device, step, solved.total - left) for left, _, step in solved.folds(trials)]
+    return [replace(fit.device.stepped(step), effects=None) for step in steps]
+
+
+def _sliding_step(device: Device, step: Floats, information: Floats) -> Floats:
+    """Return a step without negative friction, which no free run can have.
+
+    The other numbers are the most likely ones for this friction.
+    """
+    result = step.copy()
+    for place, name in enumerate(device.names):
+        if name in FRICTIONS and (value := device.numbers[name] + result[place]) < 0:
+            others = np.arange(len(result)) != place
+            result[place] -= value
+            result[others] += inverse(information[np.ix_(others, others)]) @ information[others, place] * value
+    return result
 
 
 def replays_left_out(
@@ -126,7 +144,7 @@ def replays_left_out(
 
 def _errors(windows: Segments, device: Device) -> Floats:
     """Return the position errors of free runs from their best initial states."""
-    if device.numbers.get("coulomb") or device.numbers.get("load_coulomb"):
+    if any(device.numbers.get(name) for name in FRICTIONS):
         motion, _, _ = free_motion(windows, device, windows.white, windows.largest)
         return np.asarray(windows.position[windows.places] - motion)
     columns = columns_of(windows, replace(device, noise=WHITE), ())
