@@ -143,6 +143,28 @@ def by_direction(seed: int) -> tuple[Rig, list[Recording]]:
     return _logs(rig, [levels(rng, 2000, 80, size) for _ in range(3)], seed)
 
 
+def slow(seed: int) -> tuple[Rig, list[Recording]]:
+    """A motor with a time constant of hundreds of rows and a ripple of its friction at each turn."""
+    rng = np.random.default_rng(seed)
+    J, tau, T = 2e-4, rng.uniform(1.0, 2.5), 1e-3
+    rig = Rig(T, J, J / tau, friction=0.015, cogging=(0.2, 1.0), quantum=6e-4, truth={"mass": J, "damping": J / tau})
+    # the mean friction over a turn
+    rig.truth["friction.coulomb"] = 0.015 * 1.1
+    return _logs(rig, [square(rng, 6000, 2000, size) for size in rng.uniform(0.02, 0.03, 3)], seed)
+
+
+def slow_by_direction(seed: int) -> tuple[Rig, list[Recording]]:
+    """The same with two gains of its drive; each log has two steps in one direction."""
+    rng = np.random.default_rng(seed)
+    J, T = 1.2e-4, 1e-3
+    gains = rng.uniform(0.6, 0.8), rng.uniform(0.35, 0.45)
+    rig = Rig(T, J, 7e-5, friction=0.008, cogging=(0.2, 1.0), gains=gains, quantum=6e-4)
+    rig.truth.update({"positive": J / gains[0], "negative": J / gains[1]})
+    rows = np.arange(8000)
+    steps = [np.where(rows < 4000, 0.035, rng.uniform(0.045, 0.06)) * (1 - 2 * (i % 2)) for i in range(6)]
+    return _logs(rig, [np.where(rows < 10, 0.0, step) for step in steps], seed)
+
+
 def saturated(seed: int) -> tuple[Rig, list[Recording]]:
     """A motor under a ramp beyond the largest force of its drive."""
     rng = np.random.default_rng(seed)
@@ -211,6 +233,8 @@ KINDS: dict[str, Kind] = {
     "motor": motor,
     "plateau": plateau,
     "gain by direction": by_direction,
+    "slow motor": slow,
+    "slow motor by direction": slow_by_direction,
     "saturated": saturated,
     "two carts": lambda seed: two_carts(seed, load_damping=False),
     "load damping": two_carts,
