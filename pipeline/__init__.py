@@ -1,4 +1,4 @@
-"""Virtual walls under delay: analysis of step-response logs for stability and costs, and comparison with theory.
+"""Determine stability and costs of virtual walls under delay from step-response logs, and compare them with theory.
 
 The names in `__all__` are the public Python interface (``docs/python.md``): functions, and record classes whose tables
 are data frames in SI units. Each name is imported at its first use, so that ``import pipeline`` is fast. All other

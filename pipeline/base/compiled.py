@@ -233,7 +233,7 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _numba_folder(config: Any, folder: Path) -> Iterator[None]:
-    """Set numba's cache folder for the block. Functions of other packages keep their folder."""
+    """Set numba's cache folder while the block runs. Functions of other packages keep their folder."""
     former, config.CACHE_DIR = config.CACHE_DIR, os.fspath(folder)
     try:
         yield

@@ -94,7 +94,8 @@ def report(share: float) -> None:
 
 
 def approach(fraction: float) -> None:
-    """Report that a fraction of the remaining work of a part is done. It suits work of unknown length.
+    """Report that a fraction of the remaining work of a part is done. This function is meant for work of unknown
+    length.
 
     >>> with heard_by(lambda name, share: print(share)):
     ...     approach(0.5)

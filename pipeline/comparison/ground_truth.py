@@ -49,7 +49,7 @@ def _truth(stages: ExperimentStages) -> Truth | None:
         known = {os.path.basename(path) for path in paths} <= set(document["logs"])
         return truth_of(document) if known else None
     except (OSError, ValueError, KeyError, TypeError, ValidationError):
-        return None  # the file is incomplete or of another program, and is not required
+        return None  # the file is optional; it may be incomplete or written by another program
 
 
 def truth_of(document: Mapping[str, Any]) -> Truth:
@@ -100,7 +100,7 @@ def truth_held(estimates: Iterable[Estimate], boundary: Iterable[BoundaryPoint])
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:
-    """Return whether a 95 % interval contains the truth, or None if interval or truth is missing."""
+    """Return whether a 95 % interval contains the truth, or None if the interval or the truth is missing."""
     value = found.estimate if isinstance(found, BoundaryPoint) else found.value
     if value is None or found.truth is None or found.low is None or found.high is None:
         return None

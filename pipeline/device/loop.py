@@ -50,9 +50,10 @@ class Loop:
     Parameters
     ----------
     mass : float
-        Mass m of the device [kg, kg m^2], > 0. It includes the load of a mode, but not the operator.
+        Mass m of the device [kg, kg m^2], > 0. The mass of the load of a vibration mode is included. The mass of the
+        operator is not.
     damping : float
-        Viscous damping b of the device [Ns/m, Nms/rad], >= 0. It includes the damping of the load.
+        Viscous damping b of the device [Ns/m, Nms/rad], >= 0. The damping of the load is included.
     sampling_period_s : float
         Sampling period T [s], > 0.
     delay_samples : float
@@ -87,12 +88,10 @@ class Loop:
     Raises
     ------
     ParameterError
-        If a number is outside its range or contradicts another number. The message names the key, the value and the
-        expected range.
+        If a number is outside its range or contradicts another number. The error message states the key, the value and
+        the expected range.
 
-    Notes
-    -----
-    Source: Hulin 2017, ch. 2 and 3 (mass, damper, delay), docs/definitions.md (all other parts).
+    Notes ----- Source: Hulin 2017, ch. 2 and 3, for mass, damper and delay; docs/definitions.md for all other parts.
 
     Examples
     --------

@@ -54,12 +54,14 @@ def known_devices() -> dict[str, Device]:
 
 
 def digest_of(device: Device) -> str:
-    """Return a hash of the content of a device file. Keys that later versions add do not change it."""
+    """Return a hash of the content of a device file. Keys that later versions of the package add do not change the
+    hash."""
     return digest(device.model_dump(mode="json", exclude_defaults=True))
 
 
 def device_file(name: str) -> Path | None:
-    """Return the file of a known device, or None if it is unknown. A user's file precedes a shipped file.
+    """Return the file of a known device, or None if the device is unknown. A user's file takes precedence over a
+    shipped file.
 
     Raises
     ------
@@ -74,10 +76,10 @@ def device_file(name: str) -> Path | None:
 
 
 def declared_spring(device: Device | None, experiment: str) -> float:
-    """Return the device's spring stiffness k at the wall from its file, per unit of command [N/m, Nm/rad].
+    """Return the stiffness k of the device's spring as given in its file, per unit of command [N/m, Nm/rad].
 
-    The spring shifts the final position to x_0 + F_0/(K + k). Its stiffness includes the operator's. It is 0 if the
-    device or the experiment has no file.
+    The spring shifts the final position to x_0 + F_0/(K + k). The stiffness k includes that of the operator. It is 0 if
+    the device is unknown or its file does not contain the experiment.
     """
     entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
     return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
@@ -175,7 +177,7 @@ def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
         own = [key for key in Experiment.model_fields if key in full and key not in Device.model_fields]
         full["experiment"] = [{"name": "1", **{key: full.pop(key) for key in own}}]
     period = full.get("sampling_period_s")
-    # TOML reads 1 as an integer; an invalid period is reported under its own key, not under keys derived from it
+    # TOML reads 1 as an integer. An invalid period is reported under its own key, not under keys derived from it.
     unit = 1.0
     if isinstance(period, (int, float)) and not isinstance(period, bool) and SMALLEST <= period <= LARGEST / SAMPLES:
         unit = period
@@ -217,7 +219,7 @@ def _is_other(path: Path) -> bool:
 
 
 def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
-    """Describe an invalid field in one line: its path in the file, the value found and the reason."""
+    """Describe an invalid field in one line that states its path in the file, the value found and the reason."""
     location = detail["loc"]
     field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     message = detail["msg"].removeprefix("Value error, ")

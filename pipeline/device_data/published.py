@@ -207,13 +207,14 @@ class PublishedPoint(Record):
     alpha, beta : str or None
         Normalised stiffness and damping of the point.
     cost : str or None
-        Cost of the point as tabulated: damping ratio, pole modulus, samples, fraction or energy.
+        Cost of the point as tabulated. It is a damping ratio, a pole modulus, a number of samples, a fraction or an
+        energy.
     percent : str or None
         Largest alpha or beta relative to its value without delay (Tables B).
     scaling : str or None
         Scaling factor of (5.19) (Table 5.1).
     erratum_of : tuple of str
-        Names of the printed numbers that a computation cannot reproduce.
+        Names of the printed numbers that cannot be reproduced by computation.
     erratum : str or None
         Reason for the deviation.
     """

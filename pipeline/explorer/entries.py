@@ -1,4 +1,4 @@
-"""Initial content of the explorer: loops as entries of device files, and the measurements on them."""
+"""Build the initial content of the explorer, which consists of loops and of the measurements on them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LEFT_OUT = ("sensor", "constant_force", "force_limit")
 
 
 def loop_entries(loop: Loop) -> dict[str, Any]:
-    """Return a loop as the entries of a device file, in SI. Missing parts have no entry.
+    """Return a loop as the entries of a device file in SI units. Parts that the loop lacks have no entry.
 
     Examples
     --------
@@ -37,7 +37,8 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
 
 
 def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of each device. Its label ends with the source of the loop (``by``)."""
+    """Return an entry for each experiment of each device. The label of each entry ends with the source of the loop
+    (``by``)."""
     return [
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
@@ -46,7 +47,7 @@ def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
 
 
 def measured_entries(result: ComparisonResult) -> list[Entry]:
-    """Return an entry for each experiment of a comparison that has a loop, from its logs or from the device file.
+    """Return an entry for each experiment of a comparison whose loop is known from its logs or from the device file.
 
     A drive whose commands are in volts or counts has no entry, because the page uses N or Nm.
     """
@@ -68,7 +69,7 @@ def measured_entries(result: ComparisonResult) -> list[Entry]:
 
 
 def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
-    """Return an entry with its trials: stiffness, damping, and whether the trial was stable."""
+    """Return an entry to which trials are added. A trial consists of stiffness, damping, and whether it was stable."""
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 
@@ -94,7 +95,7 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
     if not values["mass"] or values["delay_samples"] is None or experiment.sampling_period_s is None:
         return None if experiment.theory is None else loop_entries(experiment.theory.loop)
     loop: dict[str, Any] = {"motion": motion, "sampling_period_s": experiment.sampling_period_s}
-    # An estimate may be negative. A number in a device file must not be negative.
+    # An estimate may be negative, but the numbers in a device file may not.
     loop |= {name: value if name == "mass" else max(value or 0.0, 0.0) for name, value in values.items()}
     if found.actuator_lag_s is not None and found.actuator_lag_s.value:
         loop["actuator_lag_s"] = found.actuator_lag_s.value
@@ -102,7 +103,8 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
 
 
 def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
-    """Return filter and mode of an identified loop. Their kinds are those of the loop used for theory."""
+    """Return the velocity filter and the vibration mode of an identified loop. Their kinds are those of the loop used
+    for theory."""
     parts: dict[str, Any] = {}
     known = experiment.theory.loop if experiment.theory is not None else None
     velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}

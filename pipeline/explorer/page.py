@@ -26,9 +26,9 @@ def module() -> str:
 
 @cache
 def script() -> str:
-    """Return computation and panel as one script, which shows a panel in each element with ``data-explorer``.
+    """Return one script that contains the computation and shows a panel in each element with ``data-explorer``.
 
-    The attribute is the id of the element with the entries as JSON (`entries`).
+    The value of this attribute is the id of the element that contains the entries as JSON (`entries`).
     """
     panel = re.sub(r"^import .*?;\n", "", (FOLDER / "page.mjs").read_text(encoding="utf-8"), flags=re.MULTILINE)
     body = re.sub(r"^export ", "", f"{module()}\n{panel}", flags=re.MULTILINE)
@@ -45,7 +45,8 @@ def style() -> str:
 
 
 def panel(entries: Sequence[Entry], name: str = "explorer-entries") -> str:
-    """Return the element of a panel and its entries, for a page with `script` and `style`."""
+    """Return the HTML element of a panel and the element with its entries. The page must contain `script` and
+    `style`."""
     shown = f'<div data-explorer="{escape(name)}"><p>This panel needs JavaScript.</p></div>'
     return f'{shown}\n<script type="application/json" id="{escape(name)}">{json_text(list(entries))}</script>'
 
@@ -56,7 +57,7 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
     Parameters
     ----------
     entries : sequence of dict
-        Loops to which the page can be reset. It starts with the first.
+        Loops to which the page can be reset. The page initially shows the first loop.
     title : str
     before : str
         HTML before the title, such as the navigation of a service.
@@ -76,7 +77,7 @@ def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before:
 
 
 def _without_comments(text: str) -> str:
-    """Return a script without comment lines and indentation, which saves a third of its bytes."""
+    """Return a script without its comment lines and indentation. This makes the script a third smaller."""
     plain = re.sub(r"^\s*/\*\*(?:(?!\*/).)*\*/\s*$", "", text, flags=re.MULTILINE | re.DOTALL)
     lines = (line.strip() for line in plain.splitlines())
     return "\n".join(line for line in lines if line and not line.startswith("//"))

@@ -43,8 +43,8 @@ _UNREADABLE = (pa.ArrowException, OSError, ValueError)
 Remedy = Literal["save", "remove", "set aside"]
 """Remedy for a damaged file.
 
-"save": its trials are read again or copied, and the file is set aside. "remove": its content is recomputed. "set
-aside": its content is lost.
+"save" means that the trials of the file are read again or copied, and that the file is set aside. "remove" means that
+its content is recomputed. "set aside" means that its content is lost.
 """
 
 

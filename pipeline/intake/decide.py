@@ -192,7 +192,7 @@ def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
 
 
 def _replaced_rival(evidence: Evidence, rival: StoredSource | None, *, replace: bool) -> str | None:
-    """Return the text for the report on replaced trials of the same content, or None if there are none.
+    """Return the report's text on replaced trials that have the same content, or None if there are none.
 
     Such trials were read with another profile or for another device.
 

@@ -172,11 +172,11 @@ def ingest(
         Name of a shipped profile, a TOML file, or a loaded profile. By default, a shipped profile is chosen for each
         file.
     jobs : int, optional
-        Number of threads that read and parse. The default is one for each processor, at most four.
+        Number of threads that read and parse logs. By default, it is the number of processors, but at most four.
     dry_run : bool
         Whether to read and check without writing, and to report for each source what would be done.
     rehash : bool
-        Whether to compare the content even if size and modification time are unchanged.
+        Whether to compare the content of a log even if its size and modification time are unchanged.
     replace : bool
         Whether to replace trials whose log is now claimed by another profile or for another device. By default such
         logs are refused.
@@ -338,7 +338,7 @@ class _Run:
         for folder in sorted(self.folders):
             try:
                 merge_small(self.processed, folder)
-            except StoreError as error:  # a damaged file only affects its experiment
+            except StoreError as error:  # a damaged file affects only its own experiment
                 self.damaged[folder] = str(error)
 
     def report(self, folders: Sequence[Path]) -> IngestReport:

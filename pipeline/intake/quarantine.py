@@ -146,9 +146,10 @@ Refused = tuple[Source, QuarantineRecord]
 
 
 def quarantine_sources(processed: Path, refused: Sequence[Refused]) -> None:
-    """Put refused sources into quarantine. Syncing their files together is twenty times faster than one by one.
+    """Put refused sources into quarantine. Syncing all their files together is twenty times faster than syncing them
+    one by one.
 
-    A record quotes the log. Therefore, it has the same read permissions.
+    A record quotes its log. Therefore, the record gets the same read permissions as the log.
     """
 
     def write(one: Refused) -> None:

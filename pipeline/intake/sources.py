@@ -122,7 +122,7 @@ class Source:
     Parameters
     ----------
     path : Path
-        First file, as found. For a ROS 2 bag, the folder, which is one log.
+        Path of the first file, as found. For a ROS 2 bag, it is the path of the folder, because the folder is one log.
     key : str
         Absolute path in the form of `file_names.path_text`, which does not depend on the current folder. It is the key
         of the log in `processed/`.

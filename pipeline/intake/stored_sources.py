@@ -44,11 +44,11 @@ class StoredSource(NamedTuple):
     sha256, profile_sha256, profile : str
         Hash of the content, and hash and name of the profile that read it.
     size, mtime_ns : int
-        Size [byte] and modification time [ns] at the time of reading.
+        Size [byte] and modification time [ns] of the source when it was read.
     devices, trials : tuple of str
-        Device and id of each of its trials.
+        Device and id of each trial of the source.
     whole : bool
-        Whether these are all trials of the source. An interrupted run may have written only some.
+        Whether these are all trials of the source. An interrupted run may have written only some of them.
     """
 
     sha256: str
@@ -61,7 +61,7 @@ class StoredSource(NamedTuple):
     whole: bool = True
 
     def keys(self, path: str) -> set[Key]:
-        """Return the keys of its trials, which identify them as read."""
+        """Return the keys under which the trials of this source are stored."""
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 

@@ -128,8 +128,8 @@ def last_zero(series: Floats, end: float) -> float:
 def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[float, int]:
     """Return the time at which a polynomial leaves its bounds within [0, span], and the direction: down (-1) or up (1).
 
-    If it stays inside, the direction is 0 and the time is the span. If it starts on a bound, the direction of its slope
-    decides. The polynomial may have only one extremum within the span.
+    If the polynomial stays within its bounds, the direction is 0 and the time is the span. If it starts on a bound, the
+    sign of its slope decides whether it leaves. The polynomial may have only one extremum within the span.
     """
     start, slope, until = series[0], series[1], span
     slopes = derivative(series)

@@ -35,7 +35,8 @@ LARGEST_DELAY = 256
 """Largest delay factor. For longer delays, the loop matrices of a map would need too much memory."""
 
 LARGEST_FILTER = 96
-"""Longest memory of a velocity filter in samples. For longer filters, boundaries and modes would take seconds."""
+"""Longest memory of a velocity filter in samples. For longer filters, the computation of boundaries and modes would
+take seconds."""
 
 SMALLEST, LARGEST = 1e-60, 1e60
 """Range of a mass per unit of command and of a sampling period, in which units of stiffness and damping neither
@@ -218,7 +219,7 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """Delay of a slow command by the actuator in sampling periods. For a first-order lag, it is the time
+        """Delay that the actuator adds to a slow command [sampling periods]. For a first-order lag, it is the time
         constant."""
         return self.device.mean_lag
 
@@ -292,7 +293,7 @@ class NormalisedLoop:
 
     @cached_property
     def own(self) -> OwnSteps:
-        """Exact transition of all states except the delayed forces over a sample."""
+        """Exact transition over one sampling period of all states except the delayed forces."""
         whole, gains = self.pushes
         with many_digits(self.digits):
             b, a, keep, rise = filter_steps(self.velocity)
@@ -349,9 +350,12 @@ class NormalisedLoop:
         return np.asarray(-np.asarray(alpha)[:, None] * position - np.asarray(beta)[:, None] * velocity)
 
     def seen(self, law: Floats, values: NDArray[_Number]) -> NDArray[_Number]:
-        """Return the inputs of the motion in a sampling interval, shape (n, q, m), for states of shape (n, states, m).
+        """Return the quantities that determine the motion in a sampling interval, shape (n, q, m).
 
-        They are the device state at the start and the wall force in each of `segments`, from the ``law`` of each point.
+        The ``values`` are states of shape (n, states, m).
+
+        These quantities are the device state at the start of the interval and the wall force in each of the `segments`.
+        The newest wall force follows from the ``law`` of each point.
         """
         p, newest = len(self.device.sensor), self.states - self.oldest_force - 1
         forces = [
@@ -379,7 +383,7 @@ class NormalisedLoop:
 
 
 def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
-    """Return alpha and beta as equally long, finite float arrays of shape (n,).
+    """Return alpha and beta as finite float arrays of equal shape (n,).
 
     Raises
     ------

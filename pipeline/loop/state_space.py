@@ -95,7 +95,7 @@ class StateSpace:
     ----------
     matrix : ndarray, shape (n, n)
     command, force : ndarray, shape (n,)
-        Input columns of the command, through the actuator, and of a force on the motor.
+        Input columns of the command and of a force on the motor. The command acts through the actuator.
     sensor : ndarray, shape (n,)
         Output row of the sensed position.
     at_rest : ndarray, shape (n,)

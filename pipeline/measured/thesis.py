@@ -42,7 +42,7 @@ ZERO_RATE_AT_END = 0.01
 
 @dataclass(frozen=True)
 class FirstChange:
-    """Delay of a trial from its first position change.
+    """Delay of a trial, determined from the first change of the position.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def _limit(levels: Floats, rate: Floats, trials: int) -> tuple[float, float, flo
     if not trials:
         return "no usable trial at K = 0: record trials with B <= 0"
     size = np.abs(rate) / (np.ptp(rate) or 1.0)
-    # an undamped device has its limit at B = 0, the end of the range, where noise decides the sign
+    # the limit of an undamped device is at B = 0, the end of the range, where the sign of the rate depends on noise
     at_limit = np.flatnonzero((size <= ZERO_RATE) | ((size <= ZERO_RATE_AT_END) & (levels == levels[-1])))
     if len(at_limit) and at_limit[-1] > 0:
         return levels[at_limit[-1]], levels[at_limit[-1]], levels[at_limit[-1] - 1]

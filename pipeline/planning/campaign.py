@@ -73,8 +73,8 @@ Look = Callable[[list[Recording]], ChosenParts | None]
 """Function that selects the parts of a device. It returns None while a selection is running."""
 
 SAME = 0.002
-"""Tolerance, relative to the largest damping, within which two dampings count as equal. It is a tenth of the usual
-accuracy."""
+"""Tolerance, relative to the largest damping, within which two dampings count as equal. The tolerance is a tenth of the
+usual accuracy."""
 
 AS_SET = 0.25
 """Share of the spacing of dampings by which the set damping may differ from the requested one."""

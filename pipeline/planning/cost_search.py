@@ -41,11 +41,13 @@ LONGEST = 1000
 FIRST, FIRST_ELSE = 6, 15
 """Smallest number of measured costs at which a search may end.
 
-The first number applies to a correct device, the second to a device with wrong limits.
+The first number applies if the device is correct, and the second number if its limits are wrong.
 """
 
 ROUGH, WRONG = 0.03, 0.15
-"""Standard deviations of the logarithm of a cost from the prediction of a device with the measured limits, and without.
+"""Standard deviations of the logarithm of a cost relative to its prediction.
+
+The first applies if the device has the measured limits, and the second if it does not.
 
 A settling time jumps if a further swing leaves the band. A common offset of all costs may be as large.
 """

@@ -41,7 +41,8 @@ DIRECTIONS = 24
 limit."""
 
 NARROW = 0.2
-"""Relative half width of a limit's interval below which the limit counts as linear in the parameters."""
+"""Threshold for the relative half width of a limit's interval. Below it, the limit counts as linear in the
+parameters."""
 
 OUTLINE = 60
 """Number of points of an outline that locates the damping of the stiffest wall. The limit is flat there."""
@@ -122,9 +123,9 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
     Returns
     -------
     limits, open : float64, shape (n,)
-        Centre and half width of the range of walls that logs leave undecided [N/m, Nm/rad]. They are NaN if no wall is
-        unstable up to the linear limit plus `BEYOND` times the largest linear limit, or if the softest wall is
-        unstable. Friction can only raise a limit. Jitter moves it in either direction.
+        Centre and half width of the range of stiffness in which logs leave the verdict undecided [N/m, Nm/rad]. Both
+        are NaN if no wall is unstable up to the linear limit plus `BEYOND` times the largest linear limit, or if the
+        softest wall is unstable. Friction can only raise a limit. Jitter may raise or lower a limit.
     """
     if not len(damping):
         return np.empty(0), np.empty(0)
@@ -149,7 +150,7 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
 def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
     """Return the index after the last stable trial below the first unstable one, and the index of this unstable trial.
 
-    The result is None if there is no unstable trial. Trials must have increasing stiffness. Those above the first
+    The result is None if there is no unstable trial. Trials must have increasing stiffness. Trials above the first
     unstable trial are not judged.
     """
     last = 0

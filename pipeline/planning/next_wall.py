@@ -161,14 +161,13 @@ def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Brack
     stiffness : float64, shape (n,)
     verdict : array of str, shape (n,)
     width : float
-        Contradictions within this range of K [N/m, Nm/rad] are normal near the limit and not repeated.
+        Range of K [N/m, Nm/rad] within which contradictions are normal near the limit and are not repeated.
 
-    Notes
-    -----
-    The majority of its trials decides on a wall. Undecided trials do not count. A wall with equal numbers of stable and
-    unstable trials counts as neither, and low and high enclose it; after twice `VOTES` trials it counts as unstable. If
-    a stable wall lies above an unstable wall, low and high enclose both until each was tried `VOTES` times. If the
-    contradiction remains, there are several limits (due to a mode or friction), and the lowest is used.
+    Notes ----- The majority of the trials of a wall decides whether the wall is stable. Undecided trials do not count.
+    A wall with equal numbers of stable and unstable trials counts as neither stable nor unstable, and low and high
+    enclose it. After twice `VOTES` trials, such a wall counts as unstable. If a stable wall lies above an unstable
+    wall, low and high enclose both until each was tried `VOTES` times. If the contradiction remains, there are several
+    limits (due to a mode or friction), and the lowest is used.
 
     Examples
     --------
@@ -395,14 +394,13 @@ def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState
 
 
 def stiffest_stable(tried: TriedWalls, damping: float) -> float:
-    """Return the stiffness up to which walls at a damping count as stable, given the stable walls at all dampings.
+    """Return the stiffness up to which walls with the given damping count as stable.
 
-    Notes
-    -----
-    A stable wall counts as stable with more damping. With less damping, its stiffness is reduced in proportion, because
-    the stable region is convex next to K = B = 0, and `SOFT` of the stiffest wall counts at any damping. Stable walls
-    above an unstable wall are ignored. Without a stable wall, half of the softest wall counts, or a quarter if it is
-    unstable. The result is infinite without trials.
+    Notes ----- The result follows from the tried walls at all dampings. A stable wall counts as stable with more
+    damping. With less damping, its stiffness is reduced in proportion, because the stable region is convex next to K =
+    B = 0, and `SOFT` of the stiffest wall counts at any damping. Stable walls above an unstable wall are ignored.
+    Without a stable wall, half of the softest wall counts, or a quarter if it is unstable. The result is infinite
+    without trials.
 
     Examples
     --------
@@ -695,13 +693,15 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
     Parameters
     ----------
     edges : float64, shape (n + 1,)
-        Candidate walls in increasing order. The first is known to be stable, the last to be unstable.
+        Candidate walls in increasing order. The first wall is known to be stable, and the last is known to be unstable.
     chance : float64, shape (n,)
         Probability that the limit lies between two edges, on any positive scale.
     width : float
-        Distance of two walls at which the search ends, if the limit lies between them.
+        Largest stiffness difference between two adjacent edges at which the search ends once the limit is known to lie
+        between them.
     price : float
-        Number of stable trials that cost as much as an unstable one. Above 1, the limit is approached from below.
+        Number of stable trials that cost as much as an unstable one. If the price is above 1, the search approaches the
+        limit from below.
     most : float
         Stiffest wall of this trial. Later trials may be stiffer.
 
@@ -710,11 +710,10 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
     NextTrial or None
         The trial, or None if the search is finished.
 
-    Notes
-    -----
-    V(i, j) is the lowest cost of finding a limit between edges i and j, weighted by its probability. It is 0 if they
-    are within ``width``. Otherwise, it is the minimum over k of the price of the trial plus V(i, k) + V(k, j). These
-    are optimal search trees (Knuth 1971) with prices. The recursion takes about n^3/6 operations, in n steps of numpy.
+    Notes ----- V(i, j) is the lowest cost of finding a limit between edges i and j, weighted by its probability. The
+    cost is 0 if these edges are within ``width``. Otherwise, it is the minimum over k of the price of the trial plus
+    V(i, k) + V(k, j). These are optimal search trees (Knuth 1971) with prices. The recursion takes about n^3/6
+    operations, in n steps of numpy.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.records.tables import COLUMNS, unit_of_column
 
-if TYPE_CHECKING:  # loads for half a second
+if TYPE_CHECKING:  # importing pandas takes half a second
     import pandas as pd
 
 Row = dict[str, Any]
@@ -150,12 +150,15 @@ def optima_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.Dat
 
 
 def in_seconds(criterion: str, cost: float | None, period: float | None) -> float | None:
-    """Return a cost in samples converted to seconds; None for other costs."""
+    """Return a cost given in samples in seconds, or None for other costs."""
     return cost * period if cost is not None and period and criterion_of(criterion).family.unit == "samples" else None
 
 
 def flat(record: Record) -> Row:
-    """Return the numbers and texts of a record; its interval follows a parameter, and lists are left out."""
+    """Return the numbers and texts of a record.
+
+    The ends of an interval follow the value they belong to. Lists are left out.
+    """
     row: Row = {}
     for name, value in record:
         if isinstance(value, Record):

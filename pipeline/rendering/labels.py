@@ -125,7 +125,8 @@ def fixed(value: float, places: int) -> str:
 
 
 def decimal(value: float, places: int) -> str:
-    """Return a number with a fixed number of decimals and a true minus sign; whole numbers lose the zeros."""
+    """Return a number with a fixed number of decimals and a true minus sign. Whole numbers are written without
+    decimals."""
     text = f"{value:.{places}f}"
     if "." in text and float(text) == int(float(text)):
         text = text.split(".")[0]
@@ -229,14 +230,14 @@ def percent_text(value: float, places: int = 1) -> str:
 
 
 def share_text(value: float, places: int = 1) -> str:
-    """Return a share in percent; a share below 1 is never rounded to 100 %.
+    """Return a share in percent. A share below 1 is never rounded to 100 %.
 
     Parameters
     ----------
     value : float
-        Share, 1 for all.
+        Share, between 0 and 1.
     places : int
-        Number of decimals; one if zero decimals would round a share to 100 % or 0 % that is neither.
+        Number of decimals. One decimal is used where fewer would round a share to 0 % or 100 % although it is neither.
     """
     if value == 0.0 or abs(value - 1) <= ALL_BUT_ROUNDING:
         return decimal(100 * value, 0)
@@ -247,14 +248,14 @@ def share_text(value: float, places: int = 1) -> str:
 
 
 def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
-    """Return value and both ends of the interval of an estimate, as `interval_texts`."""
+    """Return the value of an estimate and both ends of its interval, in the format of `interval_texts`."""
     return interval_texts(estimate.value, estimate.low, estimate.high)
 
 
 def interval_texts(value: float | None, low: float | None, high: float | None) -> tuple[str, str, str]:
-    """Return a value and both ends of its interval, to two digits of its half width; empty if missing.
+    """Return a value and both ends of its interval, rounded to two digits of the half width. Missing numbers are empty.
 
-    A one-sided bound is rounded conservatively: a lower bound down, an upper bound up.
+    A one-sided bound is rounded conservatively, so that a lower bound is rounded down and an upper bound is rounded up.
 
     >>> interval_texts(2.00003, 1.99995, 2.00011), interval_texts(-20.5, -41.8, 0.836)
     (('2.000030', '1.999950', '2.000110'), ('−20.5', '−41.8', '0.836'))

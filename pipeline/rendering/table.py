@@ -48,19 +48,19 @@ class Column:
     unit, group : str
         Unit, and heading shared with neighbouring columns.
     show : callable, optional
-        Formats a number of a row; words are printed unchanged.
+        Function that formats a number of a row. Words are printed unchanged.
     ends : (str, str), optional
-        Columns with the ends of the interval, which is left out if both print as the value does.
+        Columns with the ends of the interval. The interval is left out if both ends are printed like the value.
     aside : callable, optional
-        Formats the text next to the value.
+        Function that formats the text next to the value.
     why : str
-        Why a value is missing, if the row has no ``reason``.
+        Reason for a missing value if the row has no ``reason``.
     notes : callable, optional
-        Yields the texts of its footnotes.
+        Function that yields the texts of the footnotes of a value.
     optional : bool
         Whether the column is left out if no row has a value.
     linked : bool
-        Whether the column refers to the trial of its row; ``link``, if given, names another one.
+        Whether the column refers to the trial of its row. If ``link`` is given, it names another trial.
     """
 
     name: str

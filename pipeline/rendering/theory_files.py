@@ -95,7 +95,7 @@ def limit_series(case: Case, points: int = 400) -> Series:
 
 
 def robust_series(answer: Boundary) -> Series:
-    """Return the limit of the walls stable with every spring, as a series to draw."""
+    """Return the limit of the walls that are stable with every spring, as a series to draw."""
     return Series("stable with every spring", "robust", answer.stiffness, answer.damping)
 
 

@@ -24,20 +24,21 @@ _LOOKS = 8
 """Number of points between the rig and the largest change at which the margin is evaluated before bisection."""
 
 _SHOWN = 6
-"""Number of changes in the summary. The JSON document contains all changes."""
+"""Largest number of changes in the summary. The JSON document contains all changes."""
 
 _EDGE = 5
 """Number of evaluations on the way to a change that makes the rig invalid, such as a cut-off above half the sampling
 rate."""
 
 _TOP_LOOKS = 8
-"""Largest number of evaluations in the search for a maximum between three points, whose middle point is the best."""
+"""Largest number of evaluations in the search for a maximum between three points, of which the middle point is the
+best."""
 
 _NO_RIG = -1e3
 """Margin of an invalid rig in the search for a maximum. It is finite and below all other margins."""
 
 _HALVINGS = 9
-"""Number of times that the interval between two points is halved. A change is then accurate to 1e-3 in ln."""
+"""Number of times that the interval between two points is halved. The resulting change is accurate to 1e-3 in ln."""
 
 _NUDGE = 0.02
 """Change in ln that shows in which direction a quantity increases the margin."""
@@ -85,10 +86,10 @@ class Design:
         limited. Its entries are ``stiffness``, ``damping``, ``stiffness_limit`` at this damping, ``settling_s``,
         ``settling_samples`` and ``overshoot``. Entries are None if the wall is not stable.
     stiffness_reached : float or None
-        Largest K [N/m, Nm/rad] that meets the other requirements. If they include a settling time, it is the K closest
-        to the required K.
+        Largest K [N/m, Nm/rad] that meets the other requirements. If these requirements include a settling time, this
+        is the admissible K that is closest to the required K.
     changes : tuple of Change
-        Single and paired changes that meet the requirements, in order of their size, which is the Euclidean norm of the
+        Single and paired changes that meet the requirements, in order of size. The size is the Euclidean norm of the
         changes in ln.
     out_of_reach : dict
         Quantities whose change alone is not sufficient, with the range that was searched. Pairs are searched along
@@ -283,7 +284,8 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
 def _narrowed(
     room: Callable[[float], float], outside: tuple[float, float], inside: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the ends of a narrow interval around the zero of a margin that is negative at the first of two points.
+    """Return the ends of a narrow interval around the zero of a margin. The margin is negative at the point
+    ``outside``.
 
     The interval is narrowed by regula falsi (Illinois). Every third step is a bisection because margins may jump.
     """

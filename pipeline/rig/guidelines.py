@@ -42,14 +42,14 @@ class Guidelines:
     Parameters
     ----------
     delay_percent : float or None
-        Change of the largest stable K if the delay is one sample shorter; None if the delay is below one sample.
+        Change of the largest stable K if the delay is one sample shorter. It is None if the delay is below one sample.
     sampling_percent : float
-        Change if the sampling period is halved and the delay in seconds is unchanged.
+        Change of the largest stable K if the sampling period is halved and the delay in seconds is unchanged.
     damping_percent : float
-        Change if the device has no damping.
+        Change of the largest stable K if the device has no damping.
     hand : tuple of Influence
-        Changes due to the mass, the damping and the stiffness of a hand, each added separately. It is empty for a
-        rotation, for which no arms are tabulated.
+        Changes due to the mass, the damping and the stiffness of a hand, each added separately. The tuple is empty for
+        a rotation, because no arms are tabulated for rotations.
     arm : str
         Name of the arm that the hand belongs to.
     gamma, delta : float

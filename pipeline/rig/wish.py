@@ -102,12 +102,14 @@ class RigWall:
 
 
 def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWall:
-    """Find the wall that meets the requirements with the largest margin, or with ``enough`` any wall that meets them.
+    """Find the wall that meets the requirements with the largest margin.
+
+    If ``enough`` is true, the search ends as soon as a wall meets the requirements.
 
     The margin of a wall is the smallest of three numbers. They are -ln of the spectral radius (at ``margin`` times the
-    stiffness), ln of the ratio of allowed and actual settling time, and the allowed minus the actual overshoot. A wall
-    counts as stable only if all softer walls with its damping are also stable, because a device in contact passes
-    through them.
+    stiffness), ln of the ratio of the allowed settling time to the actual one, and the allowed overshoot minus the
+    actual one. A wall counts as stable only if all softer walls with its damping are also stable, because a device in
+    contact passes through them.
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
@@ -139,7 +141,7 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
 def decay(loop: Loop, wish: DesignTarget) -> float:
     """Compute the largest decay rate [1/s] of the slowest mode over the walls of the first grid.
 
-    It is faster to compute than the margin. A large rate implies early settling and little overshoot.
+    This rate is faster to compute than the margin. A large rate implies early settling and little overshoot.
     """
     unit = loop.units
     K, B = np.array(list(product(*_first_look(loop, wish)))).T

@@ -329,7 +329,10 @@ def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers 
 
 
 def step_size(values: Floats, quantum: float) -> float:
-    """Return the quantisation step of the written values: the sensor resolution, or a part of the range if larger."""
+    """Return the quantisation step of the written values.
+
+    The step is the larger of the sensor resolution and a fixed share of the range of the values.
+    """
     known = values[np.isfinite(values)]
     return (max(float(np.ptp(known)) / LEVELS, quantum) if len(known) else 0.0) or 1.0
 

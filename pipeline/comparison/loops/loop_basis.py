@@ -65,7 +65,7 @@ class LoopBasis:
     def band(self, limits: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Return the lower and upper bound of the limits of its devices.
 
-        They include the intervals of the parameters and the error found by the replay.
+        The bounds account for the intervals of the parameters and for the error that the replay found.
         """
         middle = limits[0][0]
         low = np.fmin.reduce([limit - reach for limit, reach in limits])

@@ -193,7 +193,8 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 def _minimum(
     likelihood: Callable[..., NoiseLikelihood], near: Sequence[float], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
-    """Return the positive numbers within limits that have the lowest cost, and that cost. Start near the given numbers.
+    """Return the positive numbers within limits that have the lowest cost, and that cost. The search starts ``near``
+    them.
 
     The method is Fisher scoring in the logarithms of the numbers. With the errors e, divided by their standard
     deviations s, the information is

@@ -192,8 +192,8 @@ def held_out(fit: Fit) -> float:
 def subset(recordings: list[Recording]) -> list[Recording]:
     """Return the recordings that are used to choose parts, in the order of their ranks.
 
-    If there are more than `MOST_TRIALS`, those with the smallest hashes of their samples are used. An additional log
-    then replaces at most one of them, independently of its content and wall.
+    If there are more than `MOST_TRIALS`, those with the smallest hashes of their samples are used. Then, an additional
+    log replaces at most one of these recordings, and neither its motion nor its wall influences the choice.
     """
     some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
     return sorted(some, key=lambda each: each.rank)
@@ -398,7 +398,7 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
 
 
 def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with its spring if the logs show one, otherwise the fit without.
+    """Return the fit with its spring if the logs show a spring. Otherwise, return the fit without a spring.
 
     If the logs seem to show a spring, the search is repeated without it from the same start. With a single wall, a
     spring may imitate the command.
@@ -687,7 +687,8 @@ def _saturated(segments: Segments, device: Device) -> Device:
 
 
 def _static_limit(segments: Segments) -> float:
-    """Return the limit for which the speed is closest to a linear function of the clipped command."""
+    """Return the command limit for which the speed is closest to a linear function of the command clipped at this
+    limit."""
     ahead = segments.places[LIMIT_ROWS:-LIMIT_ROWS]
     inside = segments.segment[: -2 * LIMIT_ROWS] == segments.segment[2 * LIMIT_ROWS :]
     row = ahead[inside]

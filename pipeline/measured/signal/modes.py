@@ -51,7 +51,7 @@ UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
 
 @dataclass(frozen=True)
 class Growth:
-    """Fastest growing visible mode of a motion. The values are NaN if no mode is visible.
+    """Fastest growing visible mode of a motion. All values are NaN if no mode is visible.
 
     Parameters
     ----------

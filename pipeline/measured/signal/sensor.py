@@ -71,7 +71,7 @@ def position_quantum(position: Floats) -> float:
     """
     if len(position) < 3:
         return 0.0
-    # a fast motion never changes by one quantum per sample, but its changes differ by one
+    # A fast motion never changes by one quantum per sample, but consecutive changes may differ by one quantum.
     change = position[1:] - position[:-1]
     bend = np.abs(change[1:] - change[:-1])
     change = np.abs(change)

@@ -118,9 +118,9 @@ class MeasuredTrial:
         return Readings(trial, about(response, inputs.final), error)
 
     def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
-        """Return a trial for costs if a spring k acts on the device.
+        """Return the trial and the response from which costs are computed if a spring k acts on the device.
 
-        The device rests at x_0 + F_0/(K + k), and the wall that stores the energy has the stiffness K + k (5.7). The
+        The device comes to rest at x_0 + F_0/(K + k), and the energy is stored in a wall of stiffness K + k (5.7). The
         response of an unsafe log has no start, so that no costs are computed from it.
         """
         if spring and trial.stiffness > 0:

@@ -247,7 +247,10 @@ def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departure
 
 
 def _position_filter(log: LogRows) -> VelocityFilterFound | None:
-    """Return the filter of the position for the whole wall, from the position that the wall used in each row."""
+    """Return the position filter that acts on both stiffness and damping, or None.
+
+    The filter is found from the position that the wall used in each row.
+    """
     # after a lost row, the position that the wall used is unknown
     if log.stiffness <= 0 or log.damping < 0 or not log.kept.all():
         return None

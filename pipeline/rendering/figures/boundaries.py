@@ -202,13 +202,16 @@ def boundary_figures(
     sweep: bool,
     printed: PublishedBound | None = None,
 ) -> list[Figure]:
-    """Return the requested figures of limits: all experiments in one plot, each with its loop, and normalised.
+    """Return the requested figures of stability limits.
 
-    ``printed`` is the published straight bound of the device. If the delay of a device file jitters, theory is also
-    drawn at the ends of its range: limits lie between these (6.1.3).
+    One figure shows all experiments, one compares each experiment with its loop, and one shows normalised limits.
+
+    ``printed`` is the published straight bound of the device. If the delay in the device file has jitter, theory is
+    also drawn for both ends of its range, because the limits lie between these curves (6.1.3).
     """
     figures = []
-    # one panel without an operator (Fig. 6.3) or over delay (Fig. 6.9); else one per configuration (Fig. 6.4)
+    # There is one panel without an operator (Fig. 6.3) or over delay (Fig. 6.9). Otherwise, there is one per
+    # configuration (Fig. 6.4).
     numbered = list(enumerate(results))
     held = [] if sweep else [r.configuration for r in results if r.grip != "none"]
     groups = {"no operator" if held else "": [(n, r) for n, r in numbered if not held or r.grip == "none"]}

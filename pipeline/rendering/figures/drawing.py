@@ -1,7 +1,7 @@
-"""Figures by matplotlib: panels of series, as SVG in the colours of a page, as PDF, and as a data frame.
+"""Draw figures with matplotlib, and write them as SVG in the colours of a page, as PDF, and as a data frame.
 
-A figure is data: panels of series, each of a kind that `LOOKS` describes. Only contours and marks of a map are not
-series (`Panel.paint`).
+A figure consists of panels, and a panel consists of series. `LOOKS` describes the look of each kind of series. Only the
+contours and marks of a map are not series (`Panel.paint`).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pipeline.records.models import FigureKind
 from pipeline.records.trials import Floats
 from pipeline.rendering.labels import shortened
 
-if TYPE_CHECKING:  # takes half a second; only drawing needs it
+if TYPE_CHECKING:  # importing matplotlib takes half a second, and only drawing needs it
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-# Colours of Okabe and Ito (2008), distinct with all common kinds of colour blindness; their yellow and black are left
-# out: one vanishes on white, the other on a dark page.
+# Colours of Okabe and Ito (2008), which remain distinct with all common kinds of colour blindness. Their yellow is left
+# out because it vanishes on white, and their black because it vanishes on a dark page.
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 INK, FAINT, PAPER, NOTE = "#010101", "#dddddd", "#fffffe", "#b87503"
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
@@ -46,7 +46,7 @@ ON_PAGE = {
     colour: f"var(--fig-{name},{colour})"
     for name, colour in zip(("blue", "vermillion", "green", "purple", "orange", "sky"), SERIES[:6], strict=True)
 }
-"""Variables of the page's style sheet, so that one drawing suits light and dark mode."""
+"""Variables of the page's style sheet that replace the colours. One drawing thereby suits light and dark mode."""
 
 RC: Any = {
     "text.parse_math": False,  # a dollar sign in a name does not start a formula
@@ -519,7 +519,10 @@ def _attributes(style: re.Match[str]) -> str:
 
 
 def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
-    """Return the data of axes for hovering: their box in the drawing, the values at its ends, names and series."""
+    """Return the data of the axes that the page shows when the pointer hovers over them.
+
+    The data are the box of the axes in the drawing, the values at the ends of this box, the names and the series.
+    """
     box = axes.bbox
     third = next((s.value_name for s in panel.series if s.value_name), "")
     found = []
@@ -538,6 +541,6 @@ def _numbers(panel: Panel, axes: Axes, height: float) -> dict[str, Any]:
 
 
 def few_digits(value: float, digits: int) -> float | int | None:
-    """Return a number rounded to ``digits`` digits, as an integer if it is one; None if it is not finite."""
+    """Return a number rounded to ``digits`` digits, as an integer if it is whole, or None if it is not finite."""
     found = float(f"{value:.{digits}g}") if np.isfinite(value) else None
     return int(found) if found is not None and found == int(found) else found

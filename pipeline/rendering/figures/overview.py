@@ -27,11 +27,12 @@ from pipeline.rendering.labels import (
 from pipeline.rendering.table import is_sweep, records
 
 MOST_POINTS = 1600
-"""Largest number of points of a line; of more rows, the minimum and maximum of each pixel are drawn."""
+"""Largest number of points of a line. If there are more rows, only the minimum and maximum in each pixel are drawn."""
 
 
 def trend_figure(result: ComparisonResult) -> list[Figure]:
-    """Return limits and estimates over experiments; empty if no header line differs between them."""
+    """Return the figure of limits and estimates over experiments. It is absent if no header line differs between
+    them."""
     rows = records(frames(result)["trend"])
     if not rows:
         return []
@@ -54,7 +55,8 @@ def trend_figure(result: ComparisonResult) -> list[Figure]:
 
 
 def replay_figure(result: ComparisonResult) -> list[Figure]:
-    """Return the residuals of the identified loops over K and B of all replayed walls; empty without a replay."""
+    """Return the figure of the identified loops' residuals over K and B of all replayed walls, if there was a
+    replay."""
     residuals = {e.experiment: e.replay.residuals for e in result.experiments if e.replay and e.replay.residuals}
     residuals = {name: of for name, of in residuals.items() if of.percent}
     if not residuals:
