@@ -91,7 +91,9 @@ class Loop:
         If a number is outside its range or contradicts another number. The error message states the key, the value and
         the expected range.
 
-    Notes ----- Source: Hulin 2017, ch. 2 and 3, for mass, damper and delay; docs/definitions.md for all other parts.
+    Notes
+    -----
+    Source: Hulin 2017, ch. 2 and 3, for mass, damper and delay; docs/definitions.md for all other parts.
 
     Examples
     --------

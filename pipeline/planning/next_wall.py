@@ -163,11 +163,13 @@ def bracket(stiffness: Floats, verdict: np.ndarray, width: float = 0.0) -> Brack
     width : float
         Range of K [N/m, Nm/rad] within which contradictions are normal near the limit and are not repeated.
 
-    Notes ----- The majority of the trials of a wall decides whether the wall is stable. Undecided trials do not count.
-    A wall with equal numbers of stable and unstable trials counts as neither stable nor unstable, and low and high
-    enclose it. After twice `VOTES` trials, such a wall counts as unstable. If a stable wall lies above an unstable
-    wall, low and high enclose both until each was tried `VOTES` times. If the contradiction remains, there are several
-    limits (due to a mode or friction), and the lowest is used.
+    Notes
+    -----
+    The majority of the trials of a wall decides whether the wall is stable. Undecided trials do not count. A wall with
+    equal numbers of stable and unstable trials counts as neither stable nor unstable, and low and high enclose it.
+    After twice `VOTES` trials, such a wall counts as unstable. If a stable wall lies above an unstable wall, low and
+    high enclose both until each was tried `VOTES` times. If the contradiction remains, there are several limits (due to
+    a mode or friction), and the lowest is used.
 
     Examples
     --------
@@ -396,11 +398,12 @@ def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState
 def stiffest_stable(tried: TriedWalls, damping: float) -> float:
     """Return the stiffness up to which walls with the given damping count as stable.
 
-    Notes ----- The result follows from the tried walls at all dampings. A stable wall counts as stable with more
-    damping. With less damping, its stiffness is reduced in proportion, because the stable region is convex next to K =
-    B = 0, and `SOFT` of the stiffest wall counts at any damping. Stable walls above an unstable wall are ignored.
-    Without a stable wall, half of the softest wall counts, or a quarter if it is unstable. The result is infinite
-    without trials.
+    Notes
+    -----
+    The result follows from the tried walls at all dampings. A stable wall counts as stable with more damping. With less
+    damping, its stiffness is reduced in proportion, because the stable region is convex next to K = B = 0, and `SOFT`
+    of the stiffest wall counts at any damping. Stable walls above an unstable wall are ignored. Without a stable wall,
+    half of the softest wall counts, or a quarter if it is unstable. The result is infinite without trials.
 
     Examples
     --------
@@ -710,10 +713,12 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
     NextTrial or None
         The trial, or None if the search is finished.
 
-    Notes ----- V(i, j) is the lowest cost of finding a limit between edges i and j, weighted by its probability. The
-    cost is 0 if these edges are within ``width``. Otherwise, it is the minimum over k of the price of the trial plus
-    V(i, k) + V(k, j). These are optimal search trees (Knuth 1971) with prices. The recursion takes about n^3/6
-    operations, in n steps of numpy.
+    Notes
+    -----
+    V(i, j) is the lowest cost of finding a limit between edges i and j, weighted by its probability. The cost is 0 if
+    these edges are within ``width``. Otherwise, it is the minimum over k of the price of the trial plus V(i, k) + V(k,
+    j). These are optimal search trees (Knuth 1971) with prices. The recursion takes about n^3/6 operations, in n steps
+    of numpy.
 
     Examples
     --------

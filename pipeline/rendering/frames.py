@@ -1,7 +1,7 @@
-"""Tables of a comparison as pandas data frames with units in ``attrs``, for page, files and Python.
+"""Convert the tables of a comparison to pandas data frames with units in ``attrs``, for the page, files and Python.
 
-Values are SI, costs as in the JSON document: settling in samples (and seconds), overshoot as a fraction. Missing
-numbers are NaN, with their reason in another column.
+Values are in SI units. Costs are as in the JSON document, with settling times in samples (and seconds) and overshoot as
+a fraction. Missing numbers are NaN, with their reason in another column.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TEXTS = """
     table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence
     evidence source adequate key text tags log since kind what line theory name device title motion grip verdict
 """
-"""Text columns, which have None instead of NaN."""
+"""Text columns. Their missing values are None instead of NaN."""
 
 FORCED: tuple[Motion, ...] = ("translation", "rotation")
 """Kinds of motion whose commands are forces or torques."""
@@ -74,7 +74,7 @@ def frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
 
 
 _PLAIN = {"loops": "loop", "replay": "replay", "causes": "causes", "model": "model_check", "passive": "passive"}
-"""Frames of the fields of an experiment, one row per record."""
+"""Frames made from fields of an experiment, with one row per record."""
 
 
 def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], units: Mapping[str, str]) -> pd.DataFrame:
@@ -94,7 +94,7 @@ def frame_of(names: str | Sequence[str], rows: Iterable[Mapping[str, Any]], unit
 
 
 def units_of(columns: Iterable[str], motions: Collection[str] = FORCED) -> dict[str, str]:
-    """Return the units of stored columns, if any; both units if motions differ."""
+    """Return the units of stored columns that have one. If the motions differ, both units are given."""
     units = {}
     for name in (name for name in columns if name in COLUMNS):
         kinds = (motion for motion in MOTIONS if motion in motions)
@@ -117,7 +117,7 @@ def units_of_tables(motion: Motion) -> dict[str, str]:
 
 
 def estimates_frame(results: Iterable[ExperimentNumbers], *, all_methods: bool = False) -> pd.DataFrame:
-    """Return the ``recommended`` estimates, on request followed by those of the other methods."""
+    """Return the ``recommended`` estimates. On request, those of the other methods follow."""
     rows = []
     for result in results:
         for quantity, best in result.estimates.items():
@@ -129,7 +129,8 @@ def estimates_frame(results: Iterable[ExperimentNumbers], *, all_methods: bool =
 
 
 def boundary_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.DataFrame:
-    """Return the measured limits; ``stiffness`` is by the growth rates, ``low`` and ``high`` are its 95 % interval."""
+    """Return the measured limits. ``stiffness`` comes from the growth rates, and ``low`` and ``high`` are the ends of
+    its 95 % interval."""
     rows = ({"experiment": e.experiment, **dict(p), "stiffness": p.estimate} for e in results for p in e.boundary)
     units = units_of(_WALL, {motion})
     more = dict.fromkeys(("stiffness_large_motion", "truth"), units["stiffness"])
@@ -190,7 +191,7 @@ def _of_row(row: ComparisonRow, periods: Mapping[str, float | None]) -> Row:
 
 
 def _scores(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
-    """Yield the numbers of all scores; ``x_low`` and ``x_high`` are the interval of an ``x``."""
+    """Yield the numbers of all scores. ``x_low`` and ``x_high`` are the ends of the interval of ``x``."""
     for e, scores in ((each, scores) for each in results for scores in each.scores):
         about = {"experiment": e.experiment, "basis": scores.basis}
         for name, found in scores:
@@ -224,7 +225,8 @@ def _missing(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
 
 
 def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row]:
-    """Yield limits and estimates by experiment, with the header lines that differ; empty without such lines."""
+    """Yield limits and estimates by experiment, with the header lines that differ. Without such lines, nothing is
+    yielded."""
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
         about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}
@@ -240,7 +242,7 @@ def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row
 
 
 def differing_lines(results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
-    """Return the keys of header lines with different values in at least two experiments; dates come first."""
+    """Return the keys of the header lines whose values differ between at least two experiments. Dates come first."""
     values: dict[str, list[str]] = {}
     for e in results:
         for line in e.header:
@@ -250,19 +252,23 @@ def differing_lines(results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
 
 
 def line_text(result: ExperimentNumbers, key: str) -> str:
-    """Return the value of a header line in the logs of an experiment, or the first of several; empty without one."""
+    """Return the value of a header line in the logs of an experiment.
+
+    If there are several values, the first is returned. If there is none, the text is empty.
+    """
     line = next((line for line in result.header if line.key == key), None)
     return f"{next(iter(line.values))}{' …' if line.different > 1 else ''}" if line else ""
 
 
 def in_order(results: Sequence[ExperimentNumbers], keys: Sequence[str]) -> list[ExperimentNumbers]:
-    """Return experiments sorted by the date in the first of the header lines; in their original order without dates."""
+    """Return experiments sorted by the date in the first of the header lines, or in their original order if it is no
+    date."""
     dates = [_date(line_text(e, keys[0])) for e in results]
     return [results[n] for n in sorted(range(len(dates)), key=lambda n: (dates[n], n))] if all(dates) else list(results)
 
 
 def _date(text: str) -> str:
-    """Return a date in ISO 8601, which sorts like text; empty for any other text."""
+    """Return a date in ISO 8601 format, which sorts correctly as text. For any other text, return an empty text."""
     try:
         return datetime.fromisoformat(text.removesuffix(" …")).isoformat()
     except ValueError:
@@ -270,5 +276,8 @@ def _date(text: str) -> str:
 
 
 def limit_of(point: BoundaryPoint) -> float | None:
-    """Return the limit at a damping: by the growth rates if they determine it, else the largest stable stiffness."""
+    """Return the limit at a damping.
+
+    It comes from the growth rates if they determine it. Otherwise, it is the largest stable stiffness.
+    """
     return point.stable if point.censored or point.estimate is None else point.estimate

@@ -16,17 +16,19 @@ MISSING = "–"
 
 
 DIGITS = 3
-"""Smallest number of digits of an estimate; a narrow interval needs more."""
+"""Smallest number of digits of an estimate. A narrow interval needs more digits."""
 
 MOST_DIGITS = 9
-"""Largest number of digits of an estimate: masses from noise-free simulated logs are known to 1e-9."""
+"""Largest number of digits of an estimate. It is sufficient for masses from noise-free simulated logs, which are
+accurate to 1e-9."""
 
 BEYOND = 1000.0
-"""Deviation in percent above which its digits are meaningless: the two numbers are unrelated."""
+"""Threshold of a deviation in percent. Above it, the two numbers are unrelated, so that the digits of the deviation are
+meaningless."""
 
 ALL_BUT_ROUNDING = 1e-9
-"""Largest distance of a share from 1 that counts as all, and of a cost from 0 that counts as zero: sums of 1e4 terms
-have rounding errors of 1e-12."""
+"""Tolerance within which a share counts as 1 and a cost counts as 0. Sums of 1e4 terms have rounding errors of
+1e-12."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ UNITS: dict[Motion, Units] = {
 
 
 def quantity_name(quantity: str) -> str:
-    """Return the name of an estimate in table heads: the label and the symbol of its parameter.
+    """Return the name of an estimate in table heads, which consists of the label and the symbol of its parameter.
 
     >>> quantity_name("device_stiffness"), quantity_name("friction"), quantity_name("boundary_area")
     ('stiffness k', 'Coulomb friction', 'area under the boundary')
@@ -85,12 +87,12 @@ def condition_label(condition: str) -> str:
 
 
 def table_label(name: str) -> str:
-    """Return the name of a table of optima: a number for those of the thesis, else the name of an experiment."""
+    """Return the name of a table of optima, which is a number in the thesis and otherwise the name of an experiment."""
     return f"Table {name}" if name[:1].isupper() and name[1:2] == "." else name
 
 
 def printed_scale(criterion: str) -> float:
-    """Return the factor from the stored cost to the printed one: overshoot is printed in %."""
+    """Return the factor by which a stored cost is multiplied for printing. Overshoot is printed in %."""
     return criterion_of(criterion).family.scale
 
 
@@ -100,7 +102,7 @@ def shortened(text: str, longest: int) -> str:
 
 
 def span(show: Callable[[float], str], low: float | None, high: float | None) -> str:
-    """Return an interval as ``low to high``; empty if an end is missing."""
+    """Return an interval as ``low to high``, or an empty text if an end is missing."""
     return "" if low is None or high is None else f"{show(low)} to {show(high)}"
 
 
@@ -110,7 +112,7 @@ def range_text(show: Callable[[float], str], low: float, high: float) -> str:
 
 
 def size_text(percent: float) -> str:
-    """Return the absolute value of a deviation in percent with two digits; below 0.1 % in words.
+    """Return the absolute value of a deviation in percent with two digits. A value below 0.1 % is expressed in words.
 
     >>> size_text(-4.83), size_text(0.004), size_text(120.4)
     ('4.8 %', 'less than 0.1 %', '120 %')
@@ -134,7 +136,8 @@ def decimal(value: float, places: int) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a number rounded to significant digits, without exponent up to seven digits."""
+    """Return a number rounded to significant digits. Numbers with at most seven digits before the decimal sign have no
+    exponent."""
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else MISSING
     size = math.floor(math.log10(abs(value)))
@@ -172,7 +175,8 @@ def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:
 
 
 def stiffness_text(value: float) -> str:
-    """Return a stiffness as printed in Tables D.1 to D.5: an integer from 100, else at most four digits.
+    """Return a stiffness as printed in Tables D.1 to D.5. From 100 on, it is an integer. Below, it has at most four
+    digits.
 
     >>> stiffness_text(4469.4), stiffness_text(4.5), stiffness_text(33.25)
     ('4469', '4.5', '33.25')
@@ -181,7 +185,7 @@ def stiffness_text(value: float) -> str:
 
 
 def damping_text(value: float) -> str:
-    """Return a damping as printed in Tables D.1 to D.5: at most two decimals, below 1 at most three digits.
+    """Return a damping as printed in Tables D.1 to D.5. It has at most two decimals, and below 1 at most three digits.
 
     >>> damping_text(73.054), damping_text(22.5), damping_text(0.25)
     ('73.05', '22.5', '0.25')
@@ -190,18 +194,18 @@ def damping_text(value: float) -> str:
 
 
 def _shortest(text: str) -> str:
-    """Return a number without zeros at the end of its decimals: 4.500 may be read as 4500."""
+    """Return a number without zeros at the end of its decimals, because 4.500 may be read as 4500."""
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
 def cost_text(criterion: str, value: float) -> str:
-    """Return a cost as printed in Tables D.1 to D.6: two decimals, one from 1000 on; overshoot in %."""
+    """Return a cost as printed in Tables D.1 to D.6. It has two decimals, or one from 1000 on. Overshoot is in %."""
     printed = value * printed_scale(criterion)
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
 
 def cost_range_text(criterion: str, low: float, high: float) -> str:
-    """Return costs as ``low to high unit``, three digits each; one number if both print the same.
+    """Return a range of costs as ``low to high unit`` with three digits each, or one number if both are printed alike.
 
     >>> cost_range_text("overshoot", 1.85e-16, 0.0212)
     '0 to 2.12 %'
@@ -218,7 +222,7 @@ def published_text(value: float) -> str:
 
 
 def percent_text(value: float, places: int = 1) -> str:
-    """Return a deviation with its sign and one decimal, as in Table D.6; very large ones in words.
+    """Return a deviation with its sign and one decimal, as in Table D.6. A very large deviation is expressed in words.
 
     >>> percent_text(-7.5), percent_text(537261.9)
     ('−7.5', 'over +1000')

@@ -21,21 +21,22 @@ if TYPE_CHECKING:
 def write_map(
     path: Path, cost_map: CostMap, progress: Callable[[int, int], None] | None = None, points: int = BLOCK
 ) -> int:
-    """Write a map to Parquet atomically; return the number of its stable points.
+    """Write a map to a Parquet file atomically, and return the number of its stable points.
 
     Parameters
     ----------
     path : Path
     cost_map : CostMap
     progress : callable, optional
-        Called with (points done, points in all) after each block.
+        Function that is called with the number of points done and the total number of points after each block.
     points : int
-        Number of points per block, written as a row group: memory does not grow with the map.
+        Number of points per block. A block is written as a row group, so that the required memory does not grow with
+        the map.
 
     Raises
     ------
     PipelineError
-        If the file cannot be written; an earlier file stays unchanged.
+        If the file cannot be written. An earlier file remains unchanged.
     """
     import pyarrow.parquet as pq
 
@@ -77,7 +78,7 @@ def map_schema(cost_map: CostMap) -> pa.Schema:
 
 
 def block_table(block: MapBlock, schema: pa.Schema) -> pa.Table:
-    """Return a block as an Arrow table; NaN becomes null."""
+    """Return a block as an Arrow table, in which NaN becomes null."""
     import pyarrow as pa
 
     columns = [_column(block.alpha), _column(block.beta), _bits(block.stable)]
@@ -85,7 +86,7 @@ def block_table(block: MapBlock, schema: pa.Schema) -> pa.Table:
 
 
 def _column(values: Floats) -> pa.Array:
-    """Return floats as a column without a copy; `pa.array` would load numpy's masked arrays first."""
+    """Return floats as a column without copying them. `pa.array` would first load numpy's masked arrays."""
     import pyarrow as pa
 
     known = ~np.isnan(values)

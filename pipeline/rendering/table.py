@@ -1,4 +1,4 @@
-"""A table for page, Markdown and LaTeX: cells with text, made from the rows of a data frame.
+"""Represent a table for the page, Markdown and LaTeX. Its cells contain text made from the rows of a data frame.
 
 Every cell has a name that is unique in its report, such as ``D.1/settle_2pct/experiment_1/cost``: `verify` compares
 cells by name.
@@ -22,7 +22,8 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Cell:
-    """Printed content; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
+    """Printed content of a cell. ``aside`` is smaller text, ``why`` explains a missing value, and ``marks`` refer to
+    notes.
 
     ``name`` is the column's name; ``trial`` refers to the trial of a number (`trial_page.reference`).
     """
@@ -38,15 +39,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its name in the frame, its head, and the conversion of its values to cells.
+    """Column of a table, with its name in the frame, its head, and the conversion of its values to cells.
 
     Parameters
     ----------
     name : str
     label : str
-        Head without unit; the name if empty.
+        Head without the unit. If it is empty, the name is used.
     unit, group : str
-        Unit, and heading shared with neighbouring columns.
+        Unit, and heading that the column shares with neighbouring columns.
     show : callable, optional
         Function that formats a number of a row. Words are printed unchanged.
     ends : (str, str), optional
@@ -105,7 +106,7 @@ class Column:
 
 @dataclass
 class Table:
-    """A table; each block of rows may have a separate heading, and each row has a name."""
+    """Table in which each block of rows may have a separate heading, and each row has a name."""
 
     name: str
     caption: str
@@ -120,23 +121,24 @@ class Table:
 
     @property
     def reasons(self) -> dict[str, str]:
-        """Return the reasons of cells (except notes), each with the shared text below the table."""
+        """Return the reasons of cells (except notes), each with the text below the table that cells with this reason
+        share."""
         whys = (cell.why for row in self.rows for cell in row)
         return shared_notes([why for why in whys if why and why not in self.notes])
 
     @property
     def whys(self) -> list[str]:
-        """Return the distinct texts of `reasons`: in print and on touch screens there is no text on hovering."""
+        """Return the distinct texts of `reasons`. They are needed because print and touch screens have no hovering."""
         return list(dict.fromkeys(self.reasons.values()))
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Return the headings above the column heads with the number of columns that each spans; empty without any."""
+        """Return the headings above the column heads, each with the number of columns that it spans."""
         spans = [(group, len(list(same))) for group, same in groupby(column.group for column in self.columns)]
         return spans if any(group for group, _ in spans) else []
 
     def mark(self, *notes: str | None) -> tuple[str, ...]:
-        """Return the footnote marks (a, b, c ...) of notes; equal notes share a mark."""
+        """Return the footnote marks (a, b, c ...) of notes. Equal notes share a mark."""
         told = [note for note in notes if note]
         self.notes += [note for note in dict.fromkeys(told) if note not in self.notes]
         return tuple(footnote(self.notes.index(note)) for note in told)
@@ -151,7 +153,7 @@ def table_of(
     block: Callable[[Row], str] = lambda _: "",
     trial: Callable[[Row], str] = lambda _: "",
 ) -> Table | None:
-    """Return a table of the rows of a frame; None without rows.
+    """Return a table of the rows of a frame, or None if there are no rows.
 
     Parameters
     ----------
@@ -159,9 +161,9 @@ def table_of(
     columns : sequence of Column
     frame : DataFrame, or sequence of mapping
     row, block : callable
-        Name of each row, unique in the table, and heading of the block that it belongs to.
+        Functions that return the name of a row, which is unique in the table, and the heading of its block.
     trial : callable
-        Reference of the trial of a row's linked columns.
+        Function that returns the reference to the trial of a row's linked columns.
     """
     rows = records(frame)
     shown = [c for c in columns if not c.optional or any(each.get(c.name) is not None for each in rows)]
@@ -176,14 +178,14 @@ def table_of(
 
 
 def records(frame: pd.DataFrame | Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the rows of a frame, None in place of NaN."""
+    """Return the rows of a frame with None in place of NaN."""
     if isinstance(frame, Sequence):
         return [dict(row) for row in frame]
     return [{k: None if v is None or v != v else v for k, v in row.items()} for row in frame.to_dict("records")]
 
 
 def word_table(name: str, caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Table | None:
-    """Return a table of words, or None without rows; the first cell of a row names it."""
+    """Return a table of words, or None if there are no rows. The first cell of a row is also the name of the row."""
     columns = [Column(head) for head in heads]
     return table_of(name, caption, columns, [dict(zip(heads, row, strict=True)) for row in rows], lambda r: r[heads[0]])
 
@@ -200,6 +202,7 @@ def footnote(index: int) -> str:
 
 
 def is_sweep(rows: Sequence[Row]) -> bool:
-    """Return whether the rows of one table are over delay: measured rows differ only in their experiment."""
+    """Return whether the rows of one table are over delay. In this case, measured rows differ only in their
+    experiment."""
     measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
     return len(set(measured)) < len(measured)

@@ -1,4 +1,4 @@
-"""Tables of a comparison as files: CSV and JSON with all digits, Markdown and LaTeX as printed."""
+"""Write the tables of a comparison to files. CSV and JSON have all digits. Markdown and LaTeX are as printed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LONGEST = 45
-"""Largest number of rows that fit on a page; a longer table becomes a ``longtable``."""
+"""Largest number of rows that fit on a page. A longer table becomes a ``longtable``."""
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters that make a spreadsheet treat a cell as a formula."""
@@ -42,13 +42,15 @@ _LETTERS = {
     "“": "``",
     "”": "''",
 }
-"""LaTeX replacements of characters; other characters stay UTF-8, the default encoding of LaTeX since 2018."""
+"""Characters and their replacements in LaTeX. Other characters stay in UTF-8, the default encoding of LaTeX since
+2018."""
 
 
 def export_tables(result: ComparisonResult, folder: Path) -> tuple[Path, ...]:
-    """Write the tables of a comparison; files of the same name are replaced, others are not changed.
+    """Write the tables of a comparison. Files with the same name are replaced, and other files are not changed.
 
-    One ``.csv`` and one ``.tex`` per table, ``tables.json``, ``tables.md``. Returns the files written.
+    There is one ``.csv`` and one ``.tex`` file per table, and the files ``tables.json`` and ``tables.md``. Return the
+    written files.
     """
     values, printed = named_frames(result), [table for of in printed_tables(result).values() for table in of]
     document = {name: as_document(frame) for name, frame in values.items()}
@@ -74,13 +76,13 @@ def named_frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
 
 
 def as_document(frame: pd.DataFrame) -> dict[str, Any]:
-    """Return a frame as JSON values: its columns with units, and its rows as objects."""
+    """Return a frame as JSON values. Columns are listed with their units, and rows are objects."""
     units = frame.attrs.get("units", {})
     return {"columns": [{"name": name, "unit": units.get(name, "")} for name in frame.columns], "rows": records(frame)}
 
 
 def csv_text(frame: pd.DataFrame) -> str:
-    """Return a frame as CSV (RFC 4180 with CR LF) with all digits; the head states units.
+    """Return a frame as CSV (RFC 4180 with CR LF) with all digits. The head states the units.
 
     A text that a spreadsheet would treat as a formula gets an apostrophe in front.
     """
@@ -92,7 +94,7 @@ def csv_text(frame: pd.DataFrame) -> str:
 
 
 def guarded(text: str) -> str:
-    """Return a text, with an apostrophe in front if a spreadsheet would treat it as a formula; numbers are unchanged.
+    """Return a text, preceded by an apostrophe if a spreadsheet would treat it as a formula. Numbers are unchanged.
 
     >>> guarded("=1+1"), guarded("-2.5"), guarded("-a")
     ("'=1+1", '-2.5', "'-a")
@@ -122,7 +124,7 @@ def markdown_text(table: Table) -> str:
 
 
 def latex_text(table: Table, label: str) -> str:
-    """Return a table as LaTeX by pandas, a float with caption and label, notes below."""
+    """Return a table as a LaTeX float with caption and label, written by pandas. Notes are below the table."""
     printed = as_printed(table, _latex, r"\textsuperscript{{{}}}")
     printed.columns = [_latex(column.head) for column in table.columns]
     name = re.sub(r"[^A-Za-z0-9.:-]+", "-", label)
@@ -143,7 +145,7 @@ def latex_text(table: Table, label: str) -> str:
 
 
 def as_printed(table: Table, escape: Any, mark: str) -> pd.DataFrame:
-    """Return the texts of a table, headings of blocks as rows, each part escaped."""
+    """Return the escaped texts of a table. Headings of blocks are rows."""
     import pandas as pd
 
     rows: list[list[str]] = []
@@ -187,6 +189,6 @@ def _latex(text: str) -> str:
 
 
 def _file_name(name: str) -> str:
-    """Return a file name for a table: names of experiments may contain any character; long ones are cut."""
+    """Return a file name for a table. Names of experiments may contain any character, and long names are cut."""
     safe = quote(name, safe=" +=,@")
     return ("%2E" + safe[1:] if safe.startswith(".") else safe)[:200]

@@ -1,4 +1,4 @@
-"""Files with results of theory: rows as CSV or Parquet, and a figure of walls over stiffness and damping."""
+"""Write results of theory to files, as rows in CSV or Parquet and as a figure of walls over stiffness and damping."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ TABLES = ("csv", "parquet")
 
 
 def check_files(out: Path | None, picture: Path | None) -> None:
-    """Check that files can be written and have valid extensions, before any computation.
+    """Check, before any computation, that files have valid extensions and can be written.
 
     Raises
     ------
     UsageError
-        For another extension, or a folder.
+        If a file has another extension or is a folder.
     PipelineError
         If a folder is not writable.
     """
@@ -42,23 +42,24 @@ def check_files(out: Path | None, picture: Path | None) -> None:
 
 
 def unit_of(case: Case | None, name: str) -> str:
-    """Return the unit of a result column; 1 without a unit."""
+    """Return the unit of a result column, which is 1 if the column has no unit."""
     if case is not None and case.motion is not None and name.startswith(case.axes):
         return str(getattr(UNITS[case.motion], name.split("_")[0]))
     return "samples" if name.startswith(("settle", "rise_time")) else "1"
 
 
 def write_rows(path: Path, columns: Mapping[str, Sequence[Any]], case: Case | None = None) -> None:
-    """Write columns as CSV, or as Parquet with their units; a missing number is an empty cell, or null.
+    """Write columns as CSV, or as Parquet with their units. A missing number is an empty cell in CSV and null in
+    Parquet.
 
     Parameters
     ----------
     path : Path
         Ends with .csv or .parquet.
     columns : mapping of sequence
-        By name, all of one length.
+        Columns by name, all of equal length.
     case : Case, optional
-        Determines the units of walls; normalised walls have none.
+        Case that determines the units of walls. Normalised walls have no units.
     """
     if path.suffix.lower() == ".csv":
         text = io.StringIO()
@@ -112,7 +113,7 @@ def optimum_series(answer: Optimum) -> Series:
 
 
 def draw_walls(path: Path, title: str, case: Case, series: Sequence[Series]) -> None:
-    """Draw walls with the stiffness on the abscissa, as in the thesis, as SVG, PDF or PNG."""
+    """Draw walls as SVG, PDF or PNG. As in the thesis, the stiffness is on the abscissa."""
     units = [unit_of(case, name) for name in case.axes]
     names = [name if unit == "1" else f"{name} [{unit}]" for name, unit in zip(case.axes, units, strict=True)]
     words = [f"{each.label}: {len(each.x)} points" for each in series]

@@ -1,1 +1,2 @@
-"""The lab's logs in one place: pages and REST over `processed/`, jobs in separate processes (extra ``serve``)."""
+"""Server for the logs of a lab, with pages and a REST interface to `processed/` (extra ``serve``). Jobs run in separate
+processes."""

@@ -40,10 +40,10 @@ from pipeline.service.workers import Workers
 ROUTERS = (api.api, lab, remarks, pages.pages, comparing)
 ANSWERED = (Problem, Later, PipelineError, OSError, sqlite3.OperationalError, ValidationError, RequestValidationError,
             HTTPException)  # fmt: skip
-"""Errors that are answers to requests."""
+"""Exceptions that are converted to answers to requests."""
 
 THREADS = 12
-"""Number of threads that answer requests: more would take memory and compete for the interpreter."""
+"""Number of threads that answer requests. More threads would take memory and compete for the interpreter."""
 
 
 def create_app(settings: Settings) -> ASGIApp:
@@ -52,7 +52,7 @@ def create_app(settings: Settings) -> ASGIApp:
     Raises
     ------
     UsageError
-        If it is reachable from other computers and there is no token.
+        If the server is reachable from other computers and there is no token.
     """
     database = Database(settings.data)
     if not settings.loopback and not database.has_tokens():
@@ -105,14 +105,14 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
 
 
 def _methods(request: Request) -> set[str]:
-    """Return the methods of an address; each is a separate route."""
+    """Return the HTTP methods of an address. Each method is a separate route."""
     routes = chain.from_iterable(router.routes for router in ROUTERS)
     found = (route for route in routes if route.matches(request.scope)[0] is not Match.NONE)
     return set[str]().union(*(getattr(route, "methods", ()) for route in found))
 
 
 def serve(settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a termination signal; the address is reported once it can be reached."""
+    """Serve requests until a termination signal arrives. The address is reported once the server can be reached."""
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
     device_files.use_folder(settings)

@@ -1,7 +1,7 @@
-"""Index of all stored trials, with verdicts and costs if stored, for lists, facets, sorting and searches (SQLite).
+"""Index of all stored trials in SQLite, for lists, facets, sorting and searches. It contains stored verdicts and costs.
 
-The Parquet files are authoritative: they are checked when something may have changed, and experiments with changed
-files are read again. The index can be deleted at any time, and is rebuilt. Nothing is computed here.
+The Parquet files are authoritative. They are checked when something may have changed, and experiments with changed
+files are read again. The index can be deleted at any time and is then rebuilt. This module computes no results.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from pipeline.store.storage import (
 )
 
 LOOK_S = 0.5
-"""Longest delay until a change by the command line is visible [s]."""
+"""Longest delay until a change made on the command line is visible [s]."""
 
 KEPT = 64
-"""Number of cached answers per state: readers turn pages and request the same data."""
+"""Number of cached answers per state. The cache helps because readers turn pages and request the same data again."""
 
 EXCLUDED = "excluded"
-"""Shown instead of the verdict of a trial that is excluded by hand and used for no result."""
+"""Text shown instead of the verdict for a trial that is excluded by hand. No result uses such a trial."""
 
 WORDS = ("device", "experiment", "verdict", "outcome")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
@@ -87,7 +87,8 @@ CREATE INDEX IF NOT EXISTS by_place ON trials (device, experiment, verdict, outc
 CREATE INDEX IF NOT EXISTS by_said ON trials (said);
 {"".join(f"CREATE INDEX IF NOT EXISTS by_{c} ON trials ({c}, id);" for c in SORTS[1:])}
 """
-"""Created after all trials of a new file are inserted: updating it one by one takes five times as long."""
+"""Index created after all trials of a new file are inserted. Updating it after each trial would take five times as
+long."""
 
 _SEARCHED = ("id", "device", "experiment", "source", "uploader")
 """Columns of a trial that are searched, in addition to its notes and tags."""
@@ -114,7 +115,8 @@ class Selection:
     text: str = ""
 
     def where(self, said: Sequence[tuple[list[str], str]]) -> tuple[str, list[object]]:
-        """Return the selection as an SQL condition with its values; ``said`` are notes and tags with their owners."""
+        """Return the selection as an SQL condition with its values. ``said`` contains notes and tags with their
+        owners."""
         parts, values = ["1"], list[object]()
         for name, word in self.words.items():
             parts.append(f"{name} IS ?")
@@ -135,13 +137,13 @@ class Selection:
 
 
 class Catalogue:
-    """The present state of a store, read again when files change.
+    """Present state of a store. It is read again when files change.
 
     Parameters
     ----------
     processed : Path
     database : Database
-        Contains notes, tags and uploaders, and is in the folder of the catalogue.
+        Database of notes, tags and uploaders. It is in the folder of the catalogue.
     """
 
     def __init__(self, processed: Path, database: Database) -> None:
@@ -171,7 +173,8 @@ class Catalogue:
         return self._connection.execute(statement, values).fetchall()
 
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
-        """Return rows of the present state: at most `LOOK_S` old, and always including changes by this service."""
+        """Return rows of the present state. The state is at most `LOOK_S` old and always includes changes by this
+        service."""
         with self._lock:
             done = tuple(self.database.run(_DONE)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:
@@ -180,7 +183,7 @@ class Catalogue:
         return self._run(statement, values)
 
     def once(self, key: str, make: Callable[[], Kept]) -> Kept:
-        """Return a result that depends on this state only; recent results are cached."""
+        """Return a result that depends only on the present state. Recent results are cached."""
         self.run("SELECT 1")
         key = f"{self._state} {key}"
         if key not in self._kept:
@@ -238,7 +241,7 @@ class Catalogue:
         return row["sample_file"], int(row["sample_row"])
 
     def selected(self, chosen: Selection) -> tuple[int, dict[str, dict[str, int]]]:
-        """Return the number of selected trials, and of those with each value of `WORDS`."""
+        """Return the number of selected trials, and how many of them have each value of `WORDS`."""
 
         def made() -> tuple[int, dict[str, dict[str, int]]]:
             where, values = self._chosen(chosen)
@@ -258,7 +261,8 @@ class Catalogue:
     ) -> tuple[list[dict[str, Any]], bool]:
         """Return trials in order, starting after a value and trial, and whether more follow.
 
-        A page depends only on these, so that trials added in the meantime do not shift it; missing values come last.
+        A page depends only on this value and trial, so that trials added in the meantime do not shift it. Missing
+        values come last.
         """
         name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
         where, values = self._chosen(chosen)
@@ -289,7 +293,11 @@ class Catalogue:
         return found
 
     def _refresh(self) -> None:
-        """Read changed data again: experiments by their files and corrections, notes and tags by their time."""
+        """Read changed data again.
+
+        Changed experiments are recognised by their files and corrections. Changed notes and tags are recognised by
+        their time stamps.
+        """
         corrections, whole = self._corrections()
         places: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
         for file in trials_files(self.processed):
@@ -315,7 +323,7 @@ class Catalogue:
         self._state, self._kept = state, {}
 
     def _corrections(self) -> tuple[list[Correction], bool]:
-        """Return the manual corrections, and whether they could be read: if not, experiments report it."""
+        """Return the manual corrections, and whether they could be read. If not, experiments report this."""
         with suppress(StoreError):
             files = corrections_files(self.processed)
             return (list(read_corrections(self.processed).values()) if files else []), True

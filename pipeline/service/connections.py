@@ -1,6 +1,8 @@
-"""Limits on client connections: a header must be complete in time, and one address has a limited number of them.
+"""Limits on client connections. A header must be complete in time, and the number of connections per address is
+limited.
 
-A server opens a file for each connection; a client that sends half a header, or nothing, keeps it open without a token.
+A server opens a file for each connection. Without these limits, a client without a token could keep it open by sending
+half a header or nothing.
 """
 
 from __future__ import annotations
@@ -20,12 +22,13 @@ from pipeline.base.errors import UsageError
 from pipeline.service.settings import Settings
 
 BACKLOG, AT_ONCE = 2048, 16
-"""Number of connections that the system queues until they are accepted, and number accepted before excess ones are
-closed."""
+"""Number of connections that the system queues until they are accepted, and number of connections that are accepted
+before excess connections are closed."""
 
 
 class Connection(H11Protocol):
-    """A connection that is closed if its header is late, or if too many of its address are without a header."""
+    """Connection that is closed if its header is late, or if too many connections from its address have sent no
+    header."""
 
     def __init__(self, *given: object, settings: Settings, **more: object) -> None:
         super().__init__(*given, **more)  # type: ignore[arg-type]
@@ -34,11 +37,12 @@ class Connection(H11Protocol):
 
     @property
     def headless(self) -> bool:
-        """Whether no request is in progress: none has begun, or its header is incomplete."""
+        """Whether no request is in progress. A request with an incomplete header is not in progress."""
         return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Accept a connection; if its address has too many, close the oldest without a header, or this one."""
+        """Accept a connection. If its address has too many, close the oldest one without a header, or else the new
+        one."""
         super().connection_made(transport)
         own = [one for one in self.connections if isinstance(one, Connection) and one.address == self.address]
         if len(own) > self.settings.connections:
@@ -56,7 +60,7 @@ class Connection(H11Protocol):
         self._cancel()
 
     def data_received(self, data: bytes) -> None:
-        """Receive data; the timeout of a header runs until it is complete."""
+        """Receive data. The timeout for a header runs until the header is complete."""
         super().data_received(data)
         if not self.headless:
             self._cancel()
@@ -65,7 +69,7 @@ class Connection(H11Protocol):
 
     @property
     def address(self) -> str:
-        """Address of the client; all clients of a Unix socket count as one."""
+        """Address of the client. All clients of a Unix socket count as one."""
         return self.client[0] if self.client else ""
 
     def _wait(self) -> None:
@@ -83,7 +87,8 @@ class Connection(H11Protocol):
 
 
 class _Server(uvicorn.Server):
-    """The server; needed because asyncio has one number for connections accepted at once and queued ones."""
+    """Server with separate limits on connections that are accepted at once and on queued connections. Asyncio uses one
+    number for both."""
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start listening."""
@@ -104,7 +109,7 @@ def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
 
 
 def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
-    """Serve until a termination signal; the address is reported once it can be reached.
+    """Serve requests until a termination signal arrives. The address is reported once the server can be reached.
 
     Raises
     ------

@@ -1,7 +1,9 @@
-"""Data outside Parquet: jobs with a lease, tokens, sessions, uploads, notes, tags, audit (SQLite, WAL).
+"""SQLite database (in WAL mode) for data that are not in Parquet files.
 
-Every statement is a separate transaction, which is on disk when it returns. Server, workers and command line share the
-file.
+These are jobs with their leases, tokens, sessions, uploads, notes, tags and the audit.
+
+Every statement is a separate transaction, which is on disk when the statement returns. Server, workers and command line
+share the database file.
 """
 
 from __future__ import annotations
@@ -25,22 +27,24 @@ Role = Literal["viewer", "contributor", "admin"]
 ROLES: tuple[Role, ...] = ("viewer", "contributor", "admin")
 
 SESSION_S = 12 * 3600.0
-"""Life of a login [s]."""
+"""Time after which a login expires [s]."""
 
 LEASE_S = 10.0
 """Time without a heartbeat after which another worker takes over a job [s]."""
 
 ATTEMPTS = 3
-"""Largest number of starts of a job; if its worker crashes each time, the job is the cause."""
+"""Largest number of starts of a job. If its worker crashes each time, the job is regarded as the cause."""
 
 WORKS = ("upload", "stages", "experiment plan comparison optimum drawing")
-"""Kinds of jobs of each worker, in order of priority: logs with their verdicts, costs, and displayed results.
+"""Kinds of jobs that each worker executes, in order of priority.
+
+The workers process logs with their verdicts, costs, and displayed results, respectively.
 
 Figures come last, except for renewed reports.
 """
 
 MOST_DRAWINGS = 100
-"""Largest number of queued drawings: users who requested older ones have left the page."""
+"""Largest number of queued drawings. The users who requested older drawings have probably left the page."""
 
 KEPT_S = 30 * 86400.0
 """Retention time of ended jobs, and of reports that have a newer version [s]."""
@@ -75,7 +79,7 @@ CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 
 
 def hashed(secret: str) -> str:
-    """Return the stored hash of a secret; secrets made here are random, so a fast hash is sufficient."""
+    """Return the hash under which a secret is stored. A fast hash is sufficient because the secrets are random."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
@@ -93,12 +97,12 @@ def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.C
 
 
 class Database:
-    """The service's private file, readable only by its user; one connection per thread.
+    """Private database file of the service, which only its user can read. Each thread has its own connection.
 
     Parameters
     ----------
     folder : Path
-        Its folder, created if needed.
+        Folder of the file. It is created if it does not exist.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -130,7 +134,7 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Execute all statements of a block, or none."""
+        """Execute either all statements of a block or none."""
         self.run("BEGIN IMMEDIATE")
         try:
             yield
@@ -145,9 +149,10 @@ class Database:
     def add_job(
         self, kind: str, request: dict[str, Any], key: str = "", job: str | None = None, author: str = "", late: int = 0
     ) -> str:
-        """Queue a job, or return the waiting or running one of the same kind and key; an empty key is always new.
+        """Queue a job, or return the waiting or running job with the same kind and key. An empty key always queues a
+        new job.
 
-        A running job of the kind ``stages`` is not reused, as it may miss new trials.
+        A running job of the kind ``stages`` is not reused because it may miss new trials.
         """
         name, now = job or secrets.token_hex(8), time.time()
         same = "kind = ? AND key = ? AND (state = 'queued' OR (state = 'running' AND kind != 'stages'))"
@@ -171,7 +176,8 @@ class Database:
         return str(rows[0]["id"])
 
     def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> dict[str, Any] | None:
-        """Take a waiting job of these kinds, or one whose worker has no heartbeat; return None if there is none."""
+        """Take a waiting job of these kinds, or one whose worker has no heartbeat. Return None if there is no such
+        job."""
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
@@ -182,12 +188,12 @@ class Database:
         return _shown(rows[0]) if rows else None
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
-        """Renew the lease of a job; return whether it still belongs to this worker."""
+        """Renew the lease of a job, and return whether the job still belongs to this worker."""
         given = (time.time() + LEASE_S, json.dumps(progress), time.time(), job, owner)
         return bool(self.run(f"UPDATE jobs SET lease = ?, progress = ?, changed = ? {_OWN} RETURNING id", *given))
 
     def free(self, owner: str, blamed: bool = True) -> None:
-        """Release the job of a worker that has ended; a job that ended several workers has failed."""
+        """Release the job of a worker that has ended. A job that ended several workers counts as failed."""
         mine = "WHERE owner = ? AND state = 'running'"
         given = (blamed, time.time(), owner)
         self.run(f"UPDATE jobs SET lease = 0, attempts = attempts + ?, changed = ? {mine}", *given)
@@ -202,14 +208,14 @@ class Database:
         self.run(f"UPDATE jobs SET state = ?, result = ?, problem = ?, changed = ? {_OWN}", *given)
 
     def cancel(self, job: str) -> None:
-        """End a job that has not ended; its worker notices at the next heartbeat."""
+        """Cancel a job that has not ended. Its worker notices this at the next heartbeat."""
         self.run(
             "UPDATE jobs SET state = 'cancelled', changed = ? WHERE id = ? AND state IN ('queued', 'running')",
             *(time.time(), job),
         )
 
     def job(self, job: str) -> dict[str, Any] | None:
-        """Return a job as shown to users; None if it does not exist."""
+        """Return a job as it is shown to users, or None if it does not exist."""
         rows = self.run("SELECT * FROM jobs WHERE id = ?", job)
         return _shown(rows[0]) if rows else None
 
@@ -225,13 +231,15 @@ class Database:
         return [_shown(row) for row in rows], last
 
     def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
-        """Return rows with a number, the newest first, below a number; and that of the last one if more follow."""
+        """Return the rows below a number, the newest first. If more rows follow, also return the number of the last
+        row."""
         given = (min(max(before, 0), NEWEST), limit + 1)
         rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
         return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
 
     def reports(self, most: int) -> list[dict[str, Any]]:
-        """Return the jobs that made comparisons, the newest first; one is ``earlier`` if a newer equal one exists."""
+        """Return the jobs that made comparisons, the newest first. A job is ``earlier`` if a newer job made the same
+        comparison."""
         found, seen = self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0], set[str]()
         for job in found:
             asked = json.dumps(job["request"].get("asked", job["id"]))
@@ -245,7 +253,7 @@ class Database:
         return rows[0]["name"] if rows else str(path_of_text(path))
 
     def uploaded(self) -> dict[str, tuple[str, str]]:
-        """Return name and uploader of all uploaded logs, by path."""
+        """Return the name and the uploader of each uploaded log by its path."""
         rows = self.run("SELECT path, name, author FROM uploads JOIN jobs ON jobs.id = uploads.job")
         return {row["path"]: (row["name"], row["author"]) for row in rows}
 
@@ -255,9 +263,9 @@ class Database:
         return {row["state"]: row["n"] for row in rows}
 
     def forget_old(self) -> set[str]:
-        """Remove jobs that ended long ago, except uploads and the last report of each kind; return the remaining keys.
+        """Remove jobs that ended long ago, except uploads and the last report of each kind. Return the remaining keys.
 
-        Jobs of uploads are kept to recognise their logs.
+        Jobs of uploads are kept so that their logs are recognised.
         """
         self.run(
             "DELETE FROM jobs WHERE state IN ('done', 'failed', 'cancelled') AND kind != 'upload' AND changed < ? AND "
@@ -270,19 +278,19 @@ class Database:
     # permissions and audit: only hashes of tokens and logins are stored
 
     def create_token(self, role: Role, name: str, days: float | None = None) -> str:
-        """Make a token and return it; only its hash is stored."""
+        """Create a token and return it. Only its hash is stored."""
         token, now = f"hp_{secrets.token_urlsafe(32)}", time.time()
         end = None if days is None else now + days * 86400.0
         self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
         return token
 
     def tokens(self) -> list[dict[str, Any]]:
-        """Return all tokens: id, role, name and day of expiry."""
+        """Return the id, the role, the name and the day of expiry of all tokens."""
         columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
         return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
 
     def revoke_token(self, identifier: str) -> bool:
-        """Remove a token by its id; return whether there was one."""
+        """Remove a token by its id, and return whether it existed."""
         return bool(self.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier))
 
     def has_tokens(self) -> bool:
@@ -290,7 +298,7 @@ class Database:
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
 
     def holder_of(self, token: str) -> tuple[Role, str] | None:
-        """Return role and name of a token; None if it is invalid or has expired."""
+        """Return the role and the name of a token, or None if the token is invalid or has expired."""
         return self._holder("tokens.hash = ?", hashed(token))
 
     def _holder(self, which: str, secret: str) -> tuple[Role, str] | None:
@@ -300,7 +308,7 @@ class Database:
         return (rows[0]["role"], rows[0]["name"] or f"token {rows[0]['hash'][:12]}") if rows else None
 
     def login(self, token: str) -> str | None:
-        """Return the secret of a new session of a token; None if the token is invalid."""
+        """Return the secret of a new session of a token, or None if the token is invalid."""
         if self.holder_of(token) is None:
             return None
         session, now = secrets.token_urlsafe(32), time.time()
@@ -309,7 +317,7 @@ class Database:
         return session
 
     def holder_of_session(self, session: str) -> tuple[Role, str] | None:
-        """Return role and name of a session; None if it does not exist, or its token was revoked."""
+        """Return the role and the name of a session, or None if it does not exist or its token was revoked."""
         return self._holder(f"sessions.expires > {time.time()} AND sessions.hash = ?", hashed(session))
 
     def logout(self, session: str) -> None:
@@ -345,7 +353,7 @@ class Database:
         return {**dict(rows[0]), "value": json.loads(rows[0]["value"])}
 
     def all_words(self) -> list[tuple[str, list[str], Any]]:
-        """Return all notes and tags that are not empty, with what they belong to."""
+        """Return all notes and tags that are not empty, with the trials or experiments to which they belong."""
         rows = self.run("SELECT kind, of, value FROM words ORDER BY of")
         found = [(row["kind"], json.loads(row["of"]), json.loads(row["value"])) for row in rows]
         return [(kind, of, value) for kind, of, value in found if value]
@@ -356,7 +364,7 @@ class Database:
         self.run("INSERT OR REPLACE INTO words VALUES (?, ?, ?, ?, ?)", *given)
 
     def move_words(self, old: Sequence[str], new: Sequence[str]) -> None:
-        """Move notes and tags of a renamed experiment, unless the target already has some."""
+        """Move the notes and tags of a renamed experiment, unless the target already has notes or tags."""
         self.run("UPDATE OR IGNORE words SET of = ? WHERE of = ?", json.dumps(new), json.dumps(old))
 
 

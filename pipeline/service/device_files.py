@@ -1,4 +1,5 @@
-"""Device files of the lab: TOML that overrides shipped files of the same name, and is used by the next comparison."""
+"""Device files of the lab (TOML). They take precedence over shipped files with the same name from the next comparison
+on."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from pipeline.store.names import folder_name
 
 
 def use_folder(settings: Settings) -> None:
-    """Store device files with the data of the service if the environment names no folder; workers inherit it."""
+    """Set the folder of device files to that of the service's data if the environment names no folder. Workers inherit
+    it."""
     if user_device_folder() is None and not settings.read_only:
         make_folder(settings.data / "devices")
         os.environ[USER_FOLDER_VARIABLE] = str(settings.data / "devices")
@@ -28,7 +30,7 @@ def text_of(name: str) -> str:
     Raises
     ------
     Problem
-        If no file describes it.
+        If no file describes the device.
     """
     file = device_file(name)
     if file is None:
@@ -43,12 +45,12 @@ def is_of_the_lab(name: str) -> bool:
 
 
 def keep(name: str, text: str) -> Path:
-    """Check and store a device file, replacing an earlier one; return its path.
+    """Check a device file, store it in place of an earlier one, and return its path.
 
     Raises
     ------
     Problem
-        If it is wrong (each field is named), describes another device, or there is no folder for it.
+        If the file is invalid (each wrong field is named) or describes another device, or if there is no folder for it.
     """
     folder = user_device_folder()
     if folder is None:
@@ -70,12 +72,12 @@ def keep(name: str, text: str) -> Path:
 
 
 def remove(name: str) -> None:
-    """Remove the file of the lab; a shipped one of the name is used again.
+    """Remove the lab's file of a device. A shipped file with its name is then used again.
 
     Raises
     ------
     Problem
-        If the lab has none.
+        If the lab has no such file.
     """
     file = device_file(name)
     if file is None or not is_of_the_lab(name):

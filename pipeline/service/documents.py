@@ -1,5 +1,5 @@
-"""Files with the results of jobs, by a key of their inputs. A light module, since the server needs nothing else about
-jobs."""
+"""Files with the results of jobs, named by a key of their inputs. The module imports little because the server needs
+nothing else about jobs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from pipeline.store.storage import read_corrections, trials_files
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of the stored data of experiments; it changes with any change, including manual exclusions."""
+    """Return a hash of the stored data of experiments. Any change of the data, including a manual exclusion, changes
+    the hash."""
     files = [file for name in experiments for file in trials_files(processed, device, name)]
     places = [(device, name) for name in experiments]
     known = read_corrections(processed).values()
@@ -25,7 +26,7 @@ def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
 
 
 def key_of(settings: Settings, request: dict[str, Any]) -> str:
-    """Return the key of a document: a hash of request, logs, device files and code."""
+    """Return the key of a document. The key is a hash of the request, the logs, the device files and the code."""
     sides = [(place[0], [place[1]]) for place in request.get("places", ())]
     if "device" in request:
         sides.append((request["device"], request["experiments"]))

@@ -1,4 +1,7 @@
-"""Errors as problem documents (RFC 9457): what, where, expected, found, what to do."""
+"""Convert errors to problem documents (RFC 9457).
+
+A document states what is wrong and where, what was expected and found, and what to do.
+"""
 
 from __future__ import annotations
 
@@ -48,9 +51,9 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
     detail : str
         What is wrong and what to do.
     headers : mapping of str to str, optional
-        Of the answer.
+        Headers of the answer.
     **more : object
-        Such as ``where``, ``expected``, ``found``.
+        Further members of the document, such as ``where``, ``expected`` and ``found``.
     """
 
     def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None, **more: object) -> None:
@@ -61,7 +64,7 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
 
 
 class Later(Exception):  # noqa: N818 (nothing is wrong)
-    """The result takes longer than a request waits; contains the job that makes it."""
+    """Exception for a result that takes longer than a request waits. It contains the job that computes the result."""
 
     def __init__(self, job: str) -> None:
         super().__init__(job)
@@ -69,7 +72,7 @@ class Later(Exception):  # noqa: N818 (nothing is wrong)
 
 
 def problem_of(error: Exception) -> Problem:
-    """Return the problem document of an error; an unexpected error is raised again."""
+    """Return the problem document of an error. An unexpected error is raised again."""
     match error:
         case Problem():
             return error

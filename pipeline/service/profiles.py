@@ -1,6 +1,6 @@
-"""Profiles of the lab: TOML files in addition to the shipped ones, drafted and tried as on the command line.
+"""Profiles of the lab (TOML) in addition to the shipped ones. They are drafted and tried as on the command line.
 
-Drafts and previews read uploaded files in a separate process that is terminated if it takes too long.
+For drafts and previews, a separate process reads the uploaded files. It is terminated if it takes too long.
 """
 
 from __future__ import annotations
@@ -44,13 +44,16 @@ _AT_WORK = threading.Lock()
 
 
 def names(settings: Settings) -> list[str]:
-    """Return the names of all profiles, those of the lab first."""
+    """Return the names of all profiles. Those of the lab come first."""
     own = sorted(file.stem for file in (settings.data / "profiles").glob("*.toml"))
     return [*own, *(profile.name for profile in shipped_profiles() if profile.name not in own)]
 
 
 def profile_path(settings: Settings, name: str) -> str | Path | None:
-    """Return a profile as argument of an ingest: its file, the name of a shipped one, None for an empty name."""
+    """Return a profile in the form that an ingest accepts.
+
+    It is the file of a profile of the lab, the name of a shipped profile, or None for an empty name.
+    """
     own = settings.data / "profiles" / f"{name}.toml"
     if not name or (re.match(NAME, name) and own.is_file()):
         return own if name else None
@@ -73,7 +76,7 @@ def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
     Raises
     ------
     Problem
-        If a shipped profile has the name, or the profile is wrong.
+        If a shipped profile has the same name, or if the profile is invalid.
     """
     if name in {profile.name for profile in shipped_profiles()}:
         raise Problem(409, "A shipped profile has this name. Choose another one.", where="name", found=name)
@@ -93,12 +96,12 @@ def checked_text(settings: Settings, name: str, text: str) -> tuple[str, str]:
 
 
 def refuse_sheet(has_sheet: bool) -> None:
-    """Refuse a profile with a sheet: its path would refer to a file on the server.
+    """Refuse a profile with a sheet, because the path of the sheet would refer to a file on the server.
 
     Raises
     ------
     Problem
-        If it has one.
+        If the profile has a sheet.
     """
     if has_sheet:
         raise Problem(
@@ -121,12 +124,12 @@ _OF_A_PROFILE = {"sampling_period", "wrong_sign"}
 
 @dataclass(frozen=True)
 class Contradiction:
-    """A sample log whose command obeys another wall than a profile states.
+    """Sample log whose command obeys a different wall from the one that a profile states.
 
     Parameters
     ----------
     where : str
-        The log, with its trial if it has several.
+        Name of the log, with the trial if the log has several trials.
     expected : str
         Stiffness, damping and step that the profile states, with units.
     found : str
@@ -161,7 +164,8 @@ def refuse_contradictions(found: Sequence[Contradiction]) -> None:
     Raises
     ------
     Problem
-        If there is a contradiction: the logs, the wall that the profile states, and what the command obeys.
+        If there is a contradiction. The problem states the logs, the wall of the profile, and the wall that the command
+        obeys.
     """
     if not found:
         return
@@ -178,7 +182,7 @@ def refuse_contradictions(found: Sequence[Contradiction]) -> None:
 
 
 def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradiction]) -> str:
-    """Return a profile with remarks: who confirmed the contradictions of its sample, when, and in which words."""
+    """Return a profile with remarks on who confirmed the contradictions of its sample, when, and in which words."""
     lines = [f"CONFIRMED by {who or 'unknown'} on {time.strftime('%Y-%m-%d')}: {words}"]
     lines += [f"contradiction, {one.where}: {one.found}" for one in found[:_REMARKS]]
     lines += [f"contradictions in {counted(len(found) - _REMARKS, 'other log')}"] if len(found) > _REMARKS else []
@@ -188,7 +192,8 @@ def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradic
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return the folder of samples of a draft, and remove older ones. Its name is proposed for the experiment."""
+    """Return the folder for the samples of a draft, and remove older folders. The folder's name is proposed for the
+    experiment."""
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
         if time.time() - old.stat().st_mtime > DRAFT_S:
@@ -197,13 +202,13 @@ def samples_folder(settings: Settings, sample: str) -> Path:
 
 
 def draft(folder: Path) -> dict[str, Any]:
-    """Return the draft of a profile for samples: its text, and the open questions with line and key."""
+    """Return the text of a draft profile for samples, and its open questions with line and key."""
     found = _asked("draft", *map(str, sorted(file for file in folder.rglob("*") if file.is_file())))
     return {"profile": found["profile"], "questions": questions(found["profile"])}
 
 
 def preview(folder: Path, text: str) -> list[Any]:
-    """Return what a profile would read from samples; a refused one has the reason."""
+    """Return what a profile would read from samples. For a refused sample, return the reason."""
     with suppress(tomllib.TOMLDecodeError):  # the check reports the mistake
         refuse_sheet("sheet" in tomllib.loads(text))
     file = folder.with_suffix(".toml")
@@ -213,7 +218,7 @@ def preview(folder: Path, text: str) -> list[Any]:
 
 
 def questions(text: str) -> list[dict[str, Any]]:
-    """Return the open questions of a draft: line, key, question, and the proposal below it (TOML)."""
+    """Return the open questions of a draft. Each has a line, a key, a text, and the proposal (TOML) that follows it."""
     lines = [*text.splitlines(), ""]
     return [
         {
@@ -227,7 +232,7 @@ def questions(text: str) -> list[dict[str, Any]]:
 
 
 def answered(text: str, answers: Mapping[int, str]) -> str:
-    """Return a draft with answers to questions, by line; an answer that is not TOML is a text."""
+    """Return a draft in which questions are answered by line. An answer that is not TOML is inserted as a string."""
     lines = text.splitlines()
     for line, answer in sorted(answers.items(), reverse=True):
         if not answer.strip() or line >= len(lines) or not lines[line].startswith("# "):
@@ -242,7 +247,7 @@ def answered(text: str, answers: Mapping[int, str]) -> str:
 
 
 def _asked(*words: str) -> Any:
-    """Return the output of a profile command; its error becomes a problem."""
+    """Return the output of a profile command. An error of the command becomes a problem."""
     if not _AT_WORK.acquire(timeout=WAIT_S):
         raise Problem(503, "Profiles are drafted for others; ask again.", where="profile")
     try:

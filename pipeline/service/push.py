@@ -1,4 +1,4 @@
-"""Upload of logs to a server in batches, with the standard library only."""
+"""Upload logs to a server in batches. The module uses only the standard library."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import profile_toml
 
 AT_A_TIME, BYTES = 200, 64 << 20
-"""Largest number of logs, and of bytes, in a request: an interruption loses at most this."""
+"""Largest number of logs and of bytes in a request. An interruption loses at most one request."""
 
 POLL_S = 0.2
 
@@ -30,12 +30,13 @@ Advance = Callable[[int, int | None], None]
 
 
 def push(folder: Path, to: str, profile: str | Profile | None, token: str | None, advance: Advance) -> dict[str, Any]:
-    """Upload logs and wait until they are stored; return what ``ingest --json`` would print of all.
+    """Upload logs, wait until they are stored, and return what ``ingest --json`` would print for all of them.
 
     Raises
     ------
     UsageError
-        If there are no logs, the server cannot be reached, or it refuses; logs accepted before stay there.
+        If there are no logs, or the server cannot be reached or refuses them. Logs that it accepted before remain
+        stored.
     """
     files = [folder] if folder.is_file() else sorted(_logs(folder))
     if not files:
@@ -75,7 +76,7 @@ def _logs(folder: Path) -> Iterator[Path]:
 
 
 def _groups(files: list[Path]) -> Iterator[list[Path]]:
-    """Yield files in groups; files of one folder stay together, as pairs require."""
+    """Yield files in groups. Files in one folder stay together because a log may consist of two files."""
     group: list[Path] = []
     size = 0
     for file in files:

@@ -1,4 +1,4 @@
-"""Computations of jobs, with the functions of the command line; results are stored under a key of their inputs."""
+"""Computations of jobs by the functions of the command line. Results are stored under a key of their inputs."""
 
 from __future__ import annotations
 
@@ -58,20 +58,20 @@ from pipeline.theory.predictions import Theory
 Progress = Callable[[object], None]
 
 Run = Callable[[Settings, Database, dict[str, Any], Progress], Any]
-"""A job by its request; what it returns is the job's result."""
+"""Function that executes a job given its request. Its return value is the result of the job."""
 
 Drawn = dict[str, Any]
-"""Panels as SVG, what they show in numbers, title and caption."""
+"""Panels as SVG, the numbers that they show, a title and a caption."""
 
 LONGEST_S = 3600.0
 """Longest wait for another process that writes or computes the same result [s]."""
 
 OPTIMUM_S = 300.0
-"""Longest time of an optimum [s]; a delay of 64 samples takes 20 s of a processor."""
+"""Time limit for the computation of an optimum [s]. With a delay of 64 samples, it takes 20 s of processor time."""
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Ingest uploaded logs, and compute verdicts; return the output of ``ingest --json`` with uploaded names."""
+    """Ingest uploaded logs, and compute verdicts. Return the output of ``ingest --json`` with the uploaded names."""
     begun = time.time() - 1.0  # clocks of files are coarse
     skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / (request["folder"] or "none")
@@ -100,7 +100,10 @@ READ_AGAIN = "read logs again by a changed profile"
 
 
 def _note_versions(settings: Settings, database: Database, request: dict[str, Any]) -> None:
-    """Add to the audit how many logs of an upload another version of their profile read before; once for a job."""
+    """Record in the audit how many logs of an upload were read before by another version of their profile.
+
+    This is recorded once per job.
+    """
     before: dict[str, str] = request.get("versions", {})
     stored = StoredSources(settings.processed, "", {}) if before else None
     logs = Counter[tuple[str, str, str]]()
@@ -128,7 +131,7 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
 
 
 def run_stages(settings: Settings, database: Database, _request: dict[str, Any], progress: Progress) -> Any:
-    """Compute verdicts and costs of all experiments that lack them; one that cannot be computed is named."""
+    """Compute verdicts and costs of all experiments that lack them. Experiments that cannot be computed are named."""
     failed, computed = dict[str, str](), 0
     for place in _newest_first(settings.processed):
         progress(dict(zip(("device", "experiment"), place, strict=True)))
@@ -147,9 +150,9 @@ def _newest_first(processed: Path, since: float = 0.0) -> list[tuple[str, str]]:
 
 
 def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str], verdicts: bool = False) -> bool:
-    """Compute the stages that an experiment lacks, or verdicts alone; return whether there were any.
+    """Compute the stages that an experiment lacks, or only its verdicts. Return whether any stages were missing.
 
-    If two jobs need them at the same time, one waits for the other. Verdicts do not wait.
+    If two jobs need the stages at the same time, one job waits for the other. Verdicts are computed without waiting.
     """
     own = settings.data / "computing" / folder_name("/".join(place))
     try:
@@ -171,7 +174,7 @@ def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str]
 
 
 def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) -> dict[str, Any]:
-    """Compare one experiment with theory, for its numbers and the report's first figures."""
+    """Compare one experiment with theory, and return its numbers and the first figures of the report."""
     result = _compared(settings, asked, None, progress)
     found = result.model_dump(mode="json")
     causes = {each["experiment"]: each["causes"] for each in found["experiments"]}
@@ -179,13 +182,13 @@ def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) ->
 
 
 def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -> dict[str, Any]:
-    """Return the walls that the planner asks for next."""
+    """Return the walls that the planner proposes next."""
     found = plan(asked["device"], settings.processed, asked["experiments"][0], PlanOptions(goal=asked["goal"]))
     return found.model_dump(mode="json")
 
 
 def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> Any:
-    """Find the point of least cost by theory; stop if a malicious loop takes too long."""
+    """Find the point with the lowest cost in theory. The computation is stopped if a malicious loop takes too long."""
     return TheoryProcess(OPTIMUM_S).compute(*asked["theory"])
 
 
@@ -217,7 +220,7 @@ def kept(make: Callable[[Settings, dict[str, Any], Progress], dict[str, Any]]) -
 
 
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Make a report, of a device or of two experiments against each other, with its document next to it."""
+    """Write a report on a device or on the comparison of two experiments. Its document is written next to it."""
     key, asked = request["key"], request["request"]
     report = document_file(settings, key, report=True).with_suffix(".html")
     against = asked.get("against")
@@ -253,7 +256,7 @@ def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, pr
 
 
 def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
-    """Return the first figures of the report of an experiment by name: limits with theory, and a response."""
+    """Return the first figures of an experiment's report by name. They show the limits with theory, and a response."""
     (found,) = result.experiments
     data = open_scene(result.device, processed, [found.experiment], None)
     theory = Theory(found.theory) if found.theory else None
@@ -264,14 +267,14 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
 
 
 def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
-    """Return a drawn figure, marked if logs of some result are simulated."""
+    """Return a drawn figure. It is marked if the logs of any result are simulated."""
     drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
     words = {"title": figure.title, "caption": figure.caption}
     return {"panels": list(drawn.panels), "shown": list(drawn.shown), **words}
 
 
 def limits(_processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
-    """Draw the limits of several experiments with theory in one plane: K and B, or (`plane`) alpha and beta."""
+    """Draw the limits of several experiments with theory in the plane of K and B, or (`plane`) of alpha and beta."""
     runs = [(f"{r.device}, {r.experiments[0].experiment}", r.experiments[0]) for r in results]
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
     if asked["plane"] == "normalised":
@@ -285,7 +288,7 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
 
 
 def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
-    """Draw a trial with theory and fitted loops, or several in one figure, each with theory."""
+    """Draw a trial with theory and fitted loops, or several trials in one figure, each with theory."""
     of = {(result.device, result.experiments[0].experiment): result for result in results}
     figures, labels = [], []
     for device, experiment, trial in asked["places"]:
@@ -305,7 +308,7 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
 
 
 def _told_of(stages: ExperimentStages, trial: str) -> dict[str, Any]:
-    """Return the evidence for verdict and outcome of a trial, and why it has no cost by each criterion."""
+    """Return the evidence for the verdict and the outcome of a trial, and the reason for each missing cost."""
     ids = stages.texts("response", "trial_id")
     if trial not in ids:
         return {}

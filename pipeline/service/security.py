@@ -1,7 +1,8 @@
-"""Access control: checks of every request before any other code reads it, and headers of every answer.
+"""Access control. It checks every request before any other code reads it, and sets the headers of every answer.
 
-On loopback no token is needed; a page of another site cannot use that, as its Origin, or the name under which it made a
-browser find this computer (Host), is refused. Elsewhere a token is needed, sent as Bearer or kept as a login's cookie.
+On loopback, no token is needed. A page of another site cannot exploit this because its Origin, or the name under which
+it made a browser find this computer (Host), is refused. Elsewhere, a token is needed. It is sent as a Bearer token or
+replaced by the cookie of a login.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ from pipeline.service.settings import Settings
 LOG = logging.getLogger("pipeline.service")
 
 SESSION, FORM = "pipeline-session", "pipeline-form"
-"""Names of cookies: of a login, and of the forms of a browser."""
+"""Names of the cookie of a login and of the cookie for the forms of a browser."""
 
 SMALL = 1 << 20
 """Largest size of a request without logs [byte]."""
 
 DRAIN_S = 5.0
-"""Time for which a refused client may continue sending [s]: a disconnected client does not read the reason."""
+"""Time for which a refused client may continue sending [s]. A client that is disconnected at once does not read the
+reason."""
 
 OPEN = ("/login", "/api/v1/health")
 UPLOADS = ("/upload", "/api/v1/logs")
@@ -55,10 +57,10 @@ HEADERS = {
 
 
 BURST_S = 10.0
-"""Burst size, as seconds of the permitted rate: a page loads several files, a program sends bursts."""
+"""Burst size, as seconds of the permitted rate. Bursts are normal because a page loads several files."""
 
 MOST_KNOWN = 10_000
-"""Largest number of tracked senders; above it, senders without a current limit are dropped."""
+"""Largest number of tracked senders. If there are more, senders that are not currently limited are dropped."""
 
 
 class Rates:
@@ -67,7 +69,7 @@ class Rates:
     Parameters
     ----------
     per_minute : int
-        Requests that a sender may make; 0 sets no limit.
+        Number of requests that a sender may make per minute. If it is 0, there is no limit.
     clock : callable
         Time [s].
     """
@@ -79,7 +81,7 @@ class Rates:
         self._left: dict[str, tuple[float, float]] = {}
 
     def wait_s(self, sender: str) -> float:
-        """Count a request of a sender; return the required wait [s] if there were too many, otherwise 0."""
+        """Count a request of a sender. Return the required wait [s] if there were too many requests, otherwise 0."""
         if not self.per_s:
             return 0.0
         now = self.clock()
@@ -98,14 +100,14 @@ class Rates:
 
 
 class Guard:
-    """Outermost layer of the server: it checks each request before any other code reads it."""
+    """Outermost layer of the server. It checks each request before any other code reads it."""
 
     def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
         self.app, self.settings, self.database = app, settings, database
         self.rates = Rates(settings.per_minute)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or refuse it."""
+        """Answer or refuse a request."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -140,7 +142,7 @@ class Guard:
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 
     def _role(self, request: HTTPConnection) -> tuple[Role, str]:
-        """Return role and name of the sender; raise a problem if the request is not permitted."""
+        """Return the role and the name of the sender, or raise a problem if the request is not permitted."""
         headers, path, method = request.headers, request.scope["path"], request.scope["method"]
         host, origin = headers.get("host", ""), headers.get("origin")
         if self.settings.loopback and _name(host) not in LOCAL:
@@ -151,7 +153,7 @@ class Guard:
             detail = "A token in a URL ends up in server logs. Send it as `Authorization: Bearer`."
             raise Problem(400, detail, where="query")
         role, who, secret = self._known(headers.get("authorization"), request.cookies.get(SESSION, ""))
-        # an unknown sender is identified by address only: its token may be different each time
+        # An unknown sender is identified only by its address, because it may send a different token each time.
         self._limit(hashed(secret) if secret else (request.scope.get("client") or ("",))[0])
         program, public = "authorization" in headers, path in OPEN or path.startswith("/static/")
         if role is None and (program or not public):
@@ -163,7 +165,7 @@ class Guard:
             why = "The server is read-only." if self.settings.read_only else "Ask for a token with a higher role."
             raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
         if method not in SAFE and not program and path.startswith("/api/"):
-            # programs send no cookies; a browser may only change data from a page of this server
+            # Programs send no cookies. A browser may change data only from a page of this server.
             token = headers.get("x-csrf-token", "")
             if (request.cookies or "origin" in headers) and not is_form(self.database, request.cookies, token):
                 raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
@@ -177,7 +179,8 @@ class Guard:
             raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
     def _known(self, given: str | None, session: str) -> tuple[Role | None, str, str]:
-        """Return role (None for an unknown user), name, and the token or session that identifies the user."""
+        """Return the role of the user (None if unknown), the name, and the token or session that identifies the
+        user."""
         if given is None and self.settings.loopback:
             return "admin", LOCAL_NAME, ""
         scheme, _, token = (given or "").partition(" ")
@@ -201,7 +204,8 @@ def form_token(database: Database, browser: str) -> str:
 
 
 class _Body:
-    """Body of a request, limited in size and time: the time of the whole body, or for logs that of the next piece."""
+    """Body of a request, limited in size and time. The time limit applies to the whole body, or for logs to each
+    piece."""
 
     def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
         self.receive, self.most, self.wait_s, self.whole, self.seen = receive, most, wait_s, whole, 0
@@ -234,7 +238,7 @@ class _Body:
 
 
 async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) -> None:
-    """Send a problem; a client that is still sending can read it."""
+    """Send a problem in such a way that a client that is still sending can read it."""
     response = answer(problem)
     accept = Headers(scope=scope).get("accept", "")
     page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
@@ -261,7 +265,7 @@ def _needed(method: str, path: str) -> Role:
 
 
 def _name(host: str) -> str:
-    """Return the name in a Host header, without port and brackets."""
+    """Return the host name in a Host header, without the port and brackets."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
@@ -269,8 +273,10 @@ def _name(host: str) -> str:
 
 
 def cookie(name: str, value: str, secure: bool = False) -> str:
-    """Return the header of a cookie that scripts cannot read and other sites send only by links.
+    """Return the header of a cookie that scripts cannot read, and that requests from other sites contain only if they
+    are links.
 
-    A report is isolated like another site (its policy sandboxes it), and has a link back. Changes need a form's token.
+    Its policy sandboxes a report, so that the report counts as another site. The report has a link back to the pages,
+    which needs the cookie. Changes need the token of a form.
     """
     return f"{name}={value}; Path=/; HttpOnly; SameSite=Lax" + ("; Secure" if secure else "")

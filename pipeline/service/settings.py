@@ -11,7 +11,8 @@ from typing import Any
 from pipeline.base.errors import UsageError
 
 RATE = 3000
-"""Requests a minute: 50 a second are more than a page or a program of a lab asks for."""
+"""Largest number of requests per minute. It corresponds to 50 per second, more than a page or a program of a lab
+sends."""
 
 
 MOST_CONNECTIONS = 512
@@ -19,7 +20,8 @@ MOST_CONNECTIONS = 512
 
 
 def half_of_files() -> int:
-    """Return half of the limit of open files as number of connections, at most `MOST_CONNECTIONS`."""
+    """Return the number of permitted connections, which is half of the limit of open files, but at most
+    `MOST_CONNECTIONS`."""
     try:
         import resource
     except ImportError:  # Windows has no such limit
@@ -30,7 +32,7 @@ def half_of_files() -> int:
 
 LIMITS = {"PIPELINE_MAX_FILE": ("max_file", 1 << 20, 1), "PIPELINE_MAX_REQUEST": ("max_request", 1 << 20, 1),
           "PIPELINE_RATE": ("rate", 1, 0), "PIPELINE_RENEW": ("renew", 1, 0)}  # fmt: skip
-"""Environment variables of limits: setting, unit and smallest value."""
+"""Environment variables that set limits. The value is the setting, the unit and the smallest value."""
 
 
 def limits(environment: Mapping[str, str]) -> dict[str, Any]:
@@ -39,7 +41,7 @@ def limits(environment: Mapping[str, str]) -> dict[str, Any]:
     Raises
     ------
     UsageError
-        If one is not an integer, or too small.
+        If a value is not an integer or is too small.
     """
     found = {}
     for name, (setting, unit, least) in LIMITS.items():
@@ -57,24 +59,25 @@ class Settings:
     Parameters
     ----------
     processed, reports : Path
-        As those of the command line.
+        Folders as on the command line.
     host, port
         Address on which the server listens.
     read_only : bool
         Whether every change is refused.
     max_file, max_request : int
-        Bytes of a log, and of a whole request with logs.
+        Largest size of a log, and of a whole request with logs [byte].
     max_files : int
-        Logs in a request.
+        Largest number of logs in a request.
     rate : int, optional
-        Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
+        Largest number of requests per minute by a token or from an address. If it is 0, there is no limit. By default,
+        there is no limit on loopback, and the limit is `RATE` elsewhere.
     renew : bool
         Whether reports made here are renewed when logs arrive.
     connections : int
-        Connections that one address may keep open.
+        Largest number of connections that one address may keep open.
     header_s, body_s, theory_s, wait_s : float
-        Time for the header of a request, and for its body; with logs the longest silence in it; time for a theory, and
-        wait of a request for a job [s].
+        Time limits [s] for the header of a request, for its body, for a computation of theory, and for the time that a
+        request waits for a job. If the body contains logs, ``body_s`` is the longest silence in it.
     """
 
     processed: Path
@@ -104,7 +107,7 @@ class Settings:
 
     @property
     def per_minute(self) -> int:
-        """Requests a minute that one sender may make; 0 for any."""
+        """Largest number of requests that one sender may make per minute. If it is 0, there is no limit."""
         return self.rate if self.rate is not None else 0 if self.loopback else RATE
 
     @property

@@ -1,4 +1,4 @@
-"""Resources that all requests share: the store, its jobs, and queries of both."""
+"""Resources that all requests share. These are the store, its jobs, and queries of both."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOST_REPORTS = 1000
 """Largest number of reports that are listed and renewed."""
 
 Kept = tuple[dict[str, Any] | None, str | None]
-"""A document, or the job that makes it."""
+"""A document, or the job that computes it."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
@@ -78,7 +78,7 @@ class Service:
         return job
 
     def experiments(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return stored experiments of a device, all if none is named."""
+        """Return the named experiments of a device that are stored. If none is named, return all stored experiments."""
         devices = list_devices(self.settings.processed)
         if device not in devices:
             raise Problem(404, "There are no trials of this device.", where="device", expected=devices, found=device)
@@ -91,7 +91,7 @@ class Service:
         return [name for name in stored if not asked or name in asked]
 
     def used(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return experiments of a device with trials in use; all named ones must have some."""
+        """Return the experiments of a device that have trials in use. All named experiments must have such trials."""
         names = self.experiments(device, asked)
         excluded = read_exclusions(self.settings.processed)
         stored = ((name, read_trials(self.settings.processed, device, name)) for name in names if excluded)
@@ -104,7 +104,7 @@ class Service:
         return [name for name in names if name not in empty]
 
     def comparison(self, asked: ComparisonRequest, who: str = "", late: int = 0) -> tuple[str, str | None]:
-        """Return the key of a comparison, and the job that makes it; no job if it exists."""
+        """Return the key of a comparison, and the job that computes it. There is no job if the comparison is stored."""
         names = self.used(asked.device, asked.experiments)
         request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
         if asked.against:
@@ -123,23 +123,24 @@ class Service:
         return key, self.job("comparison", wanted, key, who, late)
 
     def renew(self) -> None:
-        """Request all experiments and reports again whose logs were added or excluded."""
+        """Request again all experiments and reports of which logs were added or excluded."""
         for e in self.catalogue.experiments:
             with suppress(Problem, PipelineError):
                 self.experiment(e["device"], e["experiment"], late=1)
         for job in self.database.reports(MOST_REPORTS):
-            with suppress(Problem, PipelineError):  # its inputs are gone; the last report stays
+            with suppress(Problem, PipelineError):  # its inputs no longer exist; the last report is kept
                 if not job["earlier"]:
                     self.comparison(ComparisonRequest.model_validate(job["request"]["asked"]), late=1)
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
-        """Add notes on experiments and their trials: they are part of a report, so new notes mean a new report."""
+        """Add the notes on experiments and their trials to a request. Notes are part of a report, so that new notes
+        cause a new report."""
         notes = [note for name in experiments for note in self.notes(device, name)]
         if notes:
             request["notes"] = [note.model_dump() for note in notes]
 
     def notes(self, device: str, experiment: str) -> list[Note]:
-        """Return the notes on an experiment and its trials, those on the experiment first."""
+        """Return the notes on an experiment and its trials. Those on the experiment come first."""
         found = dict[str | None, dict[str, Any]]()
         for kind, of, value in self.database.all_words():
             if of == ["experiment", device, experiment]:
@@ -175,7 +176,7 @@ class Service:
         return self._kept("drawing", {"what": what, "places": [list(place) for place in places], **more})
 
     def optimum(self, of: Sequence[Any], *asked: Any) -> Kept:
-        """Return the point of least cost by theory, of what `theory.document` takes."""
+        """Return the point with the lowest cost in theory, for a loop as in `theory.document`."""
         case_of_loop(of)
         device = {"device": of[0], "experiments": []} if len(of) == 2 else {}
         return self._kept("optimum", {**device, "theory": ["optimum", of, *asked]})
@@ -186,7 +187,7 @@ class Service:
         return documents.read_document(self.settings, key)
 
     def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
-        """Return a stored document, or the job of a kind that makes it."""
+        """Return a stored document, or the job of the given kind that computes it."""
         key = documents.key_of(self.settings, request)
         if (document := documents.read_document(self.settings, key)) is not None:
             return document, None
@@ -208,7 +209,7 @@ class Service:
         return shown, pa.table({name: values for name, values in columns.items() if not np.isnan(values).all()})
 
     def _loaded(self, trial: str, shown: dict[str, Any]) -> Trial:
-        """Return a trial from its last known file, or search for it if it was merged since."""
+        """Return a trial from its last known file. If this file was merged since, search for the trial."""
         processed = self.settings.processed
         if (found := load_trial(processed, trial, *self.catalogue.stored_at(trial))) is not None:
             return found[1]
@@ -231,7 +232,7 @@ class Service:
 
 
 def run_of(*names: str) -> str:
-    """Return a device, or one of its experiments, as one URL path segment, as in `store.corrections`."""
+    """Return the name of a device or experiment as one URL path segment, as in `store.corrections`."""
     return "/".join(map(folder_name, names))
 
 

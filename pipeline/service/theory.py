@@ -1,4 +1,4 @@
-"""Theory in a separate process, which is terminated if it takes too long."""
+"""Compute theory in a separate process, which is terminated if it takes too long."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.service.problems import Problem
 from pipeline.theory.cases import LARGEST, Case, best_wall, case_of, costs_of_walls, limits_of_walls
 
 WAIT_S = 2.0
-"""Time for which a request waits for another one [s]: waiting requests block threads."""
+"""Longest time for which a request waits for another request [s]. Waiting requests block threads."""
 
 
 class Theory:
@@ -33,7 +33,7 @@ class Theory:
         self._lock = threading.Lock()
 
     def compute(self, *asked: Any) -> Any:
-        """Return a document of theory (see `document`); an error of the values passes."""
+        """Return a document of theory (see `document`). Errors due to the given values are passed on."""
         if not self._lock.acquire(timeout=WAIT_S):
             raise Problem(503, "Theory is computed for others; ask again.", where="theory")
         try:
@@ -46,7 +46,10 @@ class Theory:
 
 
 def case_of_loop(of: Sequence[Any]) -> Case:
-    """Return the loop of a device and experiment (None: its first), or of gamma, delta and delay."""
+    """Return the loop of a device and an experiment, or of gamma, delta and delay.
+
+    If the experiment is None, the first experiment of the device is used.
+    """
     if len(of) == 3:
         return Case(NormalisedLoop.ideal(*of))
     device = load_device(of[0])
@@ -60,9 +63,9 @@ def document(what: str, of: Sequence[Any], *values: Any) -> Any:
     ----------
     what : str
     of : sequence
-        As `case_of_loop` takes it.
+        Argument of `case_of_loop`.
     values
-        Criterion and signal of an optimum; walls as pairs, in SI or normalised.
+        Criterion and signal for an optimum, or walls as pairs for points. Walls are in SI units or normalised.
     """
     case = case_of_loop(of)
     if what != "points":

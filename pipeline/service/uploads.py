@@ -1,7 +1,9 @@
-"""Logs uploaded by HTTP: written while they arrive, hashed, synced, and only then acknowledged.
+"""Receive logs by HTTP.
 
-Each request has a separate folder, so that files that belong together stay together; its job is the acknowledgement.
-A folder without a job was never acknowledged, and is removed when a server starts.
+Logs are written while they arrive, then hashed and synced, and only then acknowledged.
+
+Each request has a separate folder, so that files that belong together stay together. The job of the request is the
+acknowledgement. A folder without a job was never acknowledged, and is removed when a server starts.
 """
 
 from __future__ import annotations
@@ -34,10 +36,10 @@ from pipeline.service.settings import Settings
 from pipeline.store.names import folder_name
 
 LONGEST_NAME = 200
-"""Largest number of bytes of a part of a stored path."""
+"""Largest number of bytes in a component of a stored path."""
 
 DEEPEST = 8
-"""Largest number of folders in a file name; a browser sends them when a folder is uploaded."""
+"""Largest number of folders in a file name. A browser sends their names when a folder is uploaded."""
 
 LONGEST_FIELD = 1000
 """Largest number of bytes of a field that is not a file."""
@@ -45,7 +47,7 @@ LONGEST_FIELD = 1000
 MOST_FIELDS = 20
 
 END_BYTES = 256
-"""Number of bytes at the end of a body in which its last boundary (at most 70 bytes) is searched."""
+"""Number of bytes at the end of a body that are searched for its last boundary, which has at most 70 bytes."""
 
 Check = Callable[[dict[str, str]], object]
 
@@ -54,7 +56,7 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 @dataclass(frozen=True)
 class _Part:
-    """A file of a form, as it was stored."""
+    """File of a form as it is stored."""
 
     name: str
     path: Path
@@ -71,9 +73,9 @@ class _Earlier:
     files : set of Path
         Files of the request that are not stored a second time.
     again : dict of str to set of Path
-        Stored path of each log that is read again, and the files of the request that are this log.
+        Stored path of each log that is read again, and the files of the request of which this log consists.
     versions : dict of str to str
-        Hash of the profile that read each of these logs before; refused logs have none.
+        Hash of the profile that read each of these logs before. Refused logs have no hash.
     """
 
     files: set[Path]
@@ -88,7 +90,7 @@ class Upload:
     ----------
     settings : Settings
     folder : Path, optional
-        Where its files go; by default a new one among the uploads.
+        Folder for the files of the request. By default, it is a new folder among the uploads.
     """
 
     def __init__(self, settings: Settings, folder: Path | None = None) -> None:
@@ -99,7 +101,7 @@ class Upload:
         self.files: list[_Part] = []
 
     async def receive(self, request: Request) -> None:
-        """Store the files of a request; keep nothing if it is refused."""
+        """Store the files of a request. If the request is refused, nothing is kept."""
         kind = request.headers.get("content-type", "")
         if not kind.startswith("multipart/form-data") or "boundary=" not in kind:
             raise Problem(422, "Send logs as multipart/form-data, in the field `files`.", where="Content-Type")
@@ -156,7 +158,7 @@ class Upload:
             return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
     def accept(self, database: Database, author: str) -> dict[str, Any]:
-        """Sync all new files and queue their job; files uploaded before are skipped."""
+        """Sync all new files and queue their job. Files that were uploaded before are skipped."""
         profile = self.fields.get("profile", "")
         own = profile_path(self.settings, profile)
         earlier = self._earlier(database, profile, own)
@@ -218,7 +220,8 @@ class Upload:
         return earlier
 
     def _places(self, database: Database, sha256: str, profile: str, name: str, refused: set[Path]) -> set[Path]:
-        """Return the folders that have a content under a name, uploaded for the same profile or with refused logs."""
+        """Return the folders that contain a file with this content and name, if it was uploaded for the same profile or
+        refused."""
         rows = database.run(
             "SELECT path, job, profile FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? "
             "AND state NOT IN ('cancelled', 'failed')",
@@ -229,7 +232,7 @@ class Upload:
         return {path.parent for path in usable if path.name == name and path.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
-        """Return the path of an upload, also if folders were moved since."""
+        """Return the path of an upload, even if folders were moved since."""
         return self.settings.data / "logs" / job / path.rpartition(f"{os.sep}{job}{os.sep}")[2]
 
     def _sync(self, files: list[Path]) -> None:
@@ -240,14 +243,14 @@ class Upload:
 
 
 def _twin(source: Source, hashes: list[str], trial_paths: Mapping[str, str]) -> str | None:
-    """Return the path under which a log of this content is stored; None without one."""
+    """Return the path under which a log with this content is stored, or None if there is no such log."""
     if source.profile is None or not hashes:
         return None
     return trial_paths.get(trial_id(content_hash(hashes), None, source.named_conditions))
 
 
 def _is_current(stored: StoredSource | None, source: Source, twin: str | None) -> bool:
-    """Return whether a log is stored as its profile reads it now, here or, if not here, under another path."""
+    """Return whether a log is stored as its profile reads it now, under this path or otherwise under another path."""
     if stored is None:
         return twin is not None
     return stored.whole and stored.profile_sha256 == source.profile_sha256
@@ -284,7 +287,8 @@ async def received(
 
 
 def _parts(name: str) -> list[str]:
-    """Return a name from a request as names of folders and a file. None of them leads outside the upload folder."""
+    """Split a name in a request into the names of folders and of a file. None of them leads outside the upload
+    folder."""
     parts = [folder_name(part) for part in name.replace("\\", "/").split("/") if part]
     if not parts or len(parts) > DEEPEST or any(len(part.encode()) > LONGEST_NAME for part in parts):
         raise Problem(
@@ -303,7 +307,8 @@ def _sync_file(file: Path) -> None:
 
 
 def remove_unacknowledged(settings: Settings, database: Database) -> None:
-    """Remove folders of uploads that were interrupted before they had a job; for a server that starts."""
+    """Remove the folders of uploads that were interrupted before they had a job. A server calls this function when it
+    starts."""
     folder = settings.data / "logs"
     if folder.is_dir():
         jobs = {row["id"] for row in database.run("SELECT id FROM jobs WHERE kind = 'upload'")}

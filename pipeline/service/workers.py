@@ -1,9 +1,9 @@
 """Processes that execute jobs one after the other, and the server threads that supervise them.
 
-A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last is one of
-`database.WORKS`. A byte on standard input signals a waiting job, end of file that the server has ended: then the
-process ends, too, and another one takes the job when its lease has expired. Job functions write atomically and can be
-repeated. One thread requests renewed reports once nothing else waits, and removes old files.
+A process is run as ``python -m pipeline.service.workers PROCESSED REPORTS KINDS``, of which the last argument is one of
+`database.WORKS`. A byte on standard input signals that a job is waiting. The end of file signals that the server has
+ended. Then the process ends, too, and another process takes the job when its lease has expired. Job functions write
+atomically and can be repeated. One thread requests renewed reports once nothing else waits, and removes old files.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from pipeline.service.database import KEPT_S, WORKS, Database
 from pipeline.service.settings import Settings
 
 BEAT_S = 1.0
-"""Time between two heartbeats, and longest wait for a job [s]."""
+"""Time between two heartbeats, and longest time between two checks for a waiting job [s]."""
 
 LOOK_S, TIDY_S = 1.0, 3600.0
 """Polling interval for jobs, and interval between clean-ups [s]."""
 
 
 class Workers:
-    """The workers of a server; they end with it, however it ends."""
+    """Workers of a server. They end when the server ends, even if it is killed."""
 
     def __init__(self, settings: Settings, database: Database) -> None:
         self.settings, self.database = settings, database
@@ -41,13 +41,13 @@ class Workers:
         self._ended = threading.Event()
 
     def start(self, renew: Callable[[], None]) -> None:
-        """Start all workers; ``renew`` requests that reports be renewed."""
+        """Start all workers. The function ``renew`` requests that reports be renewed."""
         for kinds in WORKS:
             threading.Thread(target=self._keep, args=(kinds,), daemon=True).start()
         threading.Thread(target=self._renew, args=(renew,), daemon=True).start()
 
     def stop(self) -> None:
-        """Stop all workers; their jobs are taken by others when the leases expire."""
+        """Stop all workers. Other workers take their jobs when the leases expire."""
         self._ended.set()
         for process in list(self._running):
             process.kill()
@@ -58,14 +58,14 @@ class Workers:
             try:
                 assert process.stdin is not None
                 process.stdin.write(b"\n")
-            except OSError:  # it has just ended, and its successor polls by itself
+            except OSError:  # the process has just ended, and its successor polls by itself
                 pass
 
     def _keep(self, kinds: str) -> None:
         given = [str(self.settings.processed), str(self.settings.reports), kinds]
         command = [sys.executable, "-m", "pipeline.service.workers", *given]
         while not self._ended.is_set():
-            # a separate session: Ctrl-C ends the server, and the server its workers
+            # The process has a separate session, so that Ctrl-C ends only the server, which then ends its workers.
             with subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
             ) as process:
@@ -100,7 +100,7 @@ class Workers:
 
 
 def _stages(database: Database) -> int:
-    """Return how often verdicts and costs of the whole store were computed."""
+    """Return the number of times that verdicts and costs of the whole store were computed."""
     return database.job_counts("kind = 'stages'").get("done", 0)
 
 
@@ -114,13 +114,13 @@ def remove_old(settings: Settings, keys: set[str]) -> None:
 
 @contextmanager
 def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[object], None]]:
-    """Report that a job is running, and its progress; end the process if another one has taken the job."""
+    """Report the progress of a running job. If another process has taken the job, end this process."""
     progress, done = deque[object]([None], maxlen=1), threading.Event()
 
     def beat() -> None:
         while not done.wait(BEAT_S):
             if not database.heartbeat(job, owner, progress[0]):
-                # cancelled: readers ignore the names of incomplete files
+                # the job was cancelled; readers ignore the names of incomplete files
                 os._exit(EXIT_ERROR)
         database.close()
 
@@ -134,7 +134,7 @@ def _beating(database: Database, job: str, owner: str) -> Iterator[Callable[[obj
 
 
 def work(settings: Settings, database: Database, owner: str, kinds: str = " ".join(WORKS)) -> bool:
-    """Execute the next job; return whether there was one."""
+    """Execute the next job, and return whether there was one."""
     job = database.claim(owner, kinds)
     if job is None:
         return False
@@ -150,7 +150,8 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
         except OSError as error:
             problem = Problem(503, str(error)).document
         except Exception:
-            # a defect ends this process, with a traceback in the server's log; another one does the waiting jobs
+            # A defect ends this process and leaves a traceback in the server's log. Another process executes the
+            # waiting jobs.
             detail = f"A defect of the program; the server's log has the details of job {job['id']}."
             database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
@@ -162,7 +163,7 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
 
 
 def main() -> None:
-    """Work until the server ends."""
+    """Execute jobs until the server ends."""
     begin_alone()
     settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]))
     waiting = threading.Event()

@@ -390,9 +390,11 @@ def measured_boundary(
     ParameterError
         If the arrays differ in length.
 
-    Notes ----- A pair (K, B) that was tested several times is unstable if it was unstable once. Trials at K <= 0 are
-    not boundary points, since a trial at K = 0 shows the damping of the device. The computation needs neither the delay
-    nor the mass.
+    Notes
+    -----
+    A pair (K, B) that was tested several times is unstable if it was unstable once. Trials at K <= 0 are not boundary
+    points, since a trial at K = 0 shows the damping of the device. The computation needs neither the delay nor the
+    mass.
 
     Source: Hulin 2017, secs. 6.1.1 (procedure) and 6.1.3.
     """

@@ -1,4 +1,4 @@
-"""Figures of stability limits: all trials of one experiment, several experiments in one plot, each with its loop.
+"""Draw stability limits of all trials of one experiment, of several experiments in one plot, and of identified loops.
 
 Source: Hulin 2017, Figs. 6.3, 6.4 and 6.9.
 """
@@ -20,7 +20,7 @@ from pipeline.theory.boundary import robust_outline
 from pipeline.theory.predictions import Theory
 
 SEEN = 0.01
-"""Smallest width of a passive region, relative to the stable one, for which it is visible: three pixels."""
+"""Smallest width of a passive region, relative to the stable region, for which it is visible. This is three pixels."""
 
 OVERLAYS: dict[str, Overlay] = {
     "theory": "theory",
@@ -31,7 +31,7 @@ OVERLAYS: dict[str, Overlay] = {
     "friction": "friction",
     "robust": "robust",
 }
-"""Overlay of each kind of series; measured series are always drawn."""
+"""Overlay to which each kind of series belongs. Measured series are always drawn."""
 
 NOT_DRAWN: dict[Overlay, str] = {
     "estimates": "no loop was identified",
@@ -54,21 +54,22 @@ MEASURED = (
 def measured(
     limits: Sequence[BoundaryPoint], label: str, number: int | None, *, intervals: bool = False
 ) -> Iterator[Series]:
-    """Yield the largest stable stiffness at each damping, 0 without a stable trial, and lower bounds as a separate
-    series.
+    """Yield the largest stable stiffness at each damping, and lower bounds as a separate series.
 
-    With ``intervals`` the limits: by the growth rates with their 95 % intervals, else the middle between the last
-    stable and the first unstable trial, with these as ends.
+    The stiffness is 0 if no trial is stable.
+
+    With ``intervals``, limits are drawn with intervals. A limit comes from the growth rates with its 95 % interval, or
+    otherwise it is the middle between the last stable and the first unstable trial, which are the ends of its interval.
     """
     stable = [p.stable is not None for p in limits]
-    # dampings without a stable trial, next to those with one, close the curve; further ones are not needed
+    # Dampings without a stable trial close the curve where they are next to dampings with one. Others are not needed.
     points = [p for i, p in enumerate(limits) if any(stable[max(i - 1, 0) : i + 2])]
     ends = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
     low, high = (np.array([pair[side] for pair in ends], dtype=np.float64) for side in (0, 1))
     K = np.array([p.limit.stiffness if intervals and p.limit else p.stable or 0.0 for p in points])
     B = np.array([p.damping for p in points])
     bound = np.array([p.censored for p in points], dtype=np.bool_)
-    line = np.where(bound, np.nan, K)  # a lower bound is not a limit: a line through it would suggest one
+    line = np.where(bound, np.nan, K)  # A lower bound is not a limit, but a line through it would suggest a limit.
     yield Series(label, "measured", line, B, low if intervals else None, high if intervals else None, number)
     if bound.any():
         yield Series(f"_{label}: at least", "bound", K[bound], B[bound], number=number)
@@ -87,7 +88,7 @@ def _identified(result: ExperimentNumbers, label: str) -> Series:
 
 
 def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier: str) -> Figure:
-    """Return a figure of limits with equal axis ranges; wide intervals extend beyond them."""
+    """Return a figure of limits whose panels have equal axis ranges. Wide intervals extend beyond these ranges."""
     series = [s for panel in panels for s in panel.series]
     B = [s.y for s in series if s.kind not in ("linear", "others")]
     limits = (0.0, reach(*(s.x for s in series if s.kind not in ("envelope", "others")))[1]), reach(*B)
@@ -118,8 +119,10 @@ def answer_figure(
     trials: tuple[Floats, Floats, Floats],
     others: Sequence[ExperimentNumbers] = (),
 ) -> Figure:
-    """Return the figure of the first screen: measured and theoretical limits, limits with friction, walls to use, all
-    trials, and the limits of other experiments.
+    """Return the figure of the first screen.
+
+    It shows measured and theoretical limits, limits with friction, walls to use, all trials, and the limits of other
+    experiments.
 
     Parameters
     ----------
@@ -131,7 +134,7 @@ def answer_figure(
     trials : (float64, float64, array of str), shape (n,) each
         Stiffness, damping and verdict.
     others : sequence of ExperimentNumbers
-        Other experiments of the report; their limits do not change the range of the axes.
+        Other experiments of the report. Their limits do not change the range of the axes.
     """
     K, B, verdict = trials
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
@@ -166,7 +169,7 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentNumbers, Theory, int]], 
     Parameters
     ----------
     entries : sequence of (str, ExperimentNumbers, Theory, int)
-        Label, result, the theory whose mass and sampling period normalise it, and the number of its colour.
+        Label, result, the theory whose mass and sampling period normalise the result, and the number of the colour.
     predicted : bool
         Whether the boundaries of these theories are drawn, too.
 
@@ -255,7 +258,7 @@ def boundary_figures(
 
 
 def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
-    """Return a published bound from the stiffest limit to the largest damping."""
+    """Return a published straight bound as a line from the stiffest limit to the largest damping."""
     stiffest = max((float(np.nanmax(s.x)) for s in beside if np.isfinite(s.x).any()), default=bound.stiffness)
     last = max((float(np.nanmax(s.y)) for s in beside if np.isfinite(s.y).any()), default=0.0)
     damping = np.array([max((stiffest - bound.stiffness) / bound.slope, 0.0), last])
@@ -266,7 +269,7 @@ def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
 def _over_each_other(
     group: Sequence[tuple[int, ExperimentNumbers]], theories: Mapping[str, Theory], shown: Shown, others: int
 ) -> list[Series]:
-    """Return limits of experiments with theory; colours of delays follow those of all experiments."""
+    """Return limits of experiments with theory. The colours of delays come after those of all experiments."""
     series: list[Series] = []
     for number, result in group:
         grip = "" if result.grip == "none" else f", {result.grip} grip"
@@ -285,7 +288,7 @@ def _over_each_other(
 
 
 def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, shown: Shown) -> list[Series]:
-    """Return measured limits of one experiment with its theory, its identified loop, and conditions."""
+    """Return the measured limits of one experiment with its theory, its identified loop, and analytical conditions."""
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
     if result.loop_boundary:
         B, low, high = (
@@ -304,10 +307,10 @@ def _with_loop(result: ExperimentNumbers, theory: Theory | None, number: int, sh
 
 
 def conditions(theory: Theory, robust: bool = True) -> Iterator[Series]:
-    """Yield the linear condition (3.25), the passive region, and on request the region stable with every spring
+    """Yield the linear condition (3.25), the passive region, and on request the region that is stable with every spring
     (4.3.3).
 
-    The last one takes a third of the time of a report.
+    The region that is stable with every spring takes a third of the time of a report.
 
     Source: Hulin 2017, eqs. 3.25, 4.12 and sec. 4.3.3.
     """

@@ -76,7 +76,7 @@ MISSING_GLYPH = r"Glyph \d+ .* missing from font"
 """Matplotlib's warning about a character that its font lacks."""
 
 LARGER = 1.4
-"""Largest text size in print and on a phone, relative to the drawing: legends leave room for it."""
+"""Largest text size in print and on a phone, relative to the drawing. Legends leave room for this size."""
 
 _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
 LOOKS: dict[str, dict[str, Any]] = {
@@ -120,11 +120,11 @@ opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` th
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A series to draw: x and y, shape (n,), of a kind in `LOOKS`.
+    """Series to draw, with x and y of shape (n,) and a kind in `LOOKS`.
 
-    ``low`` and ``high`` are an interval along ``along`` ("x" or "y"), ``value`` a third number for each point, with
-    its name. ``number`` is the index of an experiment in the report, which gives it the same colour in each figure. A
-    label that begins with an underscore is left out of legends.
+    ``low`` and ``high`` are the ends of an interval in the direction ``along`` ("x" or "y"). ``value`` is a third
+    number for each point, and ``value_name`` is its name. ``number`` is the index of an experiment in the report, which
+    gives it the same colour in each figure. A label that begins with an underscore is left out of legends.
     """
 
     label: str
@@ -141,9 +141,9 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Axes with series, labelled by quantity and unit, and their description; ``below`` shares the abscissa.
+    """Axes with series, labelled by quantity and unit, and a description. The panel ``below`` shares the abscissa.
 
-    ``paint`` draws everything that is not a series. ``ticks`` are texts at 0, 1, 2 ... of the abscissa.
+    ``paint`` draws everything that is not a series. ``ticks`` are texts at the positions 0, 1, 2 ... of the abscissa.
     """
 
     title: str
@@ -158,9 +158,9 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A figure of a report: panels side by side, with title and caption.
+    """Figure of a report, which consists of panels side by side, a title and a caption.
 
-    ``show`` and ``criterion`` select a figure of costs among the others; ``size`` is that of a panel.
+    ``show`` and ``criterion`` select a figure of costs among the others. ``size`` is the size of a panel.
     """
 
     kind: FigureKind
@@ -192,7 +192,8 @@ class Figure:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure on the page: panels as ``<svg>`` elements, with the numbers shown on hovering."""
+    """Figure on the page. Panels are ``<svg>`` elements, with the numbers that are shown when the pointer hovers over
+    them."""
 
     figure: Figure
     panels: tuple[str, ...]
@@ -213,12 +214,12 @@ def draw(figure: Figure) -> Drawn:
 
 
 def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
-    """Return a drawing as an ``<svg>`` element of a page: in the page's colours, reproducible."""
+    """Return a drawing as a reproducible ``<svg>`` element in the colours of the page."""
     import matplotlib
 
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": identifier}), warnings.catch_warnings():
-        # text stays text in the file; the viewer provides the fonts
+        # text stays text in the file, and the viewer provides the fonts
         warnings.filterwarnings("ignore", MISSING_GLYPH, UserWarning)
         drawing.savefig(stream, format="svg", metadata={"Date": None})
     return _for_page(stream.getvalue(), identifier, title, words)
@@ -227,8 +228,8 @@ def svg_of(drawing: Drawing, identifier: str, title: str, words: str) -> str:
 def spell_missing_glyphs(drawing: Drawing) -> None:
     """Replace the characters that the font of a drawing lacks by their code points, as in ``[U+673A]``.
 
-    For formats that contain glyphs instead of text, where all missing characters would be the same box. Combining marks
-    are left out.
+    This is meant for formats that contain glyphs instead of text. In these formats, all missing characters would look
+    like the same box. Combining marks are left out.
     """
     from matplotlib.font_manager import findfont, get_font
     from matplotlib.text import Text
@@ -247,7 +248,7 @@ def _code_point(character: str) -> str:
 
 
 def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
-    """Write each panel as SVG and PDF, and the numbers of each figure as CSV; other files are not changed."""
+    """Write each panel as SVG and PDF, and the numbers of each figure as CSV. Other files are not changed."""
     written = []
     for figure in figures:
         written.append(folder / f"{figure.identifier}.csv")
@@ -266,7 +267,7 @@ def write_figures(figures: Sequence[Figure], folder: Path) -> tuple[Path, ...]:
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Write a figure of one panel as SVG, PDF or PNG, depending on the file extension.
+    """Write a figure with one panel as SVG, PDF or PNG, depending on the file extension.
 
     Raises
     ------
@@ -299,14 +300,14 @@ PLAIN: dict[str, dict[str, str | None]] = {
 
 
 def standalone(svg: str) -> str:
-    """Return a drawing of a page as a standalone file: with namespaces, in print colours."""
+    """Return a drawing of a page as a standalone file with namespaces and in print colours."""
     plain = re.sub(r"var\(--[\w-]+,([^()]*)\)", r"\1", svg).replace("currentColor", "#000000")
     spaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return plain.replace("<svg ", f"<svg {spaces} ", 1) + "\n"
 
 
 def reach(*values: Floats) -> tuple[float, float]:
-    """Return axis limits from zero, or below, to slightly beyond all finite values."""
+    """Return axis limits that start at zero or below and end slightly beyond all finite values."""
     known = np.concatenate([np.zeros(1), *(each[np.isfinite(each)] for each in values)])
     return float(known.min()) * 1.06, float(known.max()) * 1.06 or 1.0
 
@@ -360,7 +361,7 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
 
 
 def _legend_lines(panel: Panel, width: float) -> tuple[int, int]:
-    """Return the number of columns and lines of a panel's legend; zero if a single series needs no name."""
+    """Return the number of columns and lines of a panel's legend. They are zero if a single series needs no name."""
     labels = [s.label for own in _both(panel) for s in own.series if not s.label.startswith("_")]
     if not labels:
         return 0, 0
@@ -392,7 +393,7 @@ def _paint(axes: Axes, panel: Panel) -> None:
 
 
 def _paint_series(axes: Axes, series: Series, place: str) -> None:
-    if series.kind == "told":  # drawn by `Panel.paint`; needed for hovering and files
+    if series.kind == "told":  # `Panel.paint` draws these series. They are needed here for hovering and for files.
         return
     look = dict(LOOKS[series.kind])
     fill, dots_, interval, span = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span"))
@@ -429,7 +430,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
 
 
 def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False) -> None:
-    """Draw points as one compact path of dots: lines of zero length with round caps."""
+    """Draw points as one compact path whose dots are lines of zero length with round caps."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
 
@@ -437,7 +438,7 @@ def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: 
     if known.any():
         ends = np.repeat(np.column_stack([x[known], y[known]]), 2, axis=0)
         outline = Outline(ends, np.tile(np.array([Outline.MOVETO, Outline.LINETO], dtype=np.uint8), known.sum()))
-        outline.should_simplify = False  # it would drop lines without length
+        outline.should_simplify = False  # simplification would drop lines without length
         cap: Any = "projecting" if square else "round"
         look: dict[str, Any] = {"fill": False, "edgecolor": colour, "lw": size, "capstyle": cap, "zorder": 2.1}
         axes.add_artist(PathPatch(outline, transform=axes.transData, label="_", **look))
@@ -462,9 +463,9 @@ _NUMBER = re.compile(r"-?\d+\.\d{2,}(?:e-?\d+)?(?=[\s\"),z])")
 
 
 def _for_page(text: str, identifier: str, title: str, words: str) -> str:
-    """Return matplotlib's output as an ``<svg>`` element of a page: short, in the page's colours, with a name.
+    """Return matplotlib's output as a short ``<svg>`` element with a name and in the colours of the page.
 
-    Coordinates are rounded to a tenth of a pixel; styles become attributes, which the page's policy allows.
+    Coordinates are rounded to a tenth of a pixel. Styles become attributes, which the page's policy allows.
     """
     text = text[text.index("<svg ") :]
     box = re.search(r'viewBox="[^"]*"', text)

@@ -1,4 +1,4 @@
-"""Numbers over experiments (trend, costs over delay) and columns of a log over time.
+"""Draw numbers over experiments (trends, and costs over delay) and columns of a log over time.
 
 Source: Hulin 2017, Fig. 6.12 (costs over delay).
 """
@@ -87,7 +87,7 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
 
 
 DampedCosts = Mapping[tuple[str, str, float], float]
-"""Optimal costs by theory with the measured damping, by table, criterion and delay [samples]."""
+"""Optimal costs that theory predicts with the measured damping, by table, criterion and delay [samples]."""
 
 
 def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Figure]:
@@ -124,8 +124,10 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
 
 
 def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[tuple[float, float]]]]:
-    """Yield label, kind and points (delay, cost) of theory, theory on the tested walls, experiment, and published
-    values."""
+    """Yield label, kind and points (delay, cost) of each series.
+
+    The series are theory, theory on the tested walls, experiment, and published values.
+    """
     theory = {row.delay_samples or 0.0: row.cost or 0.0 for row in rows if row.condition == "theory_discrete"}
     measured = [row for row in rows if row.condition != "theory_discrete"]
     tested, printed = [], []
@@ -148,10 +150,10 @@ class RecordedColumn:
     Parameters
     ----------
     name, unit : str
-        ``unit`` is empty if unknown.
+        Name and unit of the column. The unit is empty if it is unknown.
     place, values : float64, shape (rows,)
     jumps : tuple of int
-        Rows at which it jumps.
+        Rows at which the value jumps.
     rests : tuple of (int, int)
         First row of each rest, and the row after its last.
     gaps : tuple of int
@@ -180,7 +182,7 @@ class RecordedColumn:
 
 
 def recorded_figure(identifier: str, title: str, columns: Sequence[RecordedColumn], abscissa: str) -> Figure:
-    """Return the columns of a log over an abscissa, one panel each."""
+    """Return a figure of the columns of a log over an abscissa, with one panel per column."""
     panels = []
     for c in columns:
         at, label = c.place, f"{c.name} [{c.unit}]" if c.unit else c.name
@@ -197,7 +199,10 @@ def recorded_figure(identifier: str, title: str, columns: Sequence[RecordedColum
 
 
 def thinned(place: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a line of at most `MOST_POINTS` points that looks the same: minimum and maximum of each part, in order."""
+    """Return a line of at most `MOST_POINTS` points that looks like the given line.
+
+    It consists of the minimum and the maximum of each part, in order.
+    """
     parts = MOST_POINTS // 2
     each = len(values) // parts
     if each <= 2:

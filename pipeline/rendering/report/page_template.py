@@ -1,4 +1,4 @@
-"""Pages from templates: text from logs is escaped, and a misspelt name in a template is an error.
+"""Render pages from templates. Text from logs is escaped, and a misspelt name in a template is an error.
 
 A report's page makes no request to any host. Its policy allows only inline styles, images inside the page, and scripts
 with the listed hashes, so that code in a log would not run even if the escaping failed.
@@ -47,12 +47,13 @@ def fill_template(name: str, **content: object) -> str:
     name : str
         File name of the template.
     **content : object
-        Values of its names. In pages (``.html.j2``) text is escaped unless the template marks it as safe.
+        Values of the names in the template. In pages (``.html.j2``), text is escaped unless the template marks it as
+        safe.
 
     Raises
     ------
     jinja2.UndefinedError
-        If the template uses a name without a value: a defect of the code, never of the data.
+        If the template uses a name without a value. This is a defect of the code, never of the data.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
 
@@ -68,7 +69,7 @@ def fill_template(name: str, **content: object) -> str:
 
 
 def scripts(with_trials: bool, with_explorer: bool = False) -> tuple[str, ...]:
-    """Return the inline scripts of a report in their order; those of the trials come with the plot library."""
+    """Return the inline scripts of a report in their order. The scripts of the trials come with the plot library."""
     found = ["".join(script_text(name) for name in PAGE_SCRIPTS)]
     if with_trials:
         licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"

@@ -1,4 +1,6 @@
-"""One self-contained HTML file from computed results: works offline, readable without its scripts, deterministic.
+"""Write computed results as one self-contained HTML file.
+
+The file is deterministic, works offline, and is readable without its scripts.
 
 Every table cell of the page has a name; `pipeline verify` compares cells and a digest of the page.
 """
@@ -34,7 +36,7 @@ SEVERAL = ("optima", "delay_tables")
 """Names that denote any number of tables."""
 
 ALWAYS = ("overview", "missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
-"""Tables needed to judge the others: no scene leaves them out."""
+"""Tables that are needed to judge the others. No scene leaves them out."""
 
 OF_COSTS = ("optima", "delay_tables", "delay_form", "measured_optima", "use")
 """Tables with measured costs."""
@@ -57,11 +59,11 @@ class ReportData:
     accuracy : AccuracyReport, optional
         Error and run time of the theory's methods, if `pipeline accuracy` was run with this code on this machine.
     tables : tuple of str, optional
-        Names of the tables to show; None for all. The tables in `ALWAYS` are shown in any case.
+        Names of the tables to show, or None for all tables. The tables in `ALWAYS` are shown in any case.
     trials : TrialPage, optional
         All trials for the interactive part.
     request : dict
-        The request of the report, in the page's head, from which `verify` recomputes it.
+        Request of the report, which is stored in the head of the page. `verify` recomputes the report from it.
     """
 
     result: ComparisonResult
@@ -74,7 +76,7 @@ class ReportData:
 
 
 def render(data: ReportData) -> str:
-    """Return the report as one HTML document; sections without data are left out.
+    """Return the report as one HTML document. Sections without data are left out.
 
     Raises
     ------
@@ -137,19 +139,20 @@ def pack(content: Any) -> str:
 
 
 def answer_content(result: ComparisonResult) -> dict[str, Any]:
-    """Return the content for the answer's templates in addition to the result: units and sampling period [s]."""
+    """Return the units and the sampling period [s], which the templates of the answer need in addition to the
+    result."""
     return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
 
 
 def answer_lines(answer: Answer | None, motion: Motion, period: float | None) -> tuple[str, ...]:
-    """Return the five answers as lines of text; empty without an answer.
+    """Return the five answers as lines of text. The result is empty if there is no answer.
 
     Parameters
     ----------
     answer : Answer or None
     motion : Motion
     period : float or None
-        Sampling period of its experiment [s].
+        Sampling period of the experiment that the answer concerns [s].
     """
     if answer is None:
         return ()
@@ -158,8 +161,10 @@ def answer_lines(answer: Answer | None, motion: Motion, period: float | None) ->
 
 
 def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
-    """Return all tables of a comparison as printed, by the names of `tables_of`, with a mark on simulated and measured
-    ones."""
+    """Return all printed tables of a comparison, by the names of `tables_of`.
+
+    Simulated and measured tables are marked.
+    """
     about = ABOUT_MEASURED if result.measuring.final == "measured" else ""
     return {
         name: [marked(table, simulated=result.simulated, more=about * (name in OF_COSTS)) for table in tables]
@@ -168,7 +173,10 @@ def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> d
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
-    """Return the tables for the templates: a table or None, or a list for a name that denotes several."""
+    """Return the tables for the templates.
+
+    Each name denotes a table or None, or a list if the name denotes any number of tables.
+    """
     result = data.result
     found = printed_tables(result, data.trials or NO_TRIALS)
     rest = {

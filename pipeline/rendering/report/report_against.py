@@ -1,4 +1,7 @@
-"""The page about two experiments, devices or code versions: tables of differences and boundaries in one figure."""
+"""Write the page on two experiments, devices or code versions.
+
+It has tables of differences, and one figure with both boundaries.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ def _shown(_: Any, row: Row) -> str:
 
 @dataclass(frozen=True)
 class AgainstPage:
-    """A finished comparison with its figures (one per pair)."""
+    """Finished comparison with its figures, one for each pair."""
 
     result: AgainstResult
     figures: tuple[Figure, ...]
@@ -46,7 +49,7 @@ def render(page: AgainstPage) -> str:
 
 
 def write(page: AgainstPage, path: Path) -> AgainstResult:
-    """Write the page, and its document as JSON next to it; return the document with the name of the page."""
+    """Write the page, and its document as JSON next to it. Return the document with the name of the page."""
     result = page.result.model_copy(update={"report": str(path)})
     write_text(path, render(replace(page, result=result)))
     write_text(path.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
@@ -60,14 +63,14 @@ def sentences_of(pair: PairDifference) -> tuple[str, ...]:
 
 
 def value_name(name: str) -> str:
-    """Return the label of a quantity of a `ValueDifference`: its name, or part and name joined by a slash."""
+    """Return the label of a quantity of a `ValueDifference`. It is the name, or part and name joined by a slash."""
     criterion, _, what = name.partition("/")
     named = criterion_name(criterion.removesuffix("_samples"))
     return f"{named}: {what.replace('_', ' ')}" if what else named
 
 
 def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Table]:
-    """Return the non-empty tables of a pair; ``index`` makes the cell names of several pairs on a page unique."""
+    """Return the non-empty tables of a pair. ``index`` makes the cell names unique if a page has several pairs."""
     K, B = (UNITS[motion].stiffness, UNITS[motion].damping) if pair.plane == "physical" else ("α", "β")
     first, second = pair.labels
     judged = (

@@ -1,4 +1,4 @@
-"""Content of a report page by named parts: table cells, embedded data, sentences.
+"""Split the content of a report page into named parts. Parts are table cells, embedded data and sentences.
 
 `verify` splits two pages into parts, the report and a recomputed one, and compares the parts. Some parts, such as run
 times, do not depend on logs; for those `digests` stores short hashes in the page.
@@ -22,17 +22,17 @@ DIGESTS_META = "pipeline-digests"
 REQUEST_META = "pipeline-request"
 
 FREE_TABLES = ("accuracy", "stages", "provenance")
-"""Tables that do not depend on any log: run times, reused stages, file locations."""
+"""Tables that do not depend on any log. They show run times, reused stages and file locations."""
 
 FREE_SECTIONS = ("sec-accuracy", "sec-origin")
 """Sections whose sentences do not depend on any log."""
 
 DIGITS = 8
-"""Hexadecimal digits of the hash of a part: a change goes undetected with a probability of 1 in 4e9. The hash of the
-page has 64."""
+"""Number of hexadecimal digits in the hash of a part. A change goes undetected with a probability of 1 in 4e9. The hash
+of the page has 64 digits."""
 
 _LEAVES = frozenset({"p", "li", "dt", "dd", "figcaption", "caption", "summary", "h1", "h2", "h3", "h4", "th", "td"})
-"""Elements with one or a few sentences; named cells do not count as sentences."""
+"""Elements that contain one or a few sentences. Named cells do not count as sentences."""
 
 _DRAWING = re.compile(r"<svg\b.*?</svg>", re.DOTALL)
 _BLOCK = re.compile(r"<(script|style)\b([^>]*)>(.*?)</\1>", re.DOTALL)
@@ -41,7 +41,7 @@ _META = re.compile(rf'(<meta name="(?:{CELLS_META}|{DIGESTS_META})" content=")[^
 
 
 class Digests(BaseModel):
-    """Hashes stored in a page: of each free part, and of the whole page."""
+    """Hashes stored in a page. There is one for each free part, and one for the whole page."""
 
     page: str = ""
     cells: dict[str, str] = {}
@@ -59,7 +59,7 @@ class Parts:
     doubles : list of str
         Names that occur twice.
     data : dict of str to str
-        Content of each script and style block: by its id, or ``script-0``, ``style-0`` and so on.
+        Content of each script and style block by the id of the block, or by ``script-0``, ``style-0`` and so on.
     texts : dict of str to str
         Sentences outside named cells, named ``<section id>/<number>``.
     metas : dict of str to str
@@ -74,7 +74,7 @@ class Parts:
 
     @property
     def digests(self) -> Digests | None:
-        """Return the hashes in the page; None if there are none or they are unreadable."""
+        """Return the hashes in the page, or None if there are none or they are unreadable."""
         try:
             return Digests.model_validate_json(self.metas.get(DIGESTS_META, ""))
         except ValidationError:
@@ -82,7 +82,7 @@ class Parts:
 
     @property
     def request(self) -> Mapping[str, object] | None:
-        """Return the request of the report; None if the page does not contain it."""
+        """Return the request of the report, or None if the page does not contain it."""
         try:
             found = json.loads(self.metas.get(REQUEST_META, ""))
         except json.JSONDecodeError:
@@ -91,14 +91,14 @@ class Parts:
 
 
 def take_apart(page: str) -> Parts:
-    """Return the parts of a page made by `report.render`; other HTML has few or none."""
+    """Return the parts of a page made by `report.render`. Other HTML documents have few parts or none."""
     data: dict[str, str] = {}
     counts: Counter[str] = Counter()
     for kind, attributes, content in _BLOCK.findall(page):
         named = _ID.search(attributes)
         data[named[1] if named else f"{kind}-{counts[kind]}"] = content
         counts[kind] += not named
-    # drawings are most of a page and contain no cells
+    # drawings take up most of a page and contain no cells
     reader = _Reader(_DRAWING.sub("", _BLOCK.sub("", page)))
     return Parts(reader.cells, reader.doubles, data, reader.texts, reader.metas)
 
@@ -139,7 +139,7 @@ def is_free_text(name: str) -> bool:
 
 
 class _Reader(HTMLParser):
-    """Collects cells, sentences and the page's own ``<meta>`` elements."""
+    """Parser that collects cells, sentences and the page's own ``<meta>`` elements."""
 
     def __init__(self, page: str) -> None:
         super().__init__(convert_charrefs=True)

@@ -1,4 +1,4 @@
-"""The tables of a report: source frame and order of their columns, formatting, and reasons for empty cells."""
+"""Define the tables of a report by source frame, order of columns, formatting, and reasons for empty cells."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from pipeline.rendering.table import Column, Row, Table, is_sweep, records, tabl
 from pipeline.theory.cases import continuous_rules
 
 MAIN = ("delay_samples", "mass", "damping")
-"""Quantities in the table of experiments; the others are in the table of methods only."""
+"""Quantities in the table of experiments. The other quantities are only in the table of methods."""
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
 UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
@@ -72,7 +72,7 @@ class TrialPage:
     Parameters
     ----------
     content : dict
-        Input of the page's script: plain JSON values, with the trials of each experiment packed.
+        Input of the page's script as plain JSON values. The trials of each experiment are packed.
     trials, responses : int
         Number of trials, and number of trials with a response in the page.
     places : dict
@@ -89,7 +89,7 @@ class TrialPage:
     limits: dict[tuple[str, float, float], str] = field(default_factory=dict)
 
     def place(self, experiment: str | None, trial_id: str | None) -> str:
-        """Return the reference of tables to a trial; empty if the page does not show it."""
+        """Return the reference with which tables refer to a trial. It is empty if the page does not show the trial."""
         return self.places.get((experiment or "", trial_id or ""), "")
 
 
@@ -136,7 +136,7 @@ def _of_what(what: str) -> Callable[[Row], str]:
 
 
 def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[str, list[Table]]:
-    """Return the tables of a report by the names used in templates and scenes; empty lists without data."""
+    """Return the tables of a report by the names used in templates and scenes. A list is empty if there are no data."""
     f = {name: records(frame) for name, frame in frames(result).items()}
     units = UNITS[result.motion]
     place = _place(trials)
@@ -208,7 +208,8 @@ _NEAR_TEXTS = {"stiffness": stiffness_text, "damping": damping_text}
 
 
 def _near(row: Row, axis: str, show: Callable[[float], str]) -> str:
-    """Return the range of walls nearly as good as an optimum; empty for documents of earlier versions."""
+    """Return the range of walls that are nearly as good as an optimum. The text is empty for documents of earlier
+    versions."""
     if row[f"near_{axis}_low"] is None:
         return ""
     return range_text(show, row[f"near_{axis}_low"], row[f"near_{axis}_high"])
@@ -269,11 +270,14 @@ def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
 
 
 GRADES = {"yes": "yes", "partly": "partly", "no": "no", "with_friction": "with friction", None: "not known"}
-"""Words for how far theory predicts a boundary or costs."""
+"""Words that state how well theory predicts a boundary or costs."""
 
 
 def _overview(result: ComparisonResult) -> Table | None:
-    """Return what the answers about several experiments differ in, one row each; None for one experiment."""
+    """Return the differences between the answers on several experiments, with one row for each experiment.
+
+    The result is None for one experiment.
+    """
     units, rows = UNITS[result.motion], []
     for answer in [e.answer for e in result.experiments if e.answer is not None]:
         predicts, wall, step = answer.predicts, answer.wall, answer.next
@@ -312,7 +316,7 @@ def _overview(result: ComparisonResult) -> Table | None:
 
 
 def _within(name: str) -> Callable[[Row], str]:
-    """Return the text of the larger side of an interval relative to its value; empty if an end is missing."""
+    """Return the larger side of an interval, relative to its value, as text. The text is empty if an end is missing."""
 
     def text(row: Row) -> str:
         value, low, high = (row.get(key) for key in (name, *_ends(name)))
@@ -391,7 +395,7 @@ def _ends(name: str) -> tuple[str, str]:
 def interval_column(
     name: str, label: str = "", unit: str = "", ends: tuple[str, str] | None = None, **others: Any
 ) -> Column:
-    """Return a column of numbers with intervals, to the digits that each interval justifies."""
+    """Return a column of numbers with intervals. Each number has as many digits as its interval justifies."""
     low, high = ends or _ends(name)
 
     def texts(row: Row) -> tuple[str, str, str]:
@@ -412,7 +416,7 @@ THESIS = {"delay_samples": "first_change", "mass": "thesis_momentum_balance"}
 
 
 def _thesis_value(estimate: Estimate | None, method: str) -> float | None:
-    """Return an estimate by a method of the thesis; None without one."""
+    """Return an estimate by a method of the thesis, or None if there is none."""
     found = None if estimate is None else estimate.by_method.get(method)
     return None if found is None else found.value
 
@@ -453,7 +457,7 @@ def _experiments(result: ComparisonResult) -> Table | None:
 
 
 def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
-    """Return the column of an estimate and its interval, with warnings as notes; rows contain the record."""
+    """Return the column of an estimate and its interval, with warnings as notes. The rows contain the record."""
 
     def texts(row: Row) -> tuple[str, str, str]:
         return estimate_texts(row[quantity])
@@ -492,7 +496,7 @@ def _theory(theory: SourcedLoop | None, result: ComparisonResult) -> str:
 
 
 def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dict[str, list[Table]]:
-    """Return Tables D.1 to D.5 and similar ones, and those over delay, as D.6."""
+    """Return tables like D.1 to D.5, and tables over delay like D.6."""
     found: dict[str, list[Table]] = {"optima": [], "delay_tables": []}
     for name in dict.fromkeys(row["table"] for row in rows):
         own = [dict(row) for row in rows if row["table"] == name]
@@ -545,8 +549,10 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
 
 
 def _delay_form(rows: Sequence[Row]) -> Table | None:
-    """Return costs over delay in the form of Table D.6: one row per delay; theory, experiment and deviation side by
-    side."""
+    """Return costs over delay in the form of Table D.6.
+
+    There is one row for each delay, with theory, experiment and deviation side by side.
+    """
     swept = next(
         (n for n in dict.fromkeys(r["table"] for r in rows) if is_sweep([r for r in rows if r["table"] == n])), None
     )
@@ -574,8 +580,10 @@ def _delay_form(rows: Sequence[Row]) -> Table | None:
 
 
 def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
-    """Return the naming function of rows: by criterion and condition, and by delay and experiment if these are not
-    unique."""
+    """Return the function that names rows.
+
+    A name consists of criterion and condition. Delay and experiment are added if these are not unique.
+    """
 
     def names(row: Row) -> list[str]:
         delay = "" if row["delay_samples"] is None else f"/d={significant(row['delay_samples'], 3)}"
@@ -587,13 +595,15 @@ def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
 
 
 def _off(axis: str) -> Callable[[Row], str]:
-    """Return the text of the deviation of an optimum from that of theory along an axis; empty without one."""
+    """Return the deviation of an optimum from that of theory along an axis as text. It is empty if there is no
+    deviation."""
     name = f"{axis}_deviation_percent"
     return lambda row: "" if row.get(name) is None else f"{percent_text(row[name], 0)} %"
 
 
 def _parts(row: Row) -> str:
-    """Return the parts of a deviation in one line; parts that print as zero are left out, except the model's."""
+    """Return the parts of a deviation in one line. Parts that print as zero are left out, except the part of the
+    model."""
     if row["model"] is None:
         return ""
     nothing, low, high = (percent_text(value) for value in (0.0, row["model_low"], row["model_high"]))
@@ -762,7 +772,8 @@ def _shapes(result: ComparisonResult) -> Table | None:
 
 
 def _rules(result: ComparisonResult) -> Table | None:
-    """Return what design rules give for each experiment: dampings at the recommended stiffness, and the cost of delay.
+    """Return the results of design rules for each experiment. They are dampings at the recommended stiffness, and the
+    cost of delay.
 
     Source: Hulin 2017, eqs. 5.17 and 5.19, sec. 5.5.
     """
@@ -887,7 +898,8 @@ def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
 
 
 def use_note(result: ExperimentResult) -> str:
-    """Return why the walls to use were not selected by the costs of a region, or why there are none; else empty."""
+    """Return why the costs of a region did not select the walls to use, or why there are none. The text is otherwise
+    empty."""
     if not result.use_reason:
         return ""
     return f"{'Chosen by' if result.use else 'None:'} {result.use_reason}."

@@ -1,1 +1,1 @@
-"""Pages for people: routes, figures, templates."""
+"""Routes, figures and templates of the pages for human users."""

@@ -61,7 +61,7 @@ def plan(
 
 
 def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
-    """Return the content of the template for experiments, each named as by `frame.run_of`."""
+    """Return the content of the template for experiments, whose names are those of `frame.run_of`."""
     names = [word for part in asked for word in part.split(",") if word]
     chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
     if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
@@ -94,9 +94,10 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
 
 
 def planes(runs: Sequence[Run]) -> dict[str, str]:
-    """Return the planes in which limits can be drawn over each other, by name, with their titles.
+    """Return the titles of the planes in which limits can be drawn over each other, by the names of the planes.
 
-    In K and B if all have the same kind of motion, in alpha and beta if the mass of each is known.
+    There is a plane of K and B if all experiments have the same kind of motion, and one of alpha and beta if all masses
+    are known.
     """
     found = {}
     if runs and len({document["motion"] for *_, document in runs}) == 1:
@@ -107,7 +108,8 @@ def planes(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
-    """Return the differences of two experiments, second minus first; None and the reason if they are not comparable."""
+    """Return the differences of two experiments, second minus first. If they are not comparable, return None and the
+    reason."""
     scales = None
     if first[0] != second[0]:
         own, others = _units(first[2]), _units(second[2])

@@ -1,4 +1,4 @@
-"""What all pages share: templates, addresses, and forms that are valid only for this server and this browser."""
+"""Templates, addresses and forms that all pages share. A form is valid only for this server and this browser."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pipeline.store.names import folder_name
 HERE = Path(__file__).parent
 
 LONGEST_REASON = 90
-"""Number of characters of a refusal in the list of jobs."""
+"""Largest number of characters of a refusal in the list of jobs."""
 
 LOOK_S = 0.02
 """Polling interval for a job that a page waits for [s]."""
@@ -63,7 +63,7 @@ def _environment() -> Environment:
 
 
 def style_sheet() -> str:
-    """Return the style sheet: that of reports with additions for pages of the service."""
+    """Return the style sheet of reports with additions for pages of the service."""
     sheets = (TEMPLATES / "report.css", HERE / "static" / "service.css")
     return "\n".join(sheet.read_text("utf-8") for sheet in sheets)
 
@@ -73,7 +73,7 @@ def _short(value: float | None) -> str:
 
 
 def _in_digits(estimate: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return value and ends of an estimate of a document, with the number of digits justified by the interval."""
+    """Return the value of an estimate and the ends of its interval, with as many digits as the interval justifies."""
     return labels.estimate_texts(Estimate.model_validate(estimate))
 
 
@@ -82,7 +82,7 @@ def _when(seconds: float) -> str:
 
 
 def _did(job: Mapping[str, Any]) -> str:
-    """Return the outcome of a job in a few words; empty before its end."""
+    """Return the outcome of a job in a few words. The text is empty until the job has ended."""
     result = job["result"] or {}
     if job["state"] == "failed":
         return str((job["problem"] or {}).get("detail", ""))
@@ -125,7 +125,8 @@ def _about(job: Mapping[str, Any]) -> str:
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:
-    """Return the address of the same trials sorted by a column, reversed if already sorted by it."""
+    """Return the address of the same trials sorted by a column. If they are already sorted by it, the order is
+    reversed."""
     return urlencode({**state, "sort": f"-{name}" if state["sort"] == name else name})
 
 
@@ -146,7 +147,7 @@ def experiment_url(device: str, experiment: str) -> str:
 
 
 def _rest(of: Sequence[str]) -> str:
-    """Return the REST address of a trial, an experiment or a device (given by that word and names)."""
+    """Return the REST address of a trial, an experiment or a device, given by this word and its names."""
     return "/".join((f"{of[0]}s", *map(segment, of[1:])))
 
 
@@ -155,7 +156,7 @@ def _page(of: Sequence[str]) -> str:
 
 
 def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
-    """Return a page by its template; its forms contain the token of the browser."""
+    """Return a page rendered from its template. The forms of the page contain the token of the browser."""
     browser = request.cookies.get(FORM) or request.scope["state"].setdefault("form", secrets.token_urlsafe(16))
     who = {"login": not service.settings.loopback, "form": form_token(service.database, browser)}
     given = {"role": request.state.role, "who": request.state.who, "path": request.url.path, **who, **content}
@@ -168,13 +169,13 @@ def part_of(template: str, **content: object) -> Markup:
 
 
 def check(service: Service, request: Request, token: str) -> None:
-    """Refuse a form that was not issued by this server to this browser."""
+    """Refuse a form that this server did not issue to this browser."""
     if not is_form(service.database, request.cookies, token):
         raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
 
 
 async def fields_of(request: Request) -> dict[str, list[str]]:
-    """Return the fields of a form of ours."""
+    """Return the fields of a form that this server issued."""
     form = await request.form()
     fields: dict[str, list[str]] = {}
     for name, value in form.multi_items():
@@ -187,7 +188,7 @@ Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
 def kept(service: Service, ask: Callable[[], Any], wait_s: float = 0.0) -> dict[str, Any]:
-    """Return a stored document (``drawn``), the job that makes it, or the problem if there is neither.
+    """Return a stored document (``drawn``), or the job that makes it, or the problem if there is neither.
 
     Wait for up to `wait_s` for the job.
     """

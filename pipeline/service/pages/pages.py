@@ -1,5 +1,5 @@
-"""Pages for people: rendered on the server, usable without scripts, with their state in the address; and their
-forms."""
+"""Pages and forms for human users. Pages are rendered on the server and usable without scripts, and their address
+contains their state."""
 
 from __future__ import annotations
 
@@ -56,10 +56,12 @@ _STATE = {*WORDS, *api.RANGES, "q", "sort"}
 """Query parameters that select the listed trials."""
 
 WAITED_S = 0.9
-"""Longest wait of a page for its drawing [s]: a worker that has loaded the experiment takes less."""
+"""Longest time that a page waits for its drawing [s]. A worker that has already loaded the experiment takes less
+time."""
 
 PLOTTED = 3000
-"""Largest number of trials of a plane with links to their pages: more cannot be distinguished."""
+"""Largest number of trials in a plane for which they are linked to their pages. More trials could not be
+distinguished."""
 
 
 _STATIC = {"service.js": "text/javascript", "trial.js": "text/javascript", "icon.svg": "image/svg+xml"}
@@ -84,7 +86,7 @@ def static(name: str) -> Response:
 
 @pages.get("/")
 def home(service: Shared, request: Request) -> Response:
-    """Show the devices and their experiments, each with its picture, the verdict of theory and its tags."""
+    """Show the devices and their experiments. Each experiment has its picture, the verdict of theory and its tags."""
     all_ = service.catalogue
 
     def cards() -> Markup:
@@ -117,7 +119,7 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
 
 @pages.get("/devices/{device}/file")
 def one_device_file(service: Shared, request: Request, device: Segment, download: bool = False) -> Response:
-    """Show the file of a device for editing, or a draft made from the logs. On request, return it as a file."""
+    """Show the file of a device, or a draft made from the logs, for editing. On request, return it as a file."""
     try:
         text, problem = device_files.text_of(device), ""
     except Problem as none:
@@ -144,7 +146,7 @@ def _device_file(
 
 @pages.post("/devices/{device}/file")
 async def keep_device_file(service: Shared, request: Request, who: Who, device: Segment) -> Response:
-    """Store the edited or uploaded file of a device; a wrong one is shown again with its mistakes."""
+    """Store the edited or uploaded file of a device. An invalid file is shown again with its mistakes."""
     form = await request.form()
     check(service, request, str(form.get("form", "")))
     sent, text = form.get("upload"), str(form.get("file", "")).replace("\r\n", "\n")
@@ -216,7 +218,10 @@ def number_of(trial: Mapping[str, Any], quantity: str) -> float | None:
 
 
 def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
-    """Return a plot of two quantities over trials, each mark a link to its trial; empty if none has both."""
+    """Return a plot of two quantities of trials in which each mark is a link to its trial.
+
+    The text is empty if no trial has both quantities.
+    """
     both = [(number_of(trial, x), number_of(trial, y), trial) for trial in trials]
     points = [(a, b, trial) for a, b, trial in both if a is not None and b is not None]
     if not points:
@@ -252,7 +257,7 @@ def marked(service: Shared, who: Who, fields: Fields) -> Response:
 
 
 def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
-    """Return the answer of a document of the service; None if it is not computed yet."""
+    """Return the answer in a document of the service, or None if the document is not yet computed."""
     told = (document or {}).get("answer")
     return Answer.model_validate(told) if told else None
 
@@ -282,7 +287,7 @@ def clickable(drawn: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> 
 
 
 class TrialForm(api.TrialQuery):
-    """Query of the list of trials as a form sends it: an empty field is ignored, an unknown one is refused."""
+    """Query of the list of trials as a form sends it. An empty field is ignored, and an unknown field is refused."""
 
     sort: Literal[SORTED] = "-recorded"  # type: ignore[valid-type]
     format: Literal["", "csv", "all"] = ""
@@ -343,7 +348,7 @@ def one_trial(service: Shared, request: Request, trial: str) -> Response:
 
 @pages.get("/upload")
 def upload(service: Shared, request: Request, profile: str = "") -> Response:
-    """Show the form for logs, with a profile chosen."""
+    """Show the form for uploading logs, in which a profile is preselected."""
     known = profiles.names(service.settings)
     return page_of(service, request, "upload.html.j2", profiles=known, profile=profile, settings=service.settings)
 
@@ -388,7 +393,7 @@ def profile(service: Shared, request: Request, who: Who, fields: Fields) -> Resp
 
 
 def _unclear(problem: Problem) -> str:
-    """Return, in words, why a profile needs a confirmation; empty if a confirmation does not help."""
+    """Return the reason why a profile needs a confirmation. The text is empty if a confirmation does not help."""
     about = problem.document
     if problem.status == 404 and about.get("where") == "sample":
         return "The sample is not kept any more, so that the profile cannot be tried on it."
@@ -412,7 +417,7 @@ def one_job(service: Shared, request: Request, job: str) -> Response:
 
 @pages.get("/quarantine")
 def quarantine(service: Shared, request: Request) -> Response:
-    """List what could not be ingested."""
+    """List the logs that could not be ingested."""
     damaged: dict[Path, str] = {}
     list_quarantine(service.settings.processed, damaged)
     return page_of(service, request, "quarantine.html.j2", records=lab.quarantine(service), damaged=damaged,
@@ -430,7 +435,7 @@ def reports(service: Shared, request: Request) -> Response:
 
 @pages.get("/theory")
 def theory(service: Shared, request: Request) -> Response:
-    """Show the explorer: the theory of a loop with sliders, beginning with each known device."""
+    """Show the explorer, which presents the theory of a loop with sliders. It can start from each known device."""
     panel = Markup(explorer.panel(device_entries(known_devices().values())))
     return page_of(service, request, "theory.html.j2", panel=panel)
 
@@ -466,7 +471,7 @@ _KEPT = (b"host", b"cookie", b"origin", b"x-forwarded-proto")
 
 @pages.post("/do")
 async def do(service: Shared, request: Request, fields: Fields) -> Response:
-    """Execute the REST request of a form, and redirect to the next page; an error is shown as a page.
+    """Execute the REST request of a form, and redirect to the next page. An error is shown as a page.
 
     Its fields are those of the document (`_document`), and ``method``, ``path`` below the API, ``match`` (the
     ETag that was known) and ``next``, in which ``{field}`` stands for a name.
@@ -531,7 +536,7 @@ def login(service: Shared, request: Request) -> Response:
 
 @pages.post("/login")
 def enter(service: Shared, request: Request, fields: Fields) -> Response:
-    """Begin a session by a token."""
+    """Begin a session with a token."""
     session = service.database.login(fields.get("secret", [""])[0].strip())
     if session is None:
         return _door(service, request, 401)
