@@ -40,7 +40,7 @@ _parts: list[tuple[Callable[..., Any], bool]] = []
 """Functions to register with numba before their callers are compiled, and whether they are inlined."""
 
 _listeners: list[tuple[Callable[[str], None], float]] = []
-"""Callback for the first compilation that takes longer than the given time [s]; empty if there is none."""
+"""Callback for the first compilation that takes longer than the given time [s]. The list is empty if there is none."""
 
 
 def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:

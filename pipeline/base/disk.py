@@ -186,7 +186,7 @@ def file_hash(file: Path) -> str:
 
 
 def hash_in_name(name: str) -> str | None:
-    """Return the SHA-256 in the name of a file; None if the name contains none."""
+    """Return the SHA-256 in the name of a file, or None if the name contains none."""
     found = _CONTENT.fullmatch(name)
     return found[1] if found else None
 
@@ -210,7 +210,7 @@ def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
 
 
 def read_result(folder: Path, stem: str, ending: str) -> bytes | None:
-    """Return a stored result; None if it is missing or damaged and must be recomputed."""
+    """Return a stored result, or None if it is missing or damaged and must be recomputed."""
     for file in result_files(folder, stem, ending):
         with suppress(FileNotFoundError):
             data = file.read_bytes()

@@ -102,7 +102,7 @@ def serve() -> None:
 
 
 def _folder() -> str | None:
-    """Return the working folder; None if it has been removed."""
+    """Return the working folder, or None if it has been removed."""
     with contextlib.suppress(OSError):
         return os.getcwd()
     return None

@@ -88,7 +88,7 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     path : Path
         File that the command will write. Its parent folders may be missing.
     option : str
-        Name of the command-line option for the message; empty if the path is not given by an option.
+        Name of the command-line option for the message. The name is empty if the path is not given by an option.
     document_beside : bool
         Whether a JSON document of the same name is written next to the file.
 

@@ -307,7 +307,7 @@ def run_trial(
     ----------
     wall : K, B, depth, side
         Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], depth of the first position in the wall, and sign of the depth
-        at which a one-sided wall pushes; 0 for a two-sided wall.
+        at which a one-sided wall pushes. The sign is 0 for a two-sided wall.
     signals : external, push, noise, repeats, slots
         For each row: external force in the command, force on the device in addition to the command [N, Nm], noise of
         the reading [m, rad], and whether the sensor repeats its reading. ``slots`` (parts, rows) is the row of the

@@ -34,7 +34,7 @@ class Plant:
     mass, damping, stiffness : float
         Parameters m, b and k of the total device, per unit of command if the input is a command.
     lag : float
-        Time constant of the actuator; 0 for no lag.
+        Time constant of the actuator, or 0 for no lag.
     load_mass, load_damping : float
         Mass and damping of the load of a vibration mode, which are included in ``mass`` and ``damping``. There is no
         mode if ``load_mass`` is 0.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # its classes take longer to load than a short command takes 
 
 
 def filter_order(velocity: VelocityFilter | None) -> int:
-    """Return the memory of a filter in samples; 0 for a nonlinear filter."""
+    """Return the memory of a filter in samples, or 0 for a nonlinear filter."""
     if velocity is not None and velocity.kind == "kalman":
         return 2
     if velocity is not None and (velocity.kind == "foaw" or velocity.kind == "levant"):
@@ -28,7 +28,8 @@ def filter_order(velocity: VelocityFilter | None) -> int:
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> LinearFilter | None:
-    """Return the filter with its cut-off relative to the sampling rate; None for a difference or nonlinear filter."""
+    """Return the filter with its cut-off relative to the sampling rate, or None for a difference or nonlinear
+    filter."""
     if velocity is None or velocity.kind == "foaw" or velocity.kind == "levant":
         return None
     if velocity.kind == "difference" and velocity.samples == 1:

@@ -47,9 +47,9 @@ class FirstChange:
     Parameters
     ----------
     delay_samples : int
-        Integer factor d = d_obs - 1 (6.2); -1 if a reason is given.
+        Integer factor d = d_obs - 1 (6.2), or -1 if a reason is given.
     first_row : int
-        Row of the first change, counted from 0; -1 if a reason is given.
+        Row of the first change, counted from 0, or -1 if a reason is given.
     reason : str
     """
 
@@ -105,7 +105,7 @@ def first_change(trial: Trial, response: Response) -> FirstChange:
 
 
 def _noise(response: Response) -> float:
-    """Return the noise of the sensor [m, rad]; 0 if unknown."""
+    """Return the noise of the sensor [m, rad], or 0 if unknown."""
     return response.sensor_noise if response.sensor_noise > 0 else 0.0
 
 
@@ -147,7 +147,7 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
 
 @dataclass(frozen=True)
 class MomentumMass:
-    """Mass of a trial from the momentum balance (6.4) [kg, kg m^2]; NaN if a reason is given."""
+    """Mass of a trial from the momentum balance (6.4) [kg, kg m^2], or NaN if a reason is given."""
 
     mass_momentum: float = np.nan
     reason: str = ""
@@ -214,7 +214,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats, unit: str
     damping, stiffness : float64, shape (n,)
         Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials. Only trials with K = 0 are used.
     growth_per_s : float64, shape (n,)
-        Growth rate of the acceleration from `verdict.judge` [1/s]; NaN if unknown.
+        Growth rate of the acceleration from `verdict.judge` [1/s], or NaN if unknown.
     unit : str
 
     Returns
@@ -267,7 +267,7 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     Parameters
     ----------
     values : float64, shape (n,)
-        One value per trial; NaN if there is none.
+        One value per trial, or NaN if there is none.
     unit, method : str
     reason : str
         Reason to report if no trial has a value.
@@ -290,7 +290,7 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
 
 
 def _median_rank(n: int) -> int:
-    """Return the largest l with P(binomial(n, 1/2) < l) <= 2.5 %; 0 if there is none."""
+    """Return the largest l with P(binomial(n, 1/2) < l) <= 2.5 %, or 0 if there is none."""
     from scipy.special import bdtr
 
     return int((bdtr(np.arange(n), n, 0.5) <= 0.5 * (1 - CONFIDENCE)).sum())

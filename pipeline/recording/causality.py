@@ -109,7 +109,8 @@ def _noncausal(
 
 
 def _leaves_rest(samples: Samples) -> tuple[int, int] | None:
-    """Return the first edge and an earlier row in which the position leaves rest; None if it does not leave early."""
+    """Return the first edge and an earlier row in which the position leaves rest, or None if it does not leave
+    early."""
     edge = _first_edge(samples)
     if edge < BASELINE or edge >= len(samples) - 2:
         return None
@@ -149,7 +150,8 @@ def _turns_early(samples: Samples) -> tuple[int, float] | None:
 
 
 def _first_edge(samples: Samples) -> int:
-    """Return the row in which the command first changes (log without wall) or steps (with wall); 0 if it does not."""
+    """Return the row in which the command first changes (log without wall) or steps (with wall), or 0 if it does
+    not."""
     if samples.is_free:
         changes = np.flatnonzero(samples.jumps)
         return int(changes[0]) + 1 if len(changes) else 0
@@ -157,7 +159,7 @@ def _first_edge(samples: Samples) -> int:
 
 
 def _negative_delay(samples: Samples) -> float | None:
-    """Return the lead of the position in free motion [rows]; None if a non-negative delay fits equally well."""
+    """Return the lead of the position in free motion [rows], or None if a non-negative delay fits equally well."""
     response = free_response(samples)
     if response is None or not response.is_driven or response.gain <= 0 or response.delay > -EARLY:
         return None

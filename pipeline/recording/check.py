@@ -36,7 +36,7 @@ SCREENED = {REPEATED_ROWS: repeated_rows, TRAVEL_STOP: travel_stop}
 
 
 def check_recording(samples: Samples) -> tuple[Finding, ...]:
-    """Return the recording faults of a log; empty for a good one.
+    """Return the recording faults of a log. The result is empty for a log without faults.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def last_at_rest(samples: Samples, edge: int) -> int:
 
 
 def growth_from_rest(samples: Samples, edge: int, *, turning: bool) -> Growth | None:
-    """Return the maximum-likelihood growth of a position from rest before an edge; None if the position is constant.
+    """Return the maximum-likelihood growth of a position from rest before an edge, or None if the position is constant.
 
     With ``turning``, the growth is exp(z) (a cos z + b sin z) with z = (k - edge)/tau, as for second-order filters.
     Otherwise it is a exp(z). In polled logs, the last row before the edge is excluded (`last_at_rest`).
@@ -113,7 +113,7 @@ def growth_before_edges(samples: Samples) -> Growth | None:
 
 
 def acceleration(samples: Samples, edge: int) -> float:
-    """Return the acceleration due to an edge, in the direction of its jump [position/row^2]; 0 if there is none.
+    """Return the acceleration due to an edge, in the direction of its jump [position/row^2], or 0 if there is none.
 
     It is estimated at the delay for which the command fits the rows after the edge best. The rest position is the
     median over the first half of the rows before the edge, because a motion that begins too early affects only the

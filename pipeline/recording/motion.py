@@ -100,7 +100,7 @@ class FreeResponse:
 
 @lru_cache(maxsize=4)
 def free_response(samples: Samples) -> FreeResponse | None:
-    """Return the response of the position to the command; None with a wall, a constant command, or few rows.
+    """Return the response of the position to the command, or None with a wall, a constant command, or few rows.
 
     Notes
     -----
@@ -136,7 +136,7 @@ def free_response(samples: Samples) -> FreeResponse | None:
 
 
 def _prepared(samples: Samples) -> _Regression | None:
-    """Return the regression of a log; None if the log is not suitable."""
+    """Return the regression of a log, or None if the log is not suitable."""
     if not samples.is_free or not len(samples.jumps) or not samples.jumps.any():
         return None
     first = max(int(np.flatnonzero(samples.jumps)[0]) - LARGEST_SHIFT, 0)

@@ -149,7 +149,7 @@ def interpolated_position(samples: Samples) -> Finding | None:
 
 
 def _lines(samples: Samples, level: float) -> tuple[int, int] | None:
-    """Return the row distance of the interpolated readings and the number of collinear rows; None without a grid."""
+    """Return the row distance of the interpolated readings and the number of collinear rows, or None without a grid."""
     bent = np.abs(samples.bend) > level
     if (bent[1:] & bent[:-1]).any():
         return None
@@ -172,7 +172,7 @@ def _may_be_printed(samples: Samples) -> bool:
 
 
 def spacing(rows: Integers) -> int:
-    """Return the greatest common divisor of the distances between rows; 0 for fewer than two rows."""
+    """Return the greatest common divisor of the distances between rows, or 0 for fewer than two rows."""
     return int(np.gcd.reduce(np.diff(rows))) if len(rows) > 1 else 0
 
 

@@ -53,7 +53,7 @@ def middle(values: Floats) -> float:
 
 
 def last_digit(position: Floats) -> float:
-    """Return the decimal unit in which all positions (rows,) of a log are printed; 0 if there is none.
+    """Return the decimal unit in which all positions (rows,) of a log are printed, or 0 if there is none.
 
     >>> last_digit(np.array([0.25, 0.5]))
     0.01
@@ -135,7 +135,7 @@ class Samples:
 
     @cached_property
     def least_change(self) -> float:
-        """Smallest position change above rounding, which is at least the sensor step; 0 for a constant position."""
+        """Smallest position change above rounding, which is at least the sensor step, or 0 for a constant position."""
         if self.fastest == 0:
             return 0.0
         seen = self.size[self.moves] if self.resting else self.size
@@ -274,7 +274,7 @@ class Samples:
 
     @cached_property
     def wall_edge(self) -> int:
-        """Row in which the command of a wall steps from about 0 by about the stated step; 0 if it does not."""
+        """Row in which the command of a wall steps from about 0 by about the stated step, or 0 if it does not."""
         if self.step_row is not None and self.step_row > 0:
             return self.step_row
         if self.step == 0:

@@ -23,7 +23,7 @@ MISSING = 1.5
 
 
 def other_period(time: Floats, period: float) -> float | None:
-    """Return the median time step if it differs from the stated sampling period [s]; otherwise None.
+    """Return the median time step if it differs from the stated sampling period [s], otherwise None.
 
     Both the median and the mean must differ. Lost rows change only the mean, and time stamps with few digits only the
     median.

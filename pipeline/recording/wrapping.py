@@ -92,7 +92,7 @@ def _joined(position: Floats, turns: Floats, modulus: float, jumps: Integers) ->
 
 
 def _modulus(position: Floats, change: Floats, jumps: Integers) -> tuple[float, bool] | None:
-    """Return the modulus that explains all jumps, and whether it is certain; None if there is no such modulus."""
+    """Return the modulus that explains all jumps, and whether it is certain, or None if there is no such modulus."""
     is_jump = np.zeros(len(change), dtype=np.bool_)
     is_jump[jumps] = True
     others = np.flatnonzero(~is_jump)

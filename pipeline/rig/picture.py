@@ -104,7 +104,7 @@ def _label(loop: Loop, quantity: Quantity) -> str:
 
 
 def _stiffest(loop: Loop, across: Quantity, up: Quantity) -> Floats:
-    """Compute the largest stable stiffness at each point, shape (up, across); nan for an invalid rig."""
+    """Compute the largest stable stiffness at each point, shape (up, across), or nan for an invalid rig."""
     parts, result = _parts(), np.full((_PLACES, _PLACES), np.nan)
     for i, j in np.ndindex(*result.shape):
         try:

@@ -22,7 +22,7 @@ _ANGLES = 4000
 
 @dataclass(frozen=True)
 class Sensor:
-    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device; 0 if unknown."""
+    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device, or 0 if unknown."""
 
     coulomb: float = 0.0
     quantum: float = 0.0
@@ -173,8 +173,8 @@ def published_limits(
     damping : array of float
         Damping B of the wall [Ns/m, Nms/rad].
     coulomb, quantum : float, optional
-        Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of the device; 0 if unknown. The default values are
-        taken from the loop.
+        Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of the device, or 0 if unknown. The default values
+        are taken from the loop.
 
     Returns
     -------

@@ -231,7 +231,7 @@ class Catalogue:
         return [{"device": d, "experiments": len(e), "trials": sum(one["trials"] for one in e)} for d, e in found]
 
     def trial(self, trial: str) -> dict[str, Any] | None:
-        """Return a trial as the API shows it; None if it does not exist."""
+        """Return a trial as the API shows it, or None if it does not exist."""
         rows = self._shown(self.run("SELECT * FROM trials WHERE id = ?", (trial,)))
         return rows[0] if rows else None
 
@@ -378,7 +378,7 @@ def _findings(time_quality: str) -> str:
 
 
 def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:
-    """Return a column of a stage in the order of the trials; None if it has no row or no value."""
+    """Return a column of a stage in the order of the trials, or None if it has no row or no value."""
     if stage is None:
         return [None] * len(ids)
     known = dict(zip(stage.column("trial_id").to_pylist(), stage.column(column).to_pylist(), strict=True))

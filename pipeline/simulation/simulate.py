@@ -244,7 +244,7 @@ def estimator_of(kind: VelocityFilter | None, sampling_period_s: float) -> tuple
     Parameters
     ----------
     kind : VelocityFilter or None
-        Velocity filter; None for the backward difference.
+        Velocity filter, or None for the backward difference.
     sampling_period_s : float
         Sampling period T that the controller uses [s].
     """

@@ -48,7 +48,7 @@ class Limits:
     Parameters
     ----------
     alpha : float64, shape (n,)
-        Stiffest wall of the interval that begins at alpha -> 0; nan if there is no such interval.
+        Stiffest wall of the interval that begins at alpha -> 0, or nan if there is no such interval.
     angle : float64, shape (n,)
         Angle of the pole that leaves the unit circle at the limit [rad/sample]; pi for a real pole.
     low, low_angle : float64, shape (n,)
@@ -76,7 +76,7 @@ class Outline:
     Parameters
     ----------
     beta : float64, shape (n,)
-        Sorted dampings; empty if no soft wall is stable.
+        Sorted dampings. The array is empty if no soft wall is stable.
     limits : Limits
         Limits at these dampings.
     part : int, shape (n,)
@@ -87,7 +87,7 @@ class Outline:
         Sorted dampings at which islands were searched for, including both sides of each damping at which an island
         begins or ends.
     alpha_max, beta_at_alpha_max : float
-        Stiffest wall, without islands; nan if there is none.
+        Stiffest wall, without islands, or nan if there is none.
     ends : tuple of float
         Infimum and supremum of beta, to the last bit. The limit may be defined only next to them.
     """
@@ -115,7 +115,7 @@ def limits(loop: NormalisedLoop, beta: Floats, *, exact: bool = True, floor: flo
     loop : NormalisedLoop
     beta : float64, shape (n,)
     exact : bool
-        Whether crossings are refined with many digits; otherwise they have double precision.
+        Whether crossings are refined with many digits. Otherwise, they have double precision.
     floor : float
         Softest wall, between -gamma and 0. Intervals that begin there or contain it are not islands. Intervals below it
         are ignored.
@@ -533,7 +533,7 @@ _SEEN = 0.1
 
 
 def step_limits(loop: NormalisedLoop, beta: Floats, share: float) -> Floats:
-    """Return the limit at dampings for oscillations with the amplitude of a step, F_0/(K + k); nan if not valid.
+    """Return the limit at dampings for oscillations with the amplitude of a step, F_0/(K + k), or nan if not valid.
 
     Parameters
     ----------

@@ -130,7 +130,7 @@ class PointCosts:
     stable : bool, shape (n,)
     spectral_radius : float64, shape (n,)
     costs : dict of float64, shape (n,)
-        Costs by criterion; NaN if there is no cost.
+        Costs by criterion, or NaN if there is no cost.
     reason : tuple of str or None, n
         Reason why costs are NaN.
     left_out : tuple of str, optional
@@ -257,7 +257,7 @@ def costs_of_walls(case: Case, walls: Floats, criteria: Sequence[str] = POINT_CO
 
 
 def _why_missing(loop: NormalisedLoop, alpha: float, radius: float, missing: list[str]) -> str | None:
-    """Return why a wall has no cost for some criteria; None if all costs exist."""
+    """Return why a wall has no cost for some criteria, or None if all costs exist."""
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
     if radius >= 1:
@@ -277,7 +277,7 @@ class Boundary:
     stiffness, damping : float64, shape (n,)
         Points along the limit; NaN between separate regions.
     stiffest, most_damped : (float, float), optional
-        Stiffness and damping at the largest stiffness and at the largest damping; None if no wall is stable.
+        Stiffness and damping at the largest stiffness and at the largest damping, or None if no wall is stable.
     islands : float64, shape (i, 3)
         Stable intervals beyond an unstable gap: damping, smallest and largest stiffness.
     """
@@ -291,7 +291,7 @@ class Boundary:
 
     @property
     def stiffness_max(self) -> float:
-        """Largest stable stiffness; NaN if no wall is stable."""
+        """Largest stable stiffness, or NaN if no wall is stable."""
         return math.nan if self.stiffest is None else self.stiffest[0]
 
     def columns(self) -> dict[str, list[Any]]:
@@ -396,7 +396,7 @@ def robust_boundary(case: Case) -> Boundary:
 
 
 def _unstable_rule(loop: NormalisedLoop, alpha: float, beta: float) -> str | None:
-    """Return why the wall of a tuning rule is unsuitable; None if this wall and all softer ones are stable."""
+    """Return why the wall of a tuning rule is unsuitable, or None if this wall and all softer ones are stable."""
     radius = float(spectral_radius(loop, alpha, beta)[0])
     if not stable_by_radius(loop, np.array([alpha]), np.array([radius]))[0]:
         return (
@@ -436,7 +436,7 @@ class Optimum:
 
     @property
     def reachable(self) -> Reachable | None:
-        """Lowest cost that the delay allows (5.19); None for criteria whose cost does not grow with the delay."""
+        """Lowest cost that the delay allows (5.19), or None for criteria whose cost does not grow with the delay."""
         whole = self.case.names.get("delay_samples", self.case.loop.delay)
         return reachable(self.criterion, whole) if is_criterion(self.criterion, COST_OF_DELAY) else None
 

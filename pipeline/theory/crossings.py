@@ -129,7 +129,7 @@ def value_in(node: Floats, share: float) -> tuple[float, float]:
 
 @inlined
 def enclosed_root(node: Floats, low: float, width: float) -> float:
-    """Return the only root of a node; -1 if doubles do not locate it within `ENCLOSED`."""
+    """Return the only root of a node, or -1 if doubles do not locate it within `ENCLOSED`."""
     n = node.shape[1] - 1
     left, right, first, last = 0.0, 1.0, node[0, 0], node[0, n]
     upward, middle = last > 0, 0.5
@@ -227,7 +227,7 @@ def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Ro
     digits : int
         Number of known digits of the coefficients, which is also the precision of the decimal context.
     sharp : bool
-        Whether roots are needed to the last digit of a double; otherwise they have about 11 digits.
+        Whether roots are needed to the last digit of a double. Otherwise, they have about 11 digits.
 
     Notes
     -----
@@ -277,7 +277,7 @@ def _roots_below_one(polynomial: list[Decimal], digits: int, sharp: bool) -> lis
 
 
 def _isolated(node: Floats, low: float, width: float) -> Floats | None:
-    """Return the simple roots of a node; None if doubles cannot decide."""
+    """Return the simple roots of a node, or None if doubles cannot decide."""
     size = node.shape[1]
     stack, places = np.empty((DEEPEST + NARROWEST, 2, size)), np.empty((DEEPEST + NARROWEST, 2))
     roots, count = np.empty(size), np.empty(1, np.int64)

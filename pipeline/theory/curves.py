@@ -60,7 +60,7 @@ class Curve:
     given : float64, shape (n,)
         Values of the given parameter.
     best, cost : float64, shape (n,)
-        Best value of the other parameter, and its cost (for damping ratios, the ratio itself); NaN if ``found`` is
+        Best value of the other parameter, and its cost (for damping ratios, the ratio itself), or NaN if ``found`` is
         False.
     low, high : float64, shape (n,)
         Ends of the range of equally good values. ``best`` is in the middle. Such ranges exist for the discrete settling
@@ -167,7 +167,8 @@ class _Lines:
 
 
 def _ends(loop: NormalisedLoop, given: Floats, stiffness_given: bool) -> tuple[Floats, Floats]:
-    """Return the slightly widened ends of the line through the stable region at each value; NaN if there is no line."""
+    """Return the slightly widened ends of the line through the stable region at each value, or NaN if there is no
+    line."""
     if stiffness_given:
         border, value = boundary(loop, _BOUNDARY_POINTS), given[:, None]
         level, other = border.alpha, border.beta

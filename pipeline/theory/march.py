@@ -172,7 +172,7 @@ def motion_at(curve: Floats, share: float) -> Three:
 
 @inlined
 def turn_of(curve: Floats) -> float:
-    """Return the share of a piece at which the velocity is zero; 1 if the motion does not turn."""
+    """Return the share of a piece at which the velocity is zero, or 1 if the motion does not turn."""
     end = motion_at(curve, 1.0)[1]
     if curve[1] * end >= 0:
         return 1.0
@@ -203,7 +203,7 @@ def passing(curve: Floats, level: float) -> float:
 def march(
     interval: Arrays, body: Arrays, notes: Arrays, span: tuple[int, int, int, int], requested: Arrays
 ) -> tuple[int, int]:
-    """Simulate a response from one sample to another or until rest; return the last sample and the kind of end.
+    """Simulate a response from one sample to another or until rest, and return the last sample and the kind of end.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def power_of(base: complex, exponent: int) -> complex:
 
 @inlined
 def over(top: complex, bottom: complex) -> complex:
-    """Return a ratio; NaN if the denominator is 0."""
+    """Return a ratio, or NaN if the denominator is 0."""
     return top * bottom.conjugate() * (1 / square(bottom))
 
 
@@ -313,7 +313,8 @@ def square(number: complex) -> float:
 
 @part
 def roots(modal: Arrays, wall: tuple[float, float], zeta: Floats, forces: Floats) -> bool:
-    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth); return whether the method converged.
+    """Find zeta = z - 1 of all poles from guesses, in place (Ehrlich and Aberth), and return whether the method
+    converged.
 
     ``forces`` is a work array.
     """
@@ -437,7 +438,8 @@ def are_complete(state: Floats, start: Floats) -> bool:
 
 @part
 def outlook(law: Floats, n: int, hull: Floats, pole: Floats, state: Floats, view: Floats) -> bool:
-    """Compute the contribution of modes to the motion in the interval after sample 0; return whether all modes decay.
+    """Compute the contribution of modes to the motion in the interval after sample 0, and return whether all modes
+    decay.
 
     The columns of ``view`` are the decay per sample, the real part of the pole, the largest size, the distance below
     zero that the mode keeps (for a real positive pole), a power of the pole (two columns), and its imaginary part.
@@ -541,7 +543,7 @@ def outweighs(view: Floats, lead: int, sample: float) -> bool:
 
 @inlined
 def below_a_peak(view: Floats, peak: float, sample: float) -> float:
-    """Return a number of samples in which envelopes keep the motion below a peak; infinity if they always do.
+    """Return a number of samples in which envelopes keep the motion below a peak, or infinity if they always do.
 
     The number is at least half of the largest possible one. The envelopes keep the motion below a peak if all modes
     that may rise above the final position are smaller than the peak, or while a real negative mode exceeds them. The
@@ -573,7 +575,8 @@ def below_a_peak(view: Floats, peak: float, sample: float) -> float:
 def settle(
     interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requested: Arrays, b: int, cutoff: float
 ) -> bool:
-    """Simulate a response into a band before its end, which is known from modes; return whether its entry was found.
+    """Simulate a response into a band before its end, which is known from modes, and return whether its entry was
+    found.
 
     A response outside the band at the cutoff is not simulated. ``ahead`` contains ``state`` and ``view`` of its modes,
     a sample, and arguments of `climb`.
@@ -605,7 +608,7 @@ def settle(
 
 @inlined
 def climb(interval: Arrays, body: Arrays, notes: Arrays, ahead: Arrays, requested: Arrays) -> bool:
-    """Simulate a response while it may exceed its peak; return whether it can no longer exceed the peak.
+    """Simulate a response while it may exceed its peak, and return whether it can no longer exceed the peak.
 
     ``ahead`` is as in `settle`, with the number of samples to simulate.
     """
@@ -646,8 +649,8 @@ def step_costs(interval: Arrays, modal: Arrays, walls: Arrays, requested: Arrays
         Settings of `march`; and the largest number of samples of a response, the number of samples before its modes are
         used, and the largest difference between a state and its modes, relative to its motion.
     given : tuple
-        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not provide them;
-        otherwise n = 0.
+        Poles and states of modes, shapes (n, modes) and (n, modes, states), if polynomials do not provide them.
+        Otherwise, n = 0.
     out : tuple
         Costs, shape (n, 2 bands + 2), as an output: settling times and overshoot of the samples, then of the motion;
         status, shape (n,); and arrays of `_work`.

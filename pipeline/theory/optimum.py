@@ -256,7 +256,7 @@ def nearest_to_line(loop: NormalisedLoop) -> float:
 
 
 def impulse_energy_limit(loop: NormalisedLoop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
-    """Return the limit of the impulse energy with w = 0 for alpha -> -gamma from above; infinity if unstable.
+    """Return the limit of the impulse energy with w = 0 for alpha -> -gamma from above, or infinity if unstable.
 
     Parameters
     ----------
@@ -432,7 +432,7 @@ class CleanRegion:
     alpha_max: float
 
     def cost(self, alpha: Floats, beta: Floats, _: float) -> Floats:
-        """Return 0 if there is no overshoot; otherwise infinity."""
+        """Return 0 if there is no overshoot, otherwise infinity."""
         if self.at_all:
             none = never_overshoots(self.loop, alpha, beta, continuous=self.continuous)
         else:
@@ -461,7 +461,7 @@ class CleanRegion:
         return lower
 
     def stiffest(self, betas: Floats) -> OptimalPoint | None:
-        """Return the stiffest point between sorted dampings; None if all points have overshoot."""
+        """Return the stiffest point between sorted dampings, or None if all points have overshoot."""
         count, soft = len(betas), -self.loop.gamma
         stiff = self.alpha_max - soft
         for share in _FLOORS:

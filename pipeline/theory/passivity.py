@@ -81,7 +81,7 @@ def required_damping(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Float
 
 
 def _slowest(loop: NormalisedLoop) -> float:
-    """Return the smallest distance of a filter pole from 1, which is its corner [rad/sample]; 1 without a filter."""
+    """Return the smallest distance of a filter pole from 1, which is its corner [rad/sample], or 1 without a filter."""
     poles = np.roots(loop.filter_in_z[1])
     return float(np.abs(1 - poles).min(initial=1.0))
 
@@ -122,7 +122,7 @@ def stiffest_passive(loop: NormalisedLoop, delta: float) -> tuple[float, float]:
 
 
 def passive_stiffness(loop: NormalisedLoop, delta: float, beta: Floats) -> Floats:
-    """Return the largest passive alpha at each beta, shape (n,); 0 if no wall with this damping is passive."""
+    """Return the largest passive alpha at each beta, shape (n,), or 0 if no wall with this damping is passive."""
     # slow motion requires delta + beta >= alpha (d + lag + 1/2)
     low, high = np.zeros(len(beta)), np.maximum(delta + beta, 0.0) / (loop.delay + loop.lag + 0.5)
     for _ in range(_BISECTIONS):

@@ -178,7 +178,7 @@ def damping_ratio(loop: NormalisedLoop, alpha: object, beta: object) -> Floats:
 
 
 def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, float] | None:
-    """Return alpha, beta and z of the triple real pole close to a modulus; None if there is none within 4 %.
+    """Return alpha, beta and z of the triple real pole close to a modulus, or None if there is none within 4 %.
 
     Notes
     -----

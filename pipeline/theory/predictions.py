@@ -82,7 +82,8 @@ class Theory:
 
     @cached_property
     def passive_outline(self) -> tuple[Floats, Floats] | None:
-        """Outline of the passive region, alpha and beta, for the damping of the device only; None if there is none."""
+        """Outline of the passive region, alpha and beta, for the damping of the device only, or None if there is
+        none."""
         if self.loop.damping <= 0 or self.normalised.plant.sensor_at_load:
             return None
         return passive_outline(self.normalised, self.loop.passive_damping / self.units.damping)
@@ -195,17 +196,17 @@ class Predictions:
         self._pool.close()
 
     def get(self, theory: Theory, criterion: str) -> Prediction | None:
-        """Return a requested optimum in physical units; None if it does not exist."""
+        """Return a requested optimum in physical units, or None if it does not exist."""
         found = self._known[theory.normalised, criterion]
         return None if isinstance(found, str) else theory.physical(found)
 
     def why(self, theory: Theory, criterion: str) -> str:
-        """Return why a requested optimum does not exist; empty if it exists."""
+        """Return why a requested optimum does not exist. The result is empty if the optimum exists."""
         found = self._known[theory.normalised, criterion]
         return found if isinstance(found, str) else ""
 
     def cost(self, loop: NormalisedLoop, criterion: str) -> float | None:
-        """Return the cost of a requested optimum; None if it does not exist."""
+        """Return the cost of a requested optimum, or None if it does not exist."""
         found = self._known[loop, criterion]
         return None if isinstance(found, str) else found.cost
 

@@ -132,7 +132,8 @@ def late_deviation(loop: NormalisedLoop, alpha: object, beta: object, first: obj
 def first_reached(
     loop: NormalisedLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
 ) -> tuple[Floats, Floats]:
-    """Return the times at which a step response first reaches deviations below zero, shape (levels, n); nan if never.
+    """Return the times at which a step response first reaches deviations below zero, shape (levels, n), or nan if
+    never.
 
     The first array is for the exact motion (nan unless ``between``), the second one for linearly interpolated samples.
     """
@@ -189,7 +190,7 @@ def _memory(loop: NormalisedLoop) -> int:
 
 
 def _levers(loop: NormalisedLoop, alpha: Floats) -> Floats:
-    """Return the largest effect of own states on the position, shape (n, own); 0 for filters and the last sample."""
+    """Return the largest effect of own states on the position, shape (n, own), or 0 for filters and the last sample."""
     lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
     rows = [np.ones_like(lever), lever]
     if loop.plant.has_mode:

@@ -240,7 +240,8 @@ def _not_chosen(
     result: MeasuredExperiment,
     trials: Sequence[str],
 ) -> str:
-    """Return the trial of the least cost, and why it was not chosen; empty if it was, or if no cost decides."""
+    """Return the trial of the least cost, and why it was not chosen. The reason is empty if the trial was chosen, or if
+    no cost decides."""
     least = result.optimum.get(criterion)
     if least is None or not least.cost < tested.cost[chosen]:
         return ""
@@ -293,7 +294,7 @@ class WallTrials:
 
 
 def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -> Floats:
-    """Return the median cost of the `NEIGHBOURS` of each usable trial with a cost; inf for the others."""
+    """Return the median cost of the `NEIGHBOURS` of each usable trial with a cost, or inf for the others."""
     judged = usable & np.isfinite(cost)
     level = np.full(len(cost), np.inf)
     if judged.sum() >= FEWEST:

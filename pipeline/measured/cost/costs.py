@@ -203,7 +203,7 @@ def _settled(size: Floats, width: float | Floats) -> int:
 
 
 def overshoot_floor(trial: Trial, response: Response) -> float:
-    """Return the apparent overshoot due to quantum, noise and motion before the step; 0 without wall or step."""
+    """Return the apparent overshoot due to quantum, noise and motion before the step, or 0 without wall or step."""
     if trial.stiffness <= 0 or trial.step == 0:
         return 0.0
     return (response.floor + response.baseline_motion) / abs(trial.step / trial.stiffness)
@@ -280,7 +280,7 @@ def rise_time(trial: Trial, response: Response, verdict: Verdict, error: Reading
 
 
 def _reached(share: Floats, level: float) -> float:
-    """Return the interpolated index at which a share is first reached; NaN if it is never reached."""
+    """Return the interpolated index at which a share is first reached, or NaN if it is never reached."""
     index = int(np.argmax(share >= level))
     if share[index] < level:
         return np.nan
@@ -299,7 +299,7 @@ class ReadingInputs:
     delay : int
         Number of samples before any feedback takes effect.
     sensor : float, optional
-        Standard deviation of the error of one reading [m, rad]; None if unknown.
+        Standard deviation of the error of one reading [m, rad], or None if unknown.
     gain : float
         `usual_gain` of the trials.
     spring : float
@@ -325,7 +325,7 @@ class CostInputs:
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor, for costs counted from the end of the delay.
     mass, mass_error : float
-        Effective mass or inertia at the wall, and its standard error [kg, kg m^2]; 0 for costs that do not need it.
+        Effective mass or inertia at the wall, and its standard error [kg, kg m^2], or 0 for costs that do not need it.
     """
 
     readings: ReadingInputs

@@ -84,7 +84,7 @@ class EnergyTerms:
     reason: str = ""
 
     def summed(self, mass: float, weights: tuple[float, ...] = WEIGHTS) -> Floats:
-        """Return the plain sums of k^w E_k/E_0 up to the horizon for each w; NaN if there is no cost."""
+        """Return the plain sums of k^w E_k/E_0 up to the horizon for each w, or NaN if there is no cost."""
         if self.reason:
             return np.full(len(weights), np.nan)
         energy = self.spring * self.error**2 + mass * self.inertia * self.change**2
@@ -104,8 +104,8 @@ def energy_terms(
     delay_samples : int
         Integer delay factor d of the experiment.
     level : float, optional
-        Distance from the final position above which the response is not at rest [m, rad]; default: `AT_REST` sensor
-        floors.
+        Distance from the final position above which the response is not at rest [m, rad]. The default is `AT_REST`
+        sensor floors.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def energy_terms(
 
 @dataclass(frozen=True, eq=False)
 class EnergyInterval:
-    """Discrete energy cost with its 95 % interval for each exponent w; NaN if there is no value.
+    """Discrete energy cost with its 95 % interval for each exponent w, or NaN if there is no value.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ LARGEST_REST = max(SETTLING_BANDS.values())
 
 @dataclass(frozen=True, eq=False)
 class ReadingError:
-    """Standard errors due to sensor noise and quantum in a log; NaN if a reason is given.
+    """Standard errors due to sensor noise and quantum in a log, or NaN if a reason is given.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     Parameters
     ----------
     noise, quantum : float64, shape (n,)
-        Noise and quantum of each trial [m, rad]; NaN if unknown. Pooled short baselines are far more accurate than a
+        Noise and quantum of each trial [m, rad], or NaN if unknown. Pooled short baselines are far more accurate than a
         single one. The median of different quanta is used, because a trial with little motion does not show the
         quantum.
     rows : int64, shape (n,)
@@ -146,7 +146,7 @@ def as_known(value: float, error: float | None = None) -> float:
 
 
 def gain_at_rest(trial: Trial, response: Response, delay_samples: int, sensor: float) -> float:
-    """Return the gain from the motion at the end of a trial; NaN if the trial is not at rest there.
+    """Return the gain from the motion at the end of a trial, or NaN if the trial is not at rest there.
 
     Parameters
     ----------
@@ -287,7 +287,8 @@ def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> 
 
 
 def _gain_at_rest(trial: Trial, response: Response, sensor: float, at_end: Floats) -> float:
-    """Return the gain that explains the motion at rest; NaN if not at rest. ``at_end`` is a result of `_answers`."""
+    """Return the gain that explains the motion at rest, or NaN if the device is not at rest. ``at_end`` is a result of
+    `_answers`."""
     last, before, first = (float(mean) * trial.step**2 for mean in at_end[:3])
     kept, fed_back = (float(mean) * sensor**2 for mean in at_end[3:])
     travel = abs(response.position_final_expected - response.position_start)

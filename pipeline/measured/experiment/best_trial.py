@@ -35,12 +35,12 @@ def choose_optimum(
     unstable: Booleans,
     floor: Floats | None = None,
 ) -> Optimum | None:
-    """Return the trial with the smallest cost; None if no trial has a cost.
+    """Return the trial with the smallest cost, or None if no trial has a cost.
 
     Parameters
     ----------
     cost : float64, shape (n,)
-        Cost of each trial; NaN if it has none.
+        Cost of each trial, or NaN if it has none.
     stiffness, damping : float64, shape (n,)
         K [N/m, Nm/rad] and B [Ns/m, Nms/rad].
     trial_id : tuple of str

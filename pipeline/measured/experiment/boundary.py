@@ -73,7 +73,7 @@ class _Columns:
 
 @dataclass(frozen=True, eq=False)
 class _Crossing:
-    """Zero of the growth rate over K at each damping, shape (dampings,); NaN if unknown.
+    """Zero of the growth rate over K at each damping, shape (dampings,), or NaN if unknown.
 
     ``scatter`` is the standard deviation of a single rate at the zero [1/s], and ``slope`` is the slope of the rate
     over K. ``bend`` is the error of a line due to the curvature of the rate [N/m, Nm/rad].
@@ -99,7 +99,7 @@ def boundary_band(
     verdict : array of str, shape (n,)
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float64, shape (n,)
-        Growth rate of each trial from `verdict.judge` [1/s]; NaN if unknown.
+        Growth rate of each trial from `verdict.judge` [1/s], or NaN if unknown.
 
     Returns
     -------
@@ -304,7 +304,7 @@ def _pooled(scatter: Floats) -> Floats:
 
 
 def _medians(rows: Floats) -> Floats:
-    """Return the median of the finite values in each row; NaN if there are none."""
+    """Return the median of the finite values in each row, or NaN if there are none."""
     if rows.shape[1] == 0:
         return np.full(len(rows), np.nan)
     known = np.isfinite(rows).sum(axis=1)

@@ -102,7 +102,8 @@ def first_change(of: Experiment) -> Estimate:
 
 
 def delay_factor(of: Experiment) -> tuple[int, int, int] | None:
-    """Return the smallest, most likely and largest integer delay factor for the start of costs; None without a delay.
+    """Return the smallest, most likely and largest integer delay factor for the start of costs, or None without a
+    delay.
 
     The delay of the model is rounded down. A delay just below a whole number, within the accuracy of a fit, is rounded
     to that number. If the delay jitters, its mean is rounded, and the first position changes give the range. Without a
@@ -191,7 +192,7 @@ def model_check(of: Experiment) -> ModelCheck:
 
 
 def standard_error(estimate: Estimate) -> float:
-    """Return the standard error that corresponds to a 95 % interval; 0 if there is none."""
+    """Return the standard error that corresponds to a 95 % interval, or 0 if there is none."""
     if estimate.low is None or estimate.high is None:
         return 0.0
     return (estimate.high - estimate.low) / (2 * NORMAL_95)

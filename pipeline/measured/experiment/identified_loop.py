@@ -93,8 +93,8 @@ class IdentifiedLoop:
     scatter : dict of str to float
         Standard deviations of parameters from run to run.
     folds : tuple of dict of str to float
-        Values if one fold of the trials is left out (every fifth trial, starting at the first, the second and so on);
-        empty if unknown.
+        Values if one fold of the trials is left out (every fifth trial, starting at the first, the second and so on).
+        They are empty if unknown.
     bounds : dict of str to float
         Upper ends of parameters that the loop does not have. If the delay cannot be separated from a lag below one
         sample, also the other end of the delay.
@@ -176,7 +176,7 @@ class IdentifiedLoop:
     @cached_property
     def ends(self) -> tuple[tuple[Loop, Loop], ...]:
         """Loops at both ends of each principal axis of the 95 % region, and a pair with the longest lag that the delay
-        may include; empty if the parameters are exact."""
+        may include. The tuple is empty if the parameters are exact."""
         if not self.covariance.any():
             return ()
         ends = [(self.shifted(-axis), self.shifted(axis)) for axis in self.axes]
@@ -224,7 +224,8 @@ class IdentifiedLoop:
         return Interval(value, low, high)
 
     def why_unknown(self, name: str) -> str:
-        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy; '' if meaningful."""
+        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy, or '' if
+        meaningful."""
         number = self.interval(name) if name in self.values else None
         wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if PARAMETERS[name].dimension == "force":
@@ -261,7 +262,7 @@ def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["moto
 
 
 def identified_loop(of: Experiment) -> IdentifiedLoop | None:
-    """Return the identified loop of an experiment from its stage `device`; None if its mass is not identified."""
+    """Return the identified loop of an experiment from its stage `device`, or None if its mass is not identified."""
     (row,) = of.table("device").to_pylist()
     return None if row["parameter_names"] is None else loop_from_row(row, of.sampling_period_s, of.motion)
 

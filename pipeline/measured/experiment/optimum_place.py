@@ -62,7 +62,7 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
     -------
     float or None
         Robust standard deviation (1.48 times the median) of the relative residuals, corrected for the degrees of
-        freedom of the fit; None for fewer trials than `NEIGHBOURS`.
+        freedom of the fit, or None for fewer trials than `NEIGHBOURS`.
 
     Notes
     -----
@@ -101,6 +101,6 @@ def _neighbours(place: Floats) -> Integers:
 
 
 def _step_of(values: Floats) -> float:
-    """Return the median distance between neighbouring tested values; 1 if there is only one value."""
+    """Return the median distance between neighbouring tested values, or 1 if there is only one value."""
     levels = np.unique(values)
     return float(np.median(np.diff(levels))) if len(levels) > 1 else 1.0

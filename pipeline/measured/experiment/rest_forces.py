@@ -36,7 +36,8 @@ class RestForces:
 
     ``typical`` is their median [N, Nm]. ``off`` of ``of`` logs have a displacement above the sensor resolution.
     ``constant`` is whether they are the same force along the step, and not friction. ``spring`` is the stiffness k
-    [N/m, Nm/rad] of a device that rests at x_0 + F_0/(K + k) in all logs; 0 otherwise.
+    [N/m, Nm/rad] of a device that rests at x_0 + F_0/(K + k) in all logs. It is 0 if the logs do not show such a
+    spring.
     """
 
     typical: float
@@ -77,7 +78,11 @@ def rest_forces(of: Experiment) -> RestForces:
 
 
 def rest_spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad] of the device: the declared one, else from rest positions; 0 without one."""
+    """Return the stiffness k [N/m, Nm/rad] of the device.
+
+    It is the declared stiffness, or otherwise the stiffness that follows from the rest positions. It is 0 if there is
+    neither.
+    """
     return of.spring or of.once(rest_forces).spring
 
 

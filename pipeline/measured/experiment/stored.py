@@ -58,7 +58,7 @@ class Experiment(Protocol):
 
     @property
     def spring(self) -> float:
-        """Stiffness k of the device as declared in its file [N/m, Nm/rad]; 0 if none is declared."""
+        """Stiffness k of the device as declared in its file [N/m, Nm/rad], or 0 if none is declared."""
 
     @property
     def measuring(self) -> Measuring:

@@ -117,7 +117,7 @@ def find_trends(
 def drift_warning(
     trend: Trend, x: Floats, value: float, least: float, unit: str, *, motion: Motion = "translation"
 ) -> str:
-    """Return a sentence about a drift that is significant and larger than ``least``; otherwise an empty string.
+    """Return a sentence about a drift that is significant and larger than ``least``, otherwise an empty string.
 
     Parameters
     ----------

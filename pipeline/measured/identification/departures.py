@@ -27,7 +27,8 @@ CAUSES = {
 
 
 def departure(choice: Choice) -> str:
-    """Return a sentence that names what the errors of a device depend on; empty if they depend on nothing known.
+    """Return a sentence that names what the errors of a device depend on. The result is empty if they depend on nothing
+    known.
 
     R^2 is the share of the variance of n errors that lies between g groups. It is adjusted for chance:
     1 - (1 - R^2) (n - 1)/(n - g).

@@ -85,7 +85,7 @@ def first_guesses(segments: Segments, names: Sequence[str], most_delay: float) -
 
 
 def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) -> dict[str, float]:
-    """Return the numbers of the balance with the best delay; an empty dict if no motion follows the command."""
+    """Return the numbers of the balance with the best delay, or an empty dict if no motion follows the command."""
     numbers, lefts, weights = _robust(products)
     gain = names.index("gain")
     signs = np.stack([_left(products, numbers, floor), *np.full((2, len(delays)), np.inf)], axis=1)

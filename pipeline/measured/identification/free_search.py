@@ -65,7 +65,7 @@ MODE = {name for part in SENSED.values() for name in PARTS[part].numbers}
 
 
 def free_fit(segments: Segments, device: Device, steps: int = STEPS) -> tuple[Segments, Fit]:
-    """Fit free runs near a device; return the segments with the filter that whitens the errors, and the fit."""
+    """Fit free runs near a device, and return the segments with the filter that whitens the errors, and the fit."""
     segments = replace(segments, free=WHITE_ERRORS)
     fit = climbed(segments, replace(device, noise=WHITE, effects=None), steps)
     for _ in range(NOISE_ROUNDS):
@@ -92,7 +92,7 @@ def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
 
 
 def with_mode(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Segments, Fit, dict[str, float]] | None:
-    """Return segments, fit and parts of a device with friction and a mode; None if free runs do not require a mode.
+    """Return segments, fit and parts of a device with friction and a mode, or None if free runs do not require a mode.
 
     ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
     accepted if its likelihood exceeds the others by its threshold and at most `LEFT` of the variance of free-run errors
@@ -124,7 +124,7 @@ def with_mode(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Se
 
 
 def _load_parts(fit: Fit) -> dict[str, float]:
-    """Return the likelihood gains of damping and friction on the load; 0 if the logs do not identify them."""
+    """Return the likelihood gains of damping and friction on the load, or 0 if the logs do not identify them."""
     from pipeline.measured.identification.intervals import Errors
 
     gains = {}

@@ -111,7 +111,7 @@ def largest_command(recordings: list[Recording]) -> float:
 
 
 def sensor_resolution(recordings: list[Recording]) -> float:
-    """Return the coarsest position resolution of the recordings [m, rad]; 0 if none is visible."""
+    """Return the coarsest position resolution of the recordings [m, rad], or 0 if none is visible."""
     return max(each.rounding for each in recordings) * float(np.sqrt(12.0))
 
 
@@ -178,7 +178,7 @@ def reasons(
     """Return one sentence for each given parameter: why it is not identifiable, and what to record.
 
     ``slow_rows`` is whether the command explains the motion without an inertia. ``misfit`` is the reason why no device
-    explains the motion; empty if one does.
+    explains the motion. It is empty if a device does.
     """
     resolution = sensor_resolution(recordings)
     travel = max(float(np.ptp(each.position)) for each in recordings)

@@ -139,12 +139,12 @@ class Identification:
 
     @property
     def fit_percent(self) -> float | None:
-        """Median fit of the free runs; None if no log could be replayed."""
+        """Median fit of the free runs, or None if no log could be replayed."""
         return medians(self.replay)[0]
 
     @property
     def naive_percent(self) -> float | None:
-        """Median fit of a motion with constant velocity or acceleration; None if no log could be replayed."""
+        """Median fit of a motion with constant velocity or acceleration, or None if no log could be replayed."""
         return medians(self.replay)[1]
 
 
@@ -236,7 +236,8 @@ def _is_slow(errors: Errors) -> bool:
 
 
 def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
-    """Return the mass per unit of command for each direction, and the asymmetry; empty without an asymmetry."""
+    """Return the mass per unit of command for each direction, and the asymmetry. The result is empty without an
+    asymmetry."""
     if "asymmetry" not in errors.numbers:
         return {}
     mass = ESTIMATED["mass"].quantity(units)

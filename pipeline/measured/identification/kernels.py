@@ -120,7 +120,7 @@ STEADY = 1e-14
 
 @compiled("Tuple((f8[::1],f8))(f8[:,::1],f8[::1],f8[::1],f8)")
 def steady_gain(F: Floats, W: Floats, H: Floats, q: float) -> tuple[Floats, float]:
-    """Return the gain (n,) of the steady-state filter and the variance of its prediction errors; NaN if none exists.
+    """Return the gain (n,) of the steady-state filter and the variance of its prediction errors, or NaN if none exists.
 
     The memory of the initial state is doubled until convergence:
 

@@ -123,7 +123,7 @@ class Device:
         return replace(self, numbers=moved)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
-        """Return a number for the trial of each segment, shape (S,); 0 if the device does not have this number."""
+        """Return a number for the trial of each segment, shape (S,), or 0 if the device does not have this number."""
         common = np.full(len(trials), self.numbers.get(name, 0.0))
         if self.effects is None or name not in self.numbers:
             return common
@@ -361,7 +361,7 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
 
 
 def portions_of(segments: Segments) -> int:
-    """Return the number of portions of each segment; 0 for at least `FEWEST` trials, which are units themselves."""
+    """Return the number of portions of each segment, or 0 for at least `FEWEST` trials, which are units themselves."""
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 

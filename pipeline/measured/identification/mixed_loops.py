@@ -151,7 +151,7 @@ def likeliest_noise(squares: Floats, rows: Floats, near: float, least: float) ->
 
 @part
 def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> float:
-    """Whiten columns (T, p, p + 1) by the variances (p,) between units; return minus half the log determinants."""
+    """Whiten columns (T, p, p + 1) by the variances (p,) between units, and return minus half the log determinants."""
     T, p = len(plain), len(variances)
     log, mixed = 0.0, False
     for j in range(p):
@@ -182,7 +182,7 @@ def whiten(columns: Floats, plain: Floats, variances: Floats, root: Floats) -> f
 
 @part
 def regress(columns: Floats, rest: Floats, known: Floats, outputs: Any, work: Floats) -> float:
-    """Compute the maximum-likelihood step for whitened columns with a prior (2, p); return the log determinant.
+    """Compute the maximum-likelihood step for whitened columns with a prior (2, p), and return the log determinant.
 
     The results are written to ``outputs``: step (p,), sums of squares (T,) before and after the step, and inverse
     information (p, p). The determinant is that of the information.

@@ -68,7 +68,7 @@ class PlantShape:
 
     @property
     def load_mass(self) -> float:
-        """Mass of the load for a total mass of 1; 0 without a mode."""
+        """Mass of the load for a total mass of 1, or 0 without a mode."""
         if not self.spring_damping_fraction:
             return self.load_mass_fraction
         lost = 2 * self.mode_damping_ratio * self.mode_frequency * (1 - self.spring_damping_fraction)

@@ -28,7 +28,7 @@ class Noise:
     force : float
         Variance of the random force over a sample, relative to the variance of a reading.
     late : float
-        Variance of the force per unit of command, relative to the variance of a reading; 0 without jitter.
+        Variance of the force per unit of command, relative to the variance of a reading, or 0 without jitter.
     jitter : float
         Standard deviation of the age of the applied command [samples].
     jitter_error : float

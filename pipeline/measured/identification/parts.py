@@ -151,7 +151,7 @@ class ChosenParts:
     lead : int
         Number of rows before a segment whose commands may still act in it due to the delay.
     parts : dict of str to float
-        Gain of cross-validated log-likelihood of each part; 0 if undecided.
+        Gain of cross-validated log-likelihood of each part, or 0 if undecided.
     assumed : tuple of str
         Names of parameters that are assumed to be zero.
     bounds : dict of str to float
@@ -512,7 +512,7 @@ def _likelihood(segments: Segments, device: Device) -> float:
 def _pruned(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]]:
-    """Remove friction and spring if they only imitated another part; return segments, fit and parts.
+    """Remove friction and spring if they only imitated another part, and return segments, fit and parts.
 
     Friction that another part has hidden is added.
     """
@@ -582,7 +582,7 @@ def _further(
 
 
 def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | None:
-    """Return the fit with an additional part, starting from a given device; None if it is not better than ``plain``.
+    """Return the fit with an additional part, starting from a given device, or None if it is not better than ``plain``.
 
     ``plain`` is the fit without the part, and ``white`` is the same with reading noise only. A real part makes the
     motion more likely in both cases.

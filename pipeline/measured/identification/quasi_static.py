@@ -31,7 +31,8 @@ FASTEST = 2.0
 
 
 def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
-    """Return the damping [Ns/m, Nms/rad per unit of command] of a device without visible inertia; None if visible.
+    """Return the damping [Ns/m, Nms/rad per unit of command] of a device without visible inertia, or None if its
+    inertia is visible.
 
     The displacement over a window is x_1 - x_0 = (U - t_a (u_1 - u_0) - c S)/b + v_0 t. U is the trapezoidal integral
     of the command, t_a is the sum of delay and time constant, and c is Coulomb friction. S is the duration of forward
@@ -48,7 +49,8 @@ def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:
 
 
 def _estimate(recordings: Sequence[Recording], known: float) -> tuple[float, float] | None:
-    """Return the damping and its standard error from windows with a slowly changing command; None if not available."""
+    """Return the damping and its standard error from windows with a slowly changing command, or None if not
+    available."""
     rows = [_windows(each, known) for each in recordings if len(each.time) >= 4 * WINDOW]
     if not rows:
         return None

@@ -64,7 +64,7 @@ class Recording:
 
     @cached_property
     def rounding(self) -> float:
-        """Standard deviation of the rounding of a reading; 0 if no rounding is visible."""
+        """Standard deviation of the rounding of a reading, or 0 if no rounding is visible."""
         return rounding(self.position)
 
 
@@ -129,5 +129,5 @@ def reading_noise(position: Floats) -> float:
 
 
 def rounding(position: Floats) -> float:
-    """Return the standard deviation of a reading's rounding to the sensor resolution; 0 if none is visible."""
+    """Return the standard deviation of a reading's rounding to the sensor resolution, or 0 if none is visible."""
     return position_quantum(position) / float(np.sqrt(12.0))

@@ -63,7 +63,7 @@ def refined(
     far : bool
         Whether the search starts far from the solution, so that scatter between trials could explain everything.
     noisy : bool
-        Whether the noise is estimated; otherwise it is not changed.
+        Whether the noise is estimated. Otherwise, it is not changed.
     jitters : bool
         Whether the noise may include a jitter of the delay.
     """

@@ -58,7 +58,7 @@ class Segments:
         First row in which forces act. Friction keeps the device at rest before it. `ALWAYS` for a segment that does not
         start at rest.
     direction : float64, shape (S,)
-        Direction of motion; 0 if it is not needed.
+        Direction of motion, or 0 if it is not needed.
     distinct, least : float64, shape (S,)
         Number of readings that contain new information, and variance of a reading due to rounding only.
     lead : int
@@ -212,7 +212,7 @@ def segments_of(
 
 
 def _even(time: Floats) -> Floats:
-    """Return times [samples] on an even grid if they deviate by less than `REGULAR` from it; otherwise unchanged."""
+    """Return times [samples] on an even grid if they deviate by less than `REGULAR` from it, otherwise unchanged."""
     if len(time) < SHORTEST:
         return time
     index = np.arange(len(time))
@@ -265,7 +265,7 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
 
 
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
-    """Return the row of a command edge that sets the device in motion from rest; None if there is none."""
+    """Return the row of a command edge that sets the device in motion from rest, or None if there is none."""
     if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
         # after a reversal, the device does not start from rest
         return None if seen.direction[each.edge : moves].any() else each.edge

@@ -51,10 +51,10 @@ class Disturbance:
     Parameters
     ----------
     first_row, largest_row : int
-        First row at which the force balance is violated, and row at which the force is largest; -1 if it is not
-        violated, or unknown.
+        First row at which the force balance is violated, and row at which the force is largest. Both are -1 if the
+        balance is not violated or is unknown.
     force : float
-        Largest disturbance with its sign, averaged over some samples [N, Nm]; 0 if there is none.
+        Largest disturbance with its sign, averaged over some samples [N, Nm], or 0 if there is none.
     """
 
     first_row: int = NO_ROW

@@ -85,7 +85,7 @@ def external_force(trial: Trial) -> Floats:
 
 
 def position_change(trial: Trial) -> Floats:
-    """Return the change of the position since the previous row, shape (rows,) [m, rad]; 0 in the first row."""
+    """Return the change of the position since the previous row, shape (rows,) [m, rad], or 0 in the first row."""
     change = np.zeros_like(trial.position)
     np.subtract(trial.position[1:], trial.position[:-1], out=change[1:])
     return change
@@ -147,7 +147,7 @@ def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
 
 
 def level_before(force: Floats, row: int, step: float) -> float:
-    """Return the level of a force before a row [N, Nm]; 0 if it has no level or one close to 0."""
+    """Return the level of a force before a row [N, Nm], or 0 if it has no level or one close to 0."""
     near = LEVEL * abs(step)
     level = middle(force[:row]) if row > 0 else 0.0
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
@@ -239,7 +239,7 @@ def lasting(rows: Booleans, samples: int) -> Booleans:
 
 
 def first_run(rows: Booleans) -> int:
-    """Return the first row from which `EDGE_SAMPLES` consecutive rows are true; -1 if there is none.
+    """Return the first row from which `EDGE_SAMPLES` consecutive rows are true, or -1 if there is none.
 
     >>> first_run(np.array([True, False, True, True, True, True]))
     2

@@ -34,7 +34,7 @@ def usual_length(rows: Integers) -> int:
 
 
 def left_travel(trial: Trial, response: Response, usual: int) -> int:
-    """Return the last row of a log that ended because the device left its travel; -1 for other logs.
+    """Return the last row of a log that ended because the device left its travel, or -1 for other logs.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def left_travel(trial: Trial, response: Response, usual: int) -> int:
 
 
 def first_stop(trial: Trial, response: Response, outside: Disturbance, device: PushResponse) -> int:
-    """Return the first row at a rigid stop; -1 if there is none.
+    """Return the first row at a rigid stop, or -1 if there is none.
 
     Parameters
     ----------

@@ -76,7 +76,7 @@ class _Evidence:
     short: bool
 
     def growth(self) -> str:
-        """Return the growth rate as the end of a sentence; empty if unknown."""
+        """Return the growth rate as the end of a sentence. The text is empty if the rate is unknown."""
         rate = self.verdict.growth_per_s
         return "" if np.isnan(rate) else f"; {'grows' if rate > 0 else 'decays'} by {abs(rate):.3g} per second"
 

@@ -44,18 +44,18 @@ class Release:
     Parameters
     ----------
     begin : int
-        First row in which the external force has changed, or the last row at rest before a hand moves the device; -1 if
-        there is no free motion.
+        First row in which the external force has changed, or the last row at rest before a hand moves the device, or -1
+        if there is no free motion.
     free : int
-        First row from which the external force is constant; -1 if there is no free motion.
+        First row from which the external force is constant, or -1 if there is no free motion.
     level : float
-        External force after the motion begins, minus the force before [N, Nm]; 0 after a hit.
+        External force after the motion begins, minus the force before [N, Nm], or 0 after a hit.
     size : float
         Largest change of the external force. If it is constant, the wall force at the first reversal [N, Nm].
     kind : {"", "release", "hit"}
         Whether the device was released from a position, or hit.
     reason : str
-        Reason why there is no free motion; empty otherwise.
+        Reason why there is no free motion. It is empty otherwise.
     """
 
     begin: int = NO_ROW
@@ -104,7 +104,7 @@ def find_release(trial: Trial) -> Release:
 
 
 def _onset(displacement: Floats, quantum: float) -> int | None:
-    """Return the first row in which the device has moved by more than quantum and noise; None if it never moves."""
+    """Return the first row in which the device has moved by more than quantum and noise, or None if it never moves."""
     noise = white_noise(displacement[:NOISE_ROWS]) if len(displacement) > 2 * NOISE_ROWS else 0.0
     moved = np.flatnonzero(np.abs(displacement) > sensor_floor(quantum, noise))
     return int(moved[0]) if len(moved) else None

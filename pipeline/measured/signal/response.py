@@ -26,7 +26,7 @@ class Response:
     Parameters
     ----------
     edge_row : int
-        Row of the command edge k0, counted from 0; -1 if there is none.
+        Row of the command edge k0, counted from 0, or -1 if there is none.
     level : float
         External force before the step [N, Nm]. It is 0 unless the step starts from an operating point.
     steps : int
@@ -35,21 +35,21 @@ class Response:
     position_start : float
         First position, at which the wall force is zero [m, rad].
     position_final_expected : float
-        x_0 + F_0/K (6.1) [m, rad]; NaN if K <= 0, or without a step.
+        x_0 + F_0/K (6.1) [m, rad], or NaN if K <= 0 or there is no step.
     position_final_measured : float
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float
-        Step of the grid on which all positions lie [m, rad]; 0 if there is no grid, or for an integrated velocity.
+        Step of the grid on which all positions lie [m, rad], or 0 if there is no grid, or for an integrated velocity.
     sensor_noise : float
-        Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a baseline.
+        Standard deviation of the white noise of the positions before the edge [m, rad], or NaN without a baseline.
     floor : float
-        Position amplitude that quantum and noise can cause [m, rad]; 0 for an ideal log.
+        Position amplitude that quantum and noise can cause [m, rad], or 0 for an ideal log.
     baseline_motion : float
-        Peak-to-peak motion before the step if the sensor cannot cause it [m, rad]; otherwise 0.
+        Peak-to-peak motion before the step if the sensor cannot cause it [m, rad], otherwise 0.
     reason : str
-        Reason for missing values; empty if no value is missing.
+        Reason for missing values. It is empty if no value is missing.
     edge_reason : str
-        Reason why there is no command edge; empty if there is one.
+        Reason why there is no command edge. It is empty if there is one.
     """
 
     edge_row: int
@@ -192,7 +192,7 @@ def reach(trial: Trial, final: float, first: int, entry: int, growth: float, noi
     first, entry : int
         Row in which the response begins, and row from which it is inside the required band.
     growth : float
-        Growth rate of the slowest mode per sample; NaN if unknown.
+        Growth rate of the slowest mode per sample, or NaN if unknown.
     noise : float
         Standard error of a late reading [m, rad].
 

@@ -61,7 +61,7 @@ def sensor_floor(quantum: Size, noise: Size) -> Size:
 
 
 def position_quantum(position: Floats) -> float:
-    """Return the step of the coarsest grid on which positions (rows,) lie; 0 if there is none.
+    """Return the step of the coarsest grid on which positions (rows,) lie, or 0 if there is none.
 
     Single precision and printed digits put the positions on a finer grid that is not due to the sensor. A coarser grid
     takes precedence if the positions lie on it up to this rounding.
@@ -102,7 +102,8 @@ def position_quantum(position: Floats) -> float:
 
 @compiled("f8(f8[::1], f8, f8, f8, f8)")
 def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: float) -> float:
-    """Return the step of a grid that contains at least ``fewest`` changes of up to ``most`` steps; 0 if none.
+    """Return the step of a grid that contains at least ``fewest`` changes of up to ``most`` steps, or 0 if there is
+    none.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ def _grid(size: Floats, smallest: float, tolerance: float, most: float, fewest: 
 
 
 def white_noise(position: Floats) -> float:
-    """Return the standard deviation of white noise [m, rad] from second differences; NaN for too few positions."""
+    """Return the standard deviation of white noise [m, rad] from second differences, or NaN for too few positions."""
     if len(position) < BASELINE_SAMPLES:
         return np.nan
     return float(np.sqrt(np.mean(np.diff(position, n=2) ** 2) / NOISE_GAIN))

@@ -61,10 +61,10 @@ class Verdict:
     verdict : str
         ``stable``, ``unstable`` or ``undecided``.
     growth_per_s : float
-        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN if unknown. If K = 0, the growth
-        rate of the acceleration, which is -(b + B)/m for small (b + B).
+        Growth rate of the fastest growing (slowest decaying) visible mode [1/s], or NaN if unknown. If K = 0, the
+        growth rate of the acceleration, which is -(b + B)/m for small (b + B).
     reason : str
-        Reason why a trial is undecided or has no growth rate; empty otherwise.
+        Reason why a trial is undecided or has no growth rate. It is empty otherwise.
     """
 
     verdict: str
@@ -261,7 +261,7 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 
 
 def _hidden(views: Views, response: Response) -> float:
-    """Return the growth per sample of a component that grows within or below a decaying motion; NaN if unknown.
+    """Return the growth per sample of a component that grows within or below a decaying motion, or NaN if unknown.
 
     Differences reveal a vibration that is hidden by a slow motion; their error is twice as large. Unless noise blurs
     it, the quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
@@ -319,14 +319,15 @@ def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
 
 
 def _last_swing(signal: Floats, moving: Integers) -> int:
-    """Return the number of rows between the last two reversals of a motion, from its rows in motion; 0 if fewer."""
+    """Return the number of rows between the last two reversals of a motion, from its rows in motion, or 0 if there are
+    fewer."""
     ahead = signal[moving] > 0
     turns = moving[1:][ahead[1:] != ahead[:-1]]
     return int(turns[-1] - turns[-2]) if len(turns) > 1 else 0
 
 
 def _half_range(position: Floats) -> float:
-    """Return half the range of positions; 0 for an empty array."""
+    """Return half the range of positions, or 0 for an empty array."""
     return 0.5 * float(position.max() - position.min()) if len(position) else 0.0
 
 

@@ -199,7 +199,7 @@ class ExperimentStages:
         return stage_file(self.processed, self.device, self.experiment, stage)
 
     def table(self, stage: str) -> pa.Table:
-        """Return the result of a stage, from memory or from its file; otherwise compute and store it."""
+        """Return the result of a stage, from memory or from its file. If it is not stored, compute and store it."""
         if stage not in self._tables:
             file = self._file(stage)
             if file is not None and self.is_stored(stage):
@@ -359,7 +359,8 @@ class ExperimentStages:
         return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
 
     def cost_reasons(self, criterion: str) -> list[str]:
-        """Return why each trial has no cost by a criterion, or a doubtful one; empty if there is no reason."""
+        """Return why each trial has no cost by a criterion, or a doubtful one. The result is empty if there is no
+        reason."""
         return self._costs(criterion)[3]
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
@@ -385,7 +386,7 @@ class ExperimentStages:
         return self._other_costs[criterion]
 
     def floor(self, criterion: str) -> Floats | None:
-        """Return the apparent cost of each trial due to sensor and chatter; None if the criterion has none."""
+        """Return the apparent cost of each trial due to sensor and chatter, or None if the criterion has none."""
         family = criterion_of(criterion).family
         return self.column(family.name, family.floor) if family.floor else None
 
@@ -395,11 +396,12 @@ class ExperimentStages:
         return cost if floor is None else np.where(without_overshoot(cost, floor), 0.0, cost)
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
-        """Return the lower and the upper end of the 95 % interval of each trial's cost; NaN if there is none."""
+        """Return the lower and the upper end of the 95 % interval of each trial's cost, or NaN if there is none."""
         return self._costs(criterion)[1:3]
 
     def optimum(self, criterion: str, limits: Sequence[BoundaryPoint] = ()) -> Optimum | None:
-        """Return the best trial by a criterion, with its margin to measured limits; None if no trial has this cost."""
+        """Return the best trial by a criterion, with its margin to measured limits, or None if no trial has this
+        cost."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
         # a trial that obeys another wall than the stated one did not test the stated wall

@@ -61,7 +61,7 @@ Law = Callable[[LogRows], Departures | None]
 
 
 def explanation(log: LogRows) -> Departures | None:
-    """Return the departures of the first candidate that explains all rows; None if no candidate does.
+    """Return the departures of the first candidate that explains all rows, or None if no candidate does.
 
     Positions on a grid may be the exact readings of the controller, or may have been rounded when they were printed.
     """
@@ -90,7 +90,7 @@ def _shifted(law: Law, *shifts: int) -> Law:
 
 
 def hidden(log: LogRows) -> Departures | None:
-    """Return the rows after missing rows, as implied by the law alone; None if they do not explain the log."""
+    """Return the rows after missing rows, as implied by the law alone, or None if they do not explain the log."""
     rows = hidden_rows(log)
     if not len(rows):
         return None
@@ -162,7 +162,7 @@ def _offset(log: LogRows) -> Departures | None:
 
 
 def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
-    """Return the constant value of a residual in some rows; None if it is not constant."""
+    """Return the constant value of a residual in some rows, or None if it is not constant."""
     residual, rounding = log.residual[rows], log.rounding[rows]
     if not len(residual):
         return None

@@ -47,11 +47,11 @@ class Printed:
     digits : int
         Smallest number of significant digits that represents all numbers, at most `FULL_DIGITS`.
     decimal : float
-        Half a unit in the last common decimal of all numbers; 0 if there is none.
+        Half a unit in the last common decimal of all numbers, or 0 if there is none.
     single : bool
         Whether the numbers have single precision, or had it before they were printed.
     half : float64, shape (N,)
-        Half a unit in the last digit of each number; 0 for 0.
+        Half a unit in the last digit of each number, or 0 for 0.
     """
 
     digits: int
@@ -99,7 +99,7 @@ def _printed(size: Floats) -> Printed:
 
 
 def stated_resolution(values: Floats) -> Floats:
-    """Return half a unit in the last digit of the numbers of a header; 0 if all have few digits.
+    """Return half a unit in the last digit of the numbers of a header, or 0 if all have few digits.
 
     All numbers are assumed to have the same format, since a number that ends in zeros seems to have fewer digits.
     """
@@ -114,7 +114,7 @@ def _digits(size: Floats) -> int:
 
 
 def _exponent(size: Floats) -> Floats:
-    """Return the exponent (power of ten) of the first digit; 0 for a number of 0."""
+    """Return the exponent (power of ten) of the first digit, or 0 for a number of 0."""
     with np.errstate(divide="ignore"):
         result: Floats = np.where(size > 0, np.floor(np.log10(size) + _EPS), 0.0)
     return result
@@ -134,14 +134,14 @@ def _on_grid(size: Floats, decimals: Floats | int) -> Booleans:
 
 
 def _of_decimals(size: Floats) -> float:
-    """Return half a unit in the last common decimal of all numbers; 0 if there are not enough digits."""
+    """Return half a unit in the last common decimal of all numbers, or 0 if there are not enough digits."""
     top = int(_exponent(np.array([size.max()]))[0])
     decimals = next((n for n in range(-top, FULL_DIGITS - 1 - top) if _on_grid(size, n).all()), None)
     return 0.0 if decimals is None else 0.5 * 10.0**-decimals
 
 
 def converted(values: Floats, half: float, others: Floats) -> float:
-    """Return the step [N, Nm] of the converter grid on which all commands (N,) lie; 0 if there is none.
+    """Return the step [N, Nm] of the converter grid on which all commands (N,) lie, or 0 if there is none.
 
     ``half`` is half a unit in the last digit of the commands. ``others`` are wall forces due to one quantum of the
     sensor. If they also lie on the grid, the grid is due to the sensor: with a coarse sensor, all wall forces may be

@@ -83,7 +83,7 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
 
 
 def _unexplained(log: LogRows, seen: Booleans) -> int:
-    """Return the number of rows that neither the wall law nor a repeated row explains; 0 if no row is repeated.
+    """Return the number of rows that neither the wall law nor a repeated row explains, or 0 if no row is repeated.
 
     The residual of such a row is the damping force due to the error of its change. Errors that are a small share of the
     total distance are ignored.
@@ -99,7 +99,7 @@ def _unexplained(log: LogRows, seen: Booleans) -> int:
 
 
 def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
-    """Return the reason why the samples of a trial cannot be counted; empty if they can be counted."""
+    """Return the reason why the samples of a trial cannot be counted. The result is empty if they can be counted."""
     if hidden:
         return f"{hidden} missing or repeated rows are not visible in the stamps, so samples cannot be counted"
     longest = int(np.diff(index).max(initial=1)) - 1

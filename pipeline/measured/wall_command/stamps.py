@@ -41,7 +41,7 @@ class Stamps:
     skipped : int64, shape (N - 1,)
         Number of missing rows before each row except the first.
     period : float
-        Median distance of the stamps if it differs from the sampling period [s]; otherwise the sampling period.
+        Median distance of the stamps if it differs from the sampling period [s], otherwise the sampling period.
     scatter : float
         Standard deviation from even distances, in periods.
     odd : int

@@ -79,7 +79,7 @@ class VelocityFilterFound:
 def find_filter(
     change: Floats, output: Floats, rows: Booleans, tolerance: Floats, sampling_period_s: float
 ) -> VelocityFilterFound | None:
-    """Return the filter from a change of position to its filtered value; None if no filter explains the rows.
+    """Return the filter from a change of position to its filtered value, or None if no filter explains the rows.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def _filtered(b: Floats, a: Floats, x: Floats) -> Floats:
 
 
 def least_squares(terms: Floats, values: Floats) -> Floats:
-    """Return the coefficients of terms (N, terms) whose sum is closest to the values; 0 for a term of zeros."""
+    """Return the coefficients of terms (N, terms) whose sum is closest to the values, or 0 for a term of zeros."""
     size = np.abs(terms).max(axis=0)
     size[size == 0] = 1.0
     result: Floats = np.linalg.lstsq(terms / size, values, rcond=None)[0] / size

@@ -40,11 +40,11 @@ class WallLaw:
     Parameters
     ----------
     residual : float
-        Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|; NaN without a command edge.
+        Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|, or NaN without a command edge.
     rounding : float
         Largest residual that rounding of the printed numbers can cause, relative to |F_0|.
     departures : tuple of Departure
-        Reasons for a larger residual, the most certain one first; empty if the law is obeyed.
+        Reasons for a larger residual, the most certain one first. The tuple is empty if the law is obeyed.
     account : Account, optional
         Explanation of the rows, if the log was examined row by row.
     """
@@ -61,12 +61,12 @@ class WallLaw:
 
     @property
     def filter(self) -> VelocityFilterFound | None:
-        """Velocity filter of the controller; None if the log shows none."""
+        """Velocity filter of the controller, or None if the log shows none."""
         return next((departure.filter for departure in self.departures if departure.filter is not None), None)
 
     @property
     def other_wall(self) -> Departure | None:
-        """Departure with the wall or step that the command obeys instead of the stated one; None if there is none.
+        """Departure with the wall or step that the command obeys instead of the stated one, or None if there is none.
 
         Such a log contains no information on the stated wall.
         """
@@ -75,7 +75,7 @@ class WallLaw:
 
     @property
     def obeyed(self) -> tuple[float, float, float]:
-        """K, B and step of the other wall; NaN if there is none."""
+        """K, B and step of the other wall, or NaN if there is none."""
         other = self.other_wall
         return (np.nan, np.nan, np.nan) if other is None or other.obeyed is None else other.obeyed
 
@@ -142,7 +142,7 @@ class Account:
     lost : int
         Number of rows after missing rows that the law implies, but the stamps do not show.
     departures : tuple of Departure, or None
-        Departures of the law that explains all other rows; None if no law explains them.
+        Departures of the law that explains all other rows, or None if no law explains them.
     """
 
     log: LogRows

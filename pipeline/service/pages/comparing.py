@@ -134,7 +134,7 @@ def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
 
 
 def _units(document: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the stiffness and damping for alpha = 1 and beta = 1; None without a theory."""
+    """Return the stiffness and damping for alpha = 1 and beta = 1, or None without a theory."""
     theory = document["experiments"][0]["theory"]
     if theory is None:
         return None
