@@ -171,7 +171,10 @@ def _point(values: Mapping[str, Any]) -> BoundaryPoint:
 
 
 def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[dict[str, Any]]:
-    """Yield the comparable values of a document: part, name, unit, value, interval, reason for a missing value."""
+    """Yield the comparable values of a document.
+
+    Each has a part, a name, a unit, a value, an interval, and the reason if the value is missing.
+    """
     for name, e in of["estimates"].items():
         model = e.get("by_method", {}).get("model") if name == "delay_samples" else None
         for called, found in ((name, e), ("delay_by_model", model)):
@@ -280,7 +283,10 @@ def _without_limits(points: Sequence[BoundaryPoint]) -> str:
 
 
 def _limits(points: Sequence[BoundaryPoint], scale: Scale) -> Floats:
-    """Return damping, limit and both ends of its interval (NaN without one), sorted by damping; shape (n, 4)."""
+    """Return damping, limit and both ends of its interval, sorted by damping, shape (n, 4).
+
+    The ends are NaN if a limit has no interval.
+    """
     rows = []
     for p in points:
         if p.estimate is not None and p.low is not None and p.high is not None:

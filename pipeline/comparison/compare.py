@@ -1,4 +1,4 @@
-"""Comparison of measurements with theory: plan it, run it, and write its report."""
+"""Plan and run a comparison of measurements with theory, and write its report."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ REPORT_BEGINS = 0.9
 """Usual share of the run time of a comparison after which its report is written."""
 
 STAGES_END, THEORY_BEGINS = 0.6, 0.95
-"""Usual shares of the time before the report, for the progress display.
+"""Usual shares of the time before the report, which the progress display uses.
 
 The first is reached when the stages of several experiments are complete, the second when only theory remains.
 """
@@ -151,7 +151,7 @@ class ComparisonPlan:
 class FinishedComparison:
     """Document of a comparison.
 
-    Unless it is unchanged, also the theory of each experiment, and theory costs over delay.
+    If the document is recomputed, it comes with the theory of each experiment and theoretical costs over delay.
     """
 
     plan: ComparisonPlan
@@ -363,12 +363,15 @@ def _plan_theory(data: StoredData, theories: dict[str, Theory], predictions: Pre
 
 
 def report_code() -> str:
-    """Return a hash of the code that makes a report, and of the files that this code loads."""
+    """Return a hash of the code that writes a report and of the files that this code loads."""
     return digest([code_digest("report"), *(sha256(file.read_bytes()) for file in published_files())])
 
 
 def _report_key(data: StoredData, report: ReportOptions | None, accuracy: str, notes: Sequence[Note]) -> str:
-    """Return a hash of all inputs of a report: stages, exclusions, notes, device file, criteria, code and location."""
+    """Return a hash of all inputs of a report.
+
+    These are stages, exclusions, notes, device file, criteria, code and location.
+    """
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
@@ -387,5 +390,5 @@ def _stored_result(report: ReportOptions | None, key: str) -> ComparisonResult |
     try:
         result = ComparisonResult.model_validate_json(report.path.with_suffix(".json").read_bytes())
     except (FileNotFoundError, ValidationError):
-        return None  # the file is missing or has another format, so it is written again
+        return None  # the file is missing or has another format; therefore, it is written again
     return result if result.provenance.get("key") == key else None

@@ -239,7 +239,7 @@ def _completed(estimate: Estimate, truth: float | None, *, doubted: bool) -> Est
 
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
-    """Return the estimates of an experiment: delay, mass and damping, and estimates derived from its boundary.
+    """Return the estimates of delay, mass and damping of an experiment, and the estimates derived from its boundary.
 
     If the recordings do not show the delay, only the area of the boundary remains, or no estimate.
     """

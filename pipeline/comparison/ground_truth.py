@@ -27,7 +27,7 @@ from pipeline.theory.predictions import Theory
 TRUTH_FILE = "truth.json"
 
 _MOVES_THE_LIMIT = ("one_sided_wall", "clock_error", "held_samples")
-"""Options of a simulation that make the loop differ from the linear loop of its device file."""
+"""Options of a simulation with which the loop differs from the linear loop of its device file."""
 
 
 def truths(stages: tuple[ExperimentStages, ...], given: Mapping[str, Truth]) -> dict[str, Truth]:
@@ -84,7 +84,10 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
 
 
 def true_limits(truth: Truth | None, dampings: Sequence[float]) -> list[float | None]:
-    """Return the largest stable stiffness of the true loop at each damping: 0 if none is stable, None if unknown."""
+    """Return the largest stable stiffness of the true loop at each damping.
+
+    A stiffness is 0 if no wall is stable. The result is None if the true loop is unknown.
+    """
     if truth is None or truth.limit_reason or not dampings:
         return [None] * len(dampings)
     theory = Theory(truth.loop)

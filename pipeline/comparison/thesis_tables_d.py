@@ -1,4 +1,5 @@
-"""Tables in the format of D.1 to D.6: theoretical optima, measured optima, published values, and deviations."""
+"""Build tables in the format of D.1 to D.6 with theoretical optima, measured optima, published values, and
+deviations."""
 
 from __future__ import annotations
 
@@ -54,7 +55,8 @@ class TableBuilder:
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
-        """Return all rows, table after table. For each criterion, theory precedes the experiments."""
+        """Return all rows, table after table. For each criterion, the row of theory comes before those of the
+        experiments."""
         measured = {r.experiment: r for r in results}
         stages = {e.experiment: e for e in self.data.experiments}
 

@@ -9,7 +9,7 @@ first row, and v the velocity estimated from y. F is limited and amplified, and 
 F is constant, the plant moves with x(t + h) = e^(A h) x(t) within its region of friction (`pipeline.loop.motion`).
 
 The parts of a row (velocity estimator, step of motion) are separate functions. Numba inlines them into the loops that
-call them; in other calls they run as plain Python. Numba checks only the file of the loop to detect outdated machine
+call them. In other calls, they run as plain Python. Numba checks only the file of the loop to detect outdated machine
 code. These functions and their constants must therefore be in this module.
 
 Source: Hulin 2017, sec. 3.1 and 6.1.1.
@@ -43,7 +43,8 @@ MOST_STEPS = 60
 """Largest number of iterations in the search for a zero. Bisection alone needs 53 for a double."""
 
 FILTER, DIFFERENCE, WINDOW, LEVANT = 0, 1, 2, 3
-"""Velocity estimators: a linear filter, the difference over several samples, the adaptive window, and Levant's."""
+"""Velocity estimators, which are a linear filter, the difference over several samples, the adaptive window, and
+Levant's differentiator."""
 
 Interval = tuple[Floats, Floats, Floats, Floats, Floats, float, bool]
 """Exact motion over a time interval, with data for a stop within it, for R regions of friction and n states.
@@ -126,7 +127,7 @@ def last_zero(series: Floats, end: float) -> float:
 
 @inlined
 def first_exit(series: Floats, low: float, high: float, span: float) -> tuple[float, int]:
-    """Return the time at which a polynomial leaves its bounds within [0, span], and the direction: down (-1) or up (1).
+    """Return the time at which a polynomial leaves its bounds within [0, span], and the direction, down (-1) or up (1).
 
     If the polynomial stays within its bounds, the direction is 0 and the time is the span. If it starts on a bound, the
     sign of its slope decides whether it leaves. The polynomial may have only one extremum within the span.

@@ -1,8 +1,8 @@
 """Matrices of the exact motion of a device under constant forces, with vibration mode, actuator lag and friction.
 
 The compiled loops of `pipeline.loop.closed_loop` use them. Without friction, the motion is that of
-`pipeline.loop.state_space`, and a time step is one product with its exponential. Friction makes the motion piecewise
-linear: the motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a region change is
+`pipeline.loop.state_space`, and a time step is one product with its exponential. With friction, the motion is piecewise
+linear. The motor rests (stick), creeps below the Stribeck velocity, or slides above it. The time of a region change is
 a zero of the exact motion. Between rest and the Stribeck velocity, friction decreases linearly from stiction to Coulomb
 friction.
 """
@@ -20,7 +20,7 @@ from pipeline.loop.closed_loop import CELLS, TERMS, Interval, advance_states
 from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
+if TYPE_CHECKING:  # loading the classes of this module takes longer than a short command
     from pipeline.device.loop import Loop
     from pipeline.device.parts import Friction
 

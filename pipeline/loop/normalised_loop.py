@@ -24,7 +24,7 @@ from pipeline.loop.state_space import Plant, StateSpace, plant_of, state_space
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
+if TYPE_CHECKING:  # loading the classes of this module takes longer than a short command
     from pipeline.device.loop import Loop
     from pipeline.device.parts import LinearFilter
 
@@ -91,7 +91,8 @@ class LoopUnits:
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of a sampling interval with constant plant input: duration [T] and delay of the applied force [samples]."""
+    """Part of a sampling interval with constant plant input, with its duration [T] and the delay of the applied force
+    [samples]."""
 
     duration: float
     age: int
@@ -129,7 +130,7 @@ class OwnSteps:
 class NormalisedLoop:
     """Plant with delay, velocity filter and no particular wall. The wall (alpha, beta) is an argument of the methods.
 
-    The loop is linear: a continuous device with two to five states, and a wall law with a filter.
+    The loop is linear. It consists of a continuous device with two to five states and a wall law with a filter.
 
     Parameters
     ----------
@@ -229,7 +230,8 @@ class NormalisedLoop:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """Parts of a sampling interval in order: one for an integer delay, two for a fractional delay."""
+        """Parts of a sampling interval in order. There is one for an integer delay, and there are two for a fractional
+        delay."""
         whole = math.floor(self.delay)
         fraction = self.delay - whole
         if fraction == 0:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.records.trials import Floats
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
+if TYPE_CHECKING:  # loading the classes of this module takes longer than a short command
     from pipeline.device.loop import Loop
 
 LEAST_RATIO = 1e-12
@@ -27,7 +27,7 @@ pole by less than its rounding error."""
 class Plant:
     """Parameters of a linear motion in consistent units: SI, or units in which mass and sampling period are 1.
 
-    They are not checked. They may be negative in a search, and complex for derivatives.
+    The parameters are not checked. They may be negative in a search, and complex for derivatives.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def plant_of(loop: Loop) -> Plant:
 class StateSpace:
     """State space x' = matrix x + command u + force f, position = sensor x, with delayed command u and motor force f.
 
-    The states are position and velocity of the centre of mass. With a mode, the distance of the load from the centre of
-    mass and its rate follow; with a lag, the force of the actuator follows.
+    The states are position and velocity of the centre of mass. With a mode, the next states are the distance of the
+    load from the centre of mass and the rate of this distance. With a lag, the last state is the force of the actuator.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class StateSpace:
 
     @property
     def mean_lag(self) -> float:
-        """Delay of a slow command by the actuator, C A^-2 B, which is the time constant of a first-order lag."""
+        """Delay that the actuator adds to a slow command, C A^-2 B. For a first-order lag, it is the time constant."""
         A, B, C = self.actuator
         return float(C @ np.linalg.solve(A, np.linalg.solve(A, B))) if len(A) else 0.0
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.loop.many_digits import Digits, as_exact, bilinear, shifted
 
-if TYPE_CHECKING:  # its classes take longer to load than a short command takes to run
+if TYPE_CHECKING:  # loading the classes of this module takes longer than a short command
     from pipeline.device.parts import LinearFilter, VelocityFilter
 
 

@@ -28,7 +28,7 @@ SMALLEST = float(np.sqrt(np.finfo(np.float64).tiny))
 
 
 def student_95(freedom: object) -> Floats:
-    """Return the factor of a 95 % interval with few degrees of freedom (Student's t); NaN below one degree.
+    """Return the factor of a 95 % interval with few degrees of freedom (Student's t). It is NaN below one degree.
 
     Parameters
     ----------

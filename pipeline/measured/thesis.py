@@ -1,4 +1,6 @@
-"""Methods of the thesis: delay from the first change, mass from a momentum balance, damping from the limit at K = 0.
+"""Methods of the thesis.
+
+The delay follows from the first change, the mass from a momentum balance, and the damping from the limit at K = 0.
 
 Each method estimates one parameter of the device. Its result is reported next to the estimate of the model, as
 `by_method`.
@@ -110,7 +112,7 @@ def _noise(response: Response) -> float:
 
 
 def _first_beyond(away: Floats, limit: float) -> int:
-    """Return the index from which the position stays beyond a limit; the number of rows if it does not stay there.
+    """Return the index from which the position stays beyond a limit, or the number of rows if it does not stay there.
 
     Noise exceeds the limit occasionally, but only a response stays beyond it and continues to rise.
     """
@@ -125,7 +127,7 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
     Parameters
     ----------
     delay_samples : int64, shape (n,)
-        Integer factor of each trial; negative if the trial has none.
+        Integer factor of each trial. It is negative if the trial has none.
 
     Notes
     -----
@@ -274,10 +276,9 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
 
     Notes
     -----
-    The ends of the interval are the order statistics l and n + 1 - l. l is the largest number for which a binomial
-    (n, 1/2) count is below l with a probability of at most 2.5 %. Fewer than six trials cannot provide 95 %; the
-    interval is then the range, and the method states this. The interval shows the scatter of the trials, without a
-    common bias.
+    The ends of the interval are the order statistics l and n + 1 - l. l is the largest number for which a binomial (n,
+    1/2) count is below l with a probability of at most 2.5 %. Fewer than six trials cannot provide 95 %. The interval
+    is then the range, and the method states this. The interval shows the scatter of the trials, without a common bias.
     """
     known = np.sort(values[np.isfinite(values)])
     n, rank = len(known), _median_rank(len(known))

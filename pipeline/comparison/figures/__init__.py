@@ -1,1 +1,1 @@
-"""Figures and trials of a report that need the stored logs: cost maps, responses, and data of the explorer."""
+"""Figures and trials of a report that need the stored logs. They are cost maps, responses, and data of the explorer."""

@@ -80,7 +80,7 @@ scatter.
 """
 
 RATIO_STEPS, OVERSHOOT_STEPS = (1.05, 1.1, 1.25, 1.5), (0.01, 0.02, 0.05, 0.1)
-"""Deviations at which marks become larger: ratios of costs in either direction, and differences of overshoot.
+"""Deviations at which marks become larger. They are ratios of costs in either direction, and differences of overshoot.
 
 One sensor step changes the overshoot by one percentage point.
 """
@@ -91,7 +91,8 @@ SIZES, RING = (2.0, 4.0, 6.0, 8.5, 11.0), 2.6
 
 @dataclass(frozen=True, eq=False)
 class CostMap:
-    """Costs of a criterion over the plane: theory on a grid, or smoothed costs of an experiment's trials.
+    """Costs of a criterion over the plane. They are costs of theory on a grid, or smoothed costs of an experiment's
+    trials.
 
     ``stiffness``, ``damping`` and ``cost`` have shape (n,) for points, and shapes (p,), (q,) and (q, p) for a grid.
     ``trials`` contains stiffness, damping and cost of the single trials, shape (3, m).
@@ -125,8 +126,9 @@ class CostMap:
         return every, found
 
     def best(self, along_stiffness: bool) -> tuple[Floats, Floats]:
-        """Return stiffness and damping of an optimal curve: best damping for each stiffness, or best stiffness for each
-        B.
+        """Return stiffness and damping of an optimal curve.
+
+        The curve is the best damping for each stiffness, or the best stiffness for each damping.
 
         If costs are equal over an interval, its middle is taken. On a grid, a parabola interpolates between points.
         """
@@ -146,7 +148,10 @@ class CostMap:
 
 
 def _often(given: Floats, other: Floats) -> Floats:
-    """Return the values of one parameter that were tested at many values of the other: at least half the maximum."""
+    """Return the values of one parameter that were tested at many values of the other.
+
+    At least half of the largest number of values counts as many.
+    """
     pairs = np.unique(np.stack([given, other]), axis=1)
     values, counts = np.unique(pairs[0], return_counts=True)
     return np.asarray(values[counts >= max(OFTEN * counts.max(initial=0), FEWEST_OFTEN)])
@@ -208,7 +213,8 @@ def _theory_maps(
 
 
 def _measured_map(result: ExperimentNumbers, stages: ExperimentStages, criterion: str) -> CostMap:
-    """Return the map of an experiment: smoothed costs of its stable trials, and the trials themselves."""
+    """Return the map of an experiment, which contains the smoothed costs of its stable trials and the trials
+    themselves."""
     cost = stages.sure_cost(criterion)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     verdict = stages.verdicts.verdict
@@ -337,7 +343,7 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
         lines = axes.tricontour(triangles, shown.cost, **look) if drawn else None
         if measured_overshoot:
-            # around the trials themselves, not around values smoothed over their neighbours
+            # contours enclose the trials themselves, not values smoothed over their neighbours
             own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}
             walls = zip(shown.stiffness.tolist(), shown.damping.tolist(), strict=True)
             free = np.array([float(own.get(wall, 1.0) <= 0) for wall in walls])
@@ -358,7 +364,7 @@ def _at_optimum(shown: CostMap) -> float:
 
 
 def _levels(criterion: str, maps: Sequence[CostMap]) -> Floats:
-    """Return the contour levels of all panels: those of the family, or two per doubling from theory's optimum.
+    """Return the contour levels of all panels. They are those of the family, or two per doubling from theory's optimum.
 
     Without theory, they start from the lowest optimum. Some levels are lower, because experiments may be better than
     theory.
@@ -409,7 +415,8 @@ def _triangles(K: Floats, B: Floats) -> Any:
 
 
 def departure_figures(data: StoredData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
-    """Return a figure for each criterion in the tables: deviation of measured costs from theory at the tested walls."""
+    """Return a figure for each criterion in the tables. It shows the deviation of measured costs from theory at the
+    tested walls."""
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)
     shown = [e for e in data.experiments if e.experiment in theories]

@@ -1,4 +1,4 @@
-"""Figures of single trials: the first step response of a report, and a trial with loops that may explain it.
+"""Draw single trials, namely the first step response of a report, and a trial with loops that may explain it.
 
 Source: Hulin 2017, Fig. 6.2.
 """
@@ -92,7 +92,10 @@ def response_figures(data: StoredData) -> list[Figure]:
 
 
 def _candidates(stages: ExperimentStages) -> Iterator[tuple[Trial, int, int, tuple[float, float] | None]]:
-    """Yield the softest trials: log, row of the edge, rows to the first change, and times of the first two maxima."""
+    """Yield the softest trials.
+
+    Each consists of log, row of the edge, number of rows to the first change, and times of the first two maxima.
+    """
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     chosen = softest(k, b, stages.verdicts.verdict == "stable")
     if not len(chosen):
@@ -290,7 +293,8 @@ def wall_figure(stages: ExperimentStages, result: ExperimentNumbers, theory: The
 
 
 def overlaid_figure(figures: Sequence[Figure], labels: Sequence[str]) -> Figure:
-    """Return the superimposed responses of trials, each with its theoretical response (dashed, same colour)."""
+    """Return the superimposed responses of trials, each with its theoretical response as a dashed line in the same
+    colour."""
     series = []
     for number, (figure, label) in enumerate(zip(figures, labels, strict=True)):
         for each in figure.panels[0].series:

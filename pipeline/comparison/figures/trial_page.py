@@ -3,10 +3,10 @@
 Every trial is a point, and the most relevant trials have their response.
 
 A page with all responses of 11,000 trials would have 8 MB. Therefore, every trial has stiffness, damping, verdict,
-outcome and costs, but the total number of response samples is limited. Responses are added in this order: the optima,
-then alternately trials at the stability boundary and trials of an increasingly fine grid over the plane. The loss due
-to coding is invisible: rounding moves a line by a quarter of a pixel, and rows are omitted only if several share a
-column of pixels.
+outcome and costs, but the total number of response samples is limited. The responses of the optima are added first.
+Then, trials at the stability boundary alternate with trials of an increasingly fine grid over the plane. The loss due
+to coding is invisible, because rounding moves a line by a quarter of a pixel, and rows are omitted only if several
+share a column of pixels.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ The kept samples show delay and onset.
 """
 
 LAGS = (1, 2, 3, 4)
-"""Lags of the samples that predict a sample: two oscillations, or one with drift and offset. More lags save nothing."""
+"""Lags of the samples that predict a sample. They suffice for two oscillations, or for one with drift and offset. More
+lags save nothing."""
 
 PARTS = 4096
 """Denominator of the coefficients. It is a power of two, so that a browser divides exactly."""
@@ -109,7 +110,10 @@ def trial_page(
 
 
 def reference(experiment: int, trial: int) -> str:
-    """Return the reference of cells and addresses to a trial: numbers of experiment and trial in the page, from 0."""
+    """Return the reference with which cells and addresses refer to a trial.
+
+    It consists of the numbers of the experiment and of the trial in the page, counted from 0.
+    """
     return f"{experiment}-{trial}"
 
 
@@ -231,8 +235,10 @@ class _Experiment:
         }
 
     def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
-        """Return the texts of a trial: id, verdict, evidence, model, and costs with intervals or reasons for missing
-        costs."""
+        """Return the texts of a trial.
+
+        These are its id, verdict, evidence and model, and its costs with intervals or reasons for missing costs.
+        """
         units = UNITS[self.stages.motion]
         names = (("m", "mass", units.mass), ("b", "damping", units.damping), ("d", "delay", "samples"))
         fitted = (f"{symbol} = {significant(model[name], 3)} {unit}" for symbol, name, unit in names)
@@ -276,7 +282,7 @@ def _alone(loop: Loop, measured: Sequence[MeasuredTrial], usual: StepTrial) -> d
 
 
 def reason_of(criterion: str, reasons: str) -> str:
-    """Return the reason why a trial has no cost: the family's reasons for this criterion, each once.
+    """Return why a trial has no cost. The text consists of the family's reasons for this criterion, each of them once.
 
     >>> reason_of("settle_1pct", "settle_1pct: too short; settle_1pct: too short; settle_2pct: coarse sensor")
     'too short'
@@ -372,7 +378,8 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
 
 
 def _spread(count: int) -> Integers:
-    """Return the indices 0 to count - 1 in an order whose beginning covers the range: halves, quarters, eighths ..."""
+    """Return the indices 0 to count - 1 in an order whose beginning covers the range in halves, quarters, eighths
+    ..."""
     bits = max(count - 1, 1).bit_length()
     index = np.arange(1 << bits)
     turned = sum((((index >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)), np.zeros_like(index))
@@ -380,7 +387,8 @@ def _spread(count: int) -> Integers:
 
 
 def _coarse_to_fine(stiffness: Floats, damping: Floats) -> Integers:
-    """Return trials in an order whose beginning covers the plane: nearest to the centres of 1, 4, 16 ... cells."""
+    """Return trials in an order whose beginning covers the plane. The first are nearest to the centres of 1, 4, 16 ...
+    cells."""
     if not len(stiffness):
         return np.zeros(0, dtype=np.int64)
     x, y = (

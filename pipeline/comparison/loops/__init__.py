@@ -1,1 +1,1 @@
-"""The identified loop of an experiment: its parameters, its adequacy, and the conclusions from it."""
+"""Parameters and adequacy of the identified loop of an experiment, and the conclusions from this loop."""

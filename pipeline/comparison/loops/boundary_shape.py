@@ -1,4 +1,4 @@
-"""The shape of a measured boundary: the delay that explains it, and whether its upper part is straight.
+"""Determine the delay that explains a measured boundary, and whether the upper part of the boundary is straight.
 
 Source: Hulin 2017, eq. 3.25 and secs. 6.1.3 and 6.5 (delay near the origin and as a whole; the straight upper part).
 """
@@ -35,7 +35,7 @@ STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Limits:
-    """Measured limits that are not censored: damping, stiffness and standard error in SI, shape (n,)."""
+    """Measured limits that are not censored, with damping, stiffness and standard error in SI units, shape (n,)."""
 
     damping: Floats
     stiffness: Floats

@@ -1,4 +1,4 @@
-"""Causes of deviations from the ideal loop: departures from the wall law, and parts of the device, in one list."""
+"""List the causes of deviations from the ideal loop, which are departures from the wall law and parts of the device."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ At larger dampings the limit decreases so steeply that any change is large.
 
 
 Candidate = tuple[float, Cause]
-"""A possible cause, with the largest change of a result that it makes, or the share of logs that show it."""
+"""Possible cause, with the largest change of a result that it causes, or the share of logs that show it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def _candidate(code: CauseCode, effect: float, sentence: str, evidence: str) -> 
 
 
 UNNAMED = {"other_wall", "other_unit", "unknown"}
-"""Departures that are not reported as causes: their nature is unknown, or `other_gains` reports them."""
+"""Departures that are not reported as causes, because their nature is unknown or `other_gains` reports them."""
 
 
 def _departures(evidence: LoopEvidence) -> Iterator[Candidate]:
@@ -98,9 +98,9 @@ def _departures(evidence: LoopEvidence) -> Iterator[Candidate]:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a device as a cause: code, name of its main parameter in `PARAMETERS`, and sentence.
+    """Part of a device as a cause, with a code, the name of its main parameter in `PARAMETERS`, and a sentence.
 
-    ``over`` is the reference for the shift of the rest position by the parameter: the force of the step, or the
+    ``over`` is the reference for the shift of the rest position by the parameter. It is the force of the step or the
     stiffness of the softest wall. ``scale`` and ``unit`` override those of `PARAMETERS`.
     """
 

@@ -59,7 +59,7 @@ SENTENCES = {
 }
 """Possible departures of a log from the wall law.
 
-``other_wall``: K, B or a sign differs from the header. ``other_unit``: K and B are wrong by a power of ten.
+With ``other_wall``, K, B or a sign differs from the header. With ``other_unit``, K and B are wrong by a power of ten.
 """
 
 UNTIMED = {
@@ -95,8 +95,8 @@ A departure must have more logs than those that imitate it.
 
 @dataclass(frozen=True)
 class LawDeparture:
-    """A departure from the wall law: code, number of logs that show it, total number of logs, and evidence of the
-    first."""
+    """Departure from the wall law, with its code, the number of logs that show it, the number of all logs, and the
+    evidence of the first log."""
 
     code: str
     logs: int
@@ -246,7 +246,7 @@ def _filter(text: str) -> VelocityFilterFound:
 
 @dataclass(frozen=True, eq=False)
 class OtherGains:
-    """Logs that follow another wall: their names, number of all logs, evidence of the first log, and gain
+    """Logs that follow another wall, with their names, the number of all logs, the evidence of the first, and the gain
     difference."""
 
     logs: tuple[str, ...]

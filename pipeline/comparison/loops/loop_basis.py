@@ -122,7 +122,7 @@ def adequate_theory(findings: LoopFindings, stages: ExperimentStages) -> Theory 
 
 
 def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: Any) -> dict[str, Any]:
-    """Return the parameters of a loop as fields of a result: estimates with intervals, values of a file as stated.
+    """Return the parameters of a loop as fields of a result. Estimates have intervals. Values of a file are as stated.
 
     All are effective values at the wall, per unit of command. They include ``operator``, the operator of the file.
     """

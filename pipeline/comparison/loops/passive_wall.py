@@ -22,7 +22,8 @@ SPARE = 1e-4
 TRIES = 200
 """Largest number of steps by which a stiffness is lowered.
 
-A step is two units of the last of `SET_DIGITS` digits. All steps lower it by 4 %; rounding costs 0.1 %.
+A step is two units of the last of `SET_DIGITS` digits. All steps together lower the stiffness by 4 %. Rounding lowers
+it by 0.1 %.
 """
 
 

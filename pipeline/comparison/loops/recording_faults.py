@@ -15,7 +15,8 @@ NAMED = 10
 
 
 def recording_faults(stages: ExperimentStages) -> tuple[RecordingFault, ...]:
-    """Return the faults of an experiment's recordings by code: unsafe faults first, then the most frequent faults.
+    """Return the faults of an experiment's recordings by code. Unsafe faults come first, followed by the most frequent
+    ones.
 
     The sentence is that of the first log with the fault. Findings from reading the log, such as repairs, are stored
     with the trial.

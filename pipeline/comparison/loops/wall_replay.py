@@ -1,4 +1,5 @@
-"""Replay of the identified device at tested walls that were left out of its fit: predictions and their errors."""
+"""Replay the identified device at tested walls that were left out of its fit, and compute the errors of the
+predictions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Origin of a report: hashes of logs, profiles, parameters, versions, and the command that repeats it."""
+"""Describe the origin of a report by hashes of logs, profiles, parameters, versions, and the command that repeats
+it."""
 
 from __future__ import annotations
 

@@ -42,7 +42,8 @@ class PlannedStage(NamedTuple):
 
 @dataclass(frozen=True)
 class StoredData:
-    """Stored data of a comparison: its scene, the device if it is known, and the stages of its experiments."""
+    """Stored data of a comparison, which are its scene, the device if it is known, and the stages of its
+    experiments."""
 
     scene: Scene
     device: Device | None
@@ -191,7 +192,8 @@ def plan_measured(data: StoredData) -> list[PlannedStage]:
 
 
 def layouts(data: StoredData) -> tuple[TableLayout, ...]:
-    """Return the tables that the stored experiments can fill: published layouts, then one for each other experiment."""
+    """Return the tables that the stored experiments can fill. Published layouts come first, then one for each other
+    experiment."""
     requested = data.scene.criteria
     stored = data.scene.experiments
     known = data.device.tables if data.device else ()

@@ -1,4 +1,5 @@
-"""Agreement of measured and theoretical stability: distance of two boundaries, and equal verdicts."""
+"""Measure the agreement of measured and theoretical stability by the distance of the boundaries and by equal
+verdicts."""
 
 from __future__ import annotations
 
@@ -72,7 +73,9 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
 
 
 def is_steady(values: Floats) -> bool:
-    """Return whether a median may be shown as a main result: of at least five values, none of which determines it.
+    """Return whether a median may be shown as a main result.
+
+    There must be at least five values, none of which determines the median.
 
     If any single value is left out, the median must keep its sign and move by less than half of the half width of its
     95 % interval (by order statistics).

@@ -1,4 +1,4 @@
-"""Decomposition of the deviation of a measured optimal cost from theory: range, grid, model, selection of a trial.
+"""Decompose the deviation of a measured optimal cost from theory into range, grid, model, and selection of a trial.
 
 The lowest measured cost comes from one noisy trial on a grid of limited range. The theoretical optimum has neither
 noise nor grid nor range. Let C be theory's cost, with its optimum at p* (unconstrained), p_r (in the tested range) and

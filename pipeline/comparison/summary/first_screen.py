@@ -1,4 +1,7 @@
-"""Data of a report's first screen: recommended wall, certainty, agreement with theory, causes, next measurement."""
+"""Collect the data of a report's first screen.
+
+These are the recommended wall, certainty, agreement with theory, causes, and the next measurement.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Recommended stiffness and damping: rectangles of tested walls around the best ones, far from the stability limit."""
+"""Recommend stiffness and damping, as rectangles of tested walls around the best walls, far from the stability
+limit."""
 
 from __future__ import annotations
 
@@ -121,7 +122,7 @@ def region_to_use(
 
 
 def _single(tested: WallTrials, limits: MeasuredLimits, calm: Booleans) -> Rectangle | None:
-    """Return the wall of the least cost at the margin `NARROW` that has `FEWEST` stable and calm neighbours."""
+    """Return the wall with the lowest cost at the margin `NARROW` that has `FEWEST` stable and calm neighbours."""
     K, B = tested.stiffness, tested.damping
     walls = np.flatnonzero(K > 0)
     around = np.zeros(len(K), dtype=np.int64)
@@ -240,8 +241,8 @@ def _not_chosen(
     result: MeasuredExperiment,
     trials: Sequence[str],
 ) -> str:
-    """Return the trial of the least cost, and why it was not chosen. The reason is empty if the trial was chosen, or if
-    no cost decides."""
+    """Return the trial with the lowest cost, and why it was not chosen. The reason is empty if the trial was chosen, or
+    if no cost decides."""
     least = result.optimum.get(criterion)
     if least is None or not least.cost < tested.cost[chosen]:
         return ""
@@ -303,7 +304,7 @@ def levels(stiffness: Floats, damping: Floats, cost: Floats, usable: Booleans) -
 
 
 def _nearest(stiffness: Floats, damping: Floats) -> np.ndarray:
-    """Return the indices of the `NEIGHBOURS` of each trial, or of all others if there are fewer; shape (n, count)."""
+    """Return the indices of the `NEIGHBOURS` of each trial, or of all others if there are fewer, shape (n, count)."""
     from scipy.spatial import cKDTree
 
     points = np.stack([stiffness, damping], axis=1)

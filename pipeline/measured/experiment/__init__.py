@@ -1,1 +1,1 @@
-"""Joint evaluation of the trials of an experiment: estimates with intervals, boundary, optima, and stored stages."""
+"""Evaluate the trials of an experiment jointly for estimates with intervals, boundary, optima, and stored stages."""

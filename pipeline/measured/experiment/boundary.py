@@ -1,4 +1,4 @@
-"""Estimate the measured stability boundary: the limit at each damping with its 95 % interval, and the area below it.
+"""Estimate the limit of stability at each damping with its 95 % interval, and the area below the limits.
 
 The growth rate of a trial passes smoothly through zero at the limit. A fit of the growth rates locates the limit
 between the last stable and the first unstable trial. The verdicts bound it.
@@ -90,7 +90,7 @@ class _Crossing:
 def boundary_band(
     stiffness: Floats, damping: Floats, verdict: Sequence[str] | ArrayLike, growth_per_s: Floats
 ) -> tuple[BoundaryPoint, ...]:
-    """Return the measured boundary: the limit at each damping with its 95 % interval.
+    """Return the measured boundary, which consists of the limit at each damping with its 95 % interval.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ def boundary_band(
     -------
     tuple of BoundaryPoint
         Points of `measured_boundary` with ``estimate``, ``low``, ``high`` and ``trials`` (number of trials with K > 0).
-        A point that is censored or has no conclusive unstable trial has only ``low``: the stiffest certainly stable
-        trial, or 0. A point without a certainly stable trial has ``low`` = 0, ``high``, and no ``estimate``.
+        A point that is censored or has no conclusive unstable trial has only ``low``, which is the stiffest certainly
+        stable trial or 0. A point without a certainly stable trial has ``low`` = 0, ``high``, and no ``estimate``.
 
     Raises
     ------
@@ -120,13 +120,14 @@ def boundary_band(
     of the fit, with Student's factor; the share `SHARED` of the error of a single rate; and the error of a line due to
     curvature. The second one accounts for sensor errors that shift all rates at one damping together.
 
-    The interval is restricted to the range allowed by the verdicts: from the stiffest stable trial below all unstable
-    ones to the softest unstable trial above all stable ones. Repeated trials that disagree widen it. Undecided trials
-    also widen it, unless `WITNESSES` stiffer trials overrule them. A verdict is not counted if the sign of the growth
-    contradicts it, or if the growth is within `SIGMAS` standard errors of zero and fewer than `WITNESSES` trials share
-    the verdict. If the scatter of the rates is unknown, as for two rates, the interval is the allowed range. The
-    estimate is then the interpolation of two rates or the middle of the bracket, and a zero outside the range widens
-    it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
+    The interval is restricted to the range allowed by the verdicts. This range extends from the stiffest stable trial
+    below all unstable ones to the softest unstable trial above all stable ones. Repeated trials that disagree widen it.
+    Undecided trials also widen it, unless `WITNESSES` stiffer trials overrule them. A verdict is not counted if the
+    sign of the growth contradicts it, or if the growth is within `SIGMAS` standard errors of zero and fewer than
+    `WITNESSES` trials share the verdict. If the scatter of the rates is unknown, as for two rates, the interval is the
+    allowed range. The estimate is then the interpolation of two rates or the middle of the bracket, and a zero outside
+    the range widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of
+    verdicts.
 
     The limit is valid for walls with K >= 0. If the delay jitters, it is the limit of the loop with jitter, which
     differs from the limit for the mean delay.
@@ -218,7 +219,7 @@ def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_],
 
 
 def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
-    """Return the range of the limit allowed by conclusive verdicts; 0 and infinity for open ends.
+    """Return the range of the limit that conclusive verdicts allow. Open ends are 0 and infinity.
 
     If the scatter of the growth rates is unknown (NaN), a verdict counts unless the sign of the growth contradicts it.
     If the scatter is known, or if an undecided trial tends to grow, a verdict without a growth rate does not count. Its
@@ -237,7 +238,9 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
 
 
 def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
-    """Return whether each trial may grow: undecided trials that are not overruled, and stable ones beyond a rate peak.
+    """Return whether each trial may grow.
+
+    These are undecided trials that are not overruled, and stable trials beyond a rate peak.
 
     With increasing K, the slowest mode of a rigid loop first decays faster and then more slowly. If the growth rate
     falls again, the mode with the rising rate may continue to rise below the noise of another mode.
@@ -377,7 +380,7 @@ def measured_boundary(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad] of the trials.
     verdict : array of str, shape (n,)
-        ``stable``, ``unstable`` or ``undecided``. An undecided trial is not evidence; it is counted if it is below a
+        ``stable``, ``unstable`` or ``undecided``. An undecided trial is not evidence. It is counted if it is below a
         stable trial.
 
     Returns
@@ -507,7 +510,8 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
 
 
 def _far_end(point: BoundaryPoint) -> float:
-    """Return the upper bound of a limit: its upper end, or `FAR` times the stiffness of a trial that may grow."""
+    """Return the upper bound of a limit, which is its upper end or `FAR` times the stiffness of a trial that may
+    grow."""
     if point.high is not None:
         return point.high
     return np.inf if point.censored or point.unstable is None else FAR * point.unstable

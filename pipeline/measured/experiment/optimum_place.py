@@ -1,4 +1,4 @@
-"""Estimate the uncertainty of the location of an optimum: nearly optimal walls, and the scatter of the cost map."""
+"""Estimate the uncertainty of the location of an optimum from nearly optimal walls and the scatter of the cost map."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:
-    """Return the scatter of a cost map in percent of the cost: the deviation of trials from their neighbours.
+    """Return the scatter of a cost map, which is the deviation of trials from their neighbours, in percent of the cost.
 
     Parameters
     ----------

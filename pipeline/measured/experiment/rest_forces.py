@@ -53,7 +53,7 @@ class RestForces:
 
 
 def rest_forces(of: Experiment) -> RestForces:
-    """Return the forces that displace settled devices from x_0 + F_0/K, and the spring that explains them, if any.
+    """Return the forces that displace settled devices from x_0 + F_0/K, and the spring if one explains these forces.
 
     Notes
     -----

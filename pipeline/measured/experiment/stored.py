@@ -1,4 +1,4 @@
-"""Interface to an experiment: its samples and the stored columns of its stages."""
+"""Interface to the samples of an experiment and to the stored columns of its stages."""
 
 from __future__ import annotations
 

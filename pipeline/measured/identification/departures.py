@@ -1,4 +1,4 @@
-"""Find what the errors of an identified device depend on: direction, size of the command, place, or time."""
+"""Find whether the errors of an identified device depend on direction, size of the command, place, or time."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def departure(choice: Choice) -> str:
     """Return a sentence that names what the errors of a device depend on. The result is empty if they depend on nothing
     known.
 
-    R^2 is the share of the variance of n errors that lies between g groups. It is adjusted for chance:
-    1 - (1 - R^2) (n - 1)/(n - g).
+    R^2 is the share of the variance of n errors that lies between g groups. It is adjusted for chance to 1 - (1 - R^2)
+    (n - 1)/(n - g).
     """
     segments = choice.segments
     columns = columns_of(segments, choice.fit.device, (), whole=segments)

@@ -1,4 +1,4 @@
-"""Static model of a drive: a force limit, and a gain that depends on the direction."""
+"""Static model of a drive with a force limit and a gain that depends on the direction."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.records.trials import Floats
 
 DRIVE = ("limit", "asymmetry")
-"""Parameters of a drive: the largest command, and the asymmetry. The asymmetry is half the difference between the gains
-of positive and negative commands, divided by their mean."""
+"""Parameters of a drive, which are the largest command and the asymmetry. The asymmetry is half the difference between
+the gains of positive and negative commands, divided by their mean."""
 
 
 def applied_command(command: Floats, numbers: Mapping[str, float]) -> Floats:

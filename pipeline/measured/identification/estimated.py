@@ -84,7 +84,8 @@ def _force(number: str) -> Conversion:
 
 
 def _friction(n: Numbers, units: LogUnits) -> float:
-    """Return the friction of both sides of a mode: logs show their sum better than the share of each."""
+    """Return the total friction of both sides of a mode, because logs show the sum better than the share of each
+    side."""
     return (n["coulomb"] + n.get("load_coulomb", 0.0)) / n["gain"] * units.command
 
 

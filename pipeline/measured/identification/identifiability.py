@@ -57,7 +57,8 @@ class IdentifiableCombination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Content of recordings: number of command sizes in one direction, of command signs, of directions, of trials."""
+    """Content of recordings, as numbers of command sizes in one direction, of command signs, of directions and of
+    trials."""
 
     sizes: int
     signs: int
@@ -175,7 +176,8 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
 def reasons(
     names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool, misfit: str
 ) -> dict[str, str]:
-    """Return one sentence for each given parameter: why it is not identifiable, and what to record.
+    """Return one sentence for each given parameter. It states why the parameter is not identifiable, and what to
+    record.
 
     ``slow_rows`` is whether the command explains the motion without an inertia. ``misfit`` is the reason why no device
     explains the motion. It is empty if a device does.

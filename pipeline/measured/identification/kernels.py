@@ -1,4 +1,4 @@
-"""Compiled loops over the rows of segments: transitions, filter gains, prediction errors, and triangular factors.
+"""Compiled loops over the rows of segments, for transitions, filter gains, prediction errors, and triangular factors.
 
 Time is in sampling periods, and position in standard deviations of a reading. x is the state of the device. Under
 jitter, the applied command has one of A ages. The indicator of an age is 1 if the applied command has this age, else 0;

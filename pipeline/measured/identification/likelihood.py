@@ -73,8 +73,8 @@ PORTIONS = 16
 a Student's t of 2.13."""
 
 PHASES = 8
-"""Number of phases of the motion. Unmodelled effects differ between phases: damping by direction, the force of a hand
-by displacement, and backlash by speed."""
+"""Number of phases of the motion. Unmodelled effects differ between phases. Damping depends on the direction, the force
+of a hand on the displacement, and backlash on the speed."""
 
 TOGETHER = 3_000_000
 """Largest number of values in the columns of segments that are computed together (24 MB)."""

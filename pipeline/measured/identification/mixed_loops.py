@@ -1,4 +1,4 @@
-"""Compiled loops of a mixed-effects regression: common numbers, variances between units, and weights of units.
+"""Compiled loops of a mixed-effects regression, for common numbers, variances between units, and weights of units.
 
 Each of T units has a linear regression e_t = X_t (theta + b_t) + noise. The upper triangular factor R_t of its c
 whitened columns and its errors represents it, with X'X = R'R. D contains the variances between units. The covariance of

@@ -47,7 +47,7 @@ class PlantShape:
     load_damping : float
         Part of ``delta`` that acts on the load.
     spring_damping_fraction : float
-        Share of the loss that occurs in the damper between both sides; the rest occurs at the motor. It replaces
+        Share of the loss that occurs in the damper between both sides. The rest occurs at the motor. It replaces
         ``load_mass_fraction`` if the position of the load is measured, since any load mass then gives the same motion.
     """
 

@@ -46,7 +46,7 @@ WHITE = Noise()
 
 
 def gains_of(segments: Segments, transitions: Transitions, noise: Noise, command: Floats) -> Gains:
-    """Return the filter for a noise: steady for even rows without jitter, otherwise with gains for each row.
+    """Return the filter for a noise. It is steady for even rows without jitter, and otherwise has gains for each row.
 
     ``command`` (R,) is the applied command.
     """

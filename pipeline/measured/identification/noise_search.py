@@ -1,4 +1,4 @@
-"""Find the maximum-likelihood noise of a device: a random force and a jitter of the delay."""
+"""Find the maximum-likelihood noise of a device, which consists of a random force and a jitter of the delay."""
 
 from __future__ import annotations
 

@@ -31,11 +31,11 @@ class Part:
     starts : callable
         Function that returns candidate values. The search starts at the best candidate.
     size : str
-        Name of a number in which the motion is linear and which is 0 without the part, if any.
+        Name of a number in which the motion is linear and which is 0 without the part, if there is such a number.
     near : str
-        Name of the number for which a second search near the best start is made, if any.
+        Name of the number for which there is a second search near the best start, if there is such a number.
     needs : str
-        Name of another part without which this part is not searched for, if any.
+        Name of another part without which this part is not searched for, if there is such a part.
     """
 
     numbers: tuple[str, ...]

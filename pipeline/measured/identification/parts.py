@@ -1,4 +1,5 @@
-"""Select the parts of a device by cross-validation: a part is accepted if it makes trials left out more likely."""
+"""Select the parts of a device by cross-validation. A part is accepted if trials that were left out are more likely
+with it."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ SHORTER = (150,)
 fast motor at 1 kHz."""
 
 STARTS = 2
-"""Number of initial devices for a search on whole segments: one with a spring and one without."""
+"""Number of initial devices for a search on whole segments. One has a spring, and one does not."""
 
 MOST_TRIALS = 100
 """Largest number of trials that are used to choose parts. All trials are used for the final fit."""
@@ -458,7 +459,8 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
 
 
 def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
-    """Return two initial devices, the more likely one first: from the force balance with a spring, and without.
+    """Return two initial devices from the force balance, one with and one without a spring. The more likely one comes
+    first.
 
     With a single wall, the command is that of a spring and a damper. Except for the delay, a device with a spring and a
     damper but no gain moves in the same way. Reading errors then decide between the two devices.

@@ -1,4 +1,4 @@
-"""Logs as input of the estimator: rows in SI, smoothed motion, and units in which values are near 1."""
+"""Prepare logs for the estimator, with rows in SI units, smoothed motion, and units in which values are near 1."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SURE = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
+    """Log with a name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
     ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
     wall.
@@ -70,10 +70,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class LogUnits:
-    """Units of the estimator: sampling period [s], position relative to an origin [m, rad], and command [N, Nm].
+    """Units of the estimator, which are the sampling period [s], the position relative to an origin [m, rad], and the
+    command [N, Nm].
 
-    The origin is the position at which a spring is relaxed: the initial position of most logs. If it is None, it is the
-    initial position of each log, e.g. if a hand grips the device there. A further offset acts like a constant force.
+    The origin is the position at which a spring is relaxed. This is the initial position of most logs. If it is None,
+    it is the initial position of each log, e.g. if a hand grips the device there. A further offset acts like a constant
+    force.
     """
 
     period: float
@@ -93,7 +95,8 @@ class LogUnits:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of a recording: velocity, smoothed over ``half`` rows on each side, its error, and known directions."""
+    """Motion of a recording, with the velocity smoothed over ``half`` rows on each side, its error, and known
+    directions."""
 
     velocity: Floats
     error: float

@@ -24,7 +24,8 @@ STILL = 3.0
 
 TIME_CONSTANTS = 6.0
 """Length of a window in the device's longest time constant. It is about one period of a spring, and long enough for a
-motor to reach its speed. In a longer window, a small constant force causes drift; in a shorter one, any device fits."""
+motor to reach its speed. In a longer window, a small constant force causes drift. In a shorter window, any device
+fits."""
 
 INTEGRATOR = 1e-6
 """Largest magnitude [1/sample] of an eigenvalue that is treated as an integrator."""

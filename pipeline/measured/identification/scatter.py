@@ -1,4 +1,4 @@
-"""Joint likelihood of all trials: common numbers, their scatter from trial to trial, and outliers among trials.
+"""Joint likelihood of all trials, with common numbers, their scatter from trial to trial, and outliers among trials.
 
 Each trial is a linear regression with whitened errors e_i = X_i (theta + b_i) + noise, represented by its moments. The
 unknown variances of b_i are estimated by restricted maximum likelihood. A noisier trial has less weight.

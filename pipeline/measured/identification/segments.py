@@ -1,4 +1,7 @@
-"""Divide logs into segments: rows in motion with an unknown initial state, as ranges of the rows of all trials."""
+"""Divide logs into segments.
+
+A segment is a range of rows in motion with an unknown initial state. Its rows are numbered over all trials.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,8 @@ stamps. It is below 0.01 for real-time controllers and up to 0.3 for polling loo
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Part of a recording: its first row, the row after its last one, and the row of a command edge at its start."""
+    """Part of a recording, given by its first row, the row after its last one, and the row of a command edge at its
+    start."""
 
     trial: int
     first: int

@@ -1,1 +1,1 @@
-"""Evaluation of a single log: response, modes, verdict, outcome, and events."""
+"""Evaluate a single log for its response, modes, verdict, outcome, and events."""

@@ -28,7 +28,7 @@ def jumps(values: Floats) -> Integers:
     Parameters
     ----------
     values : float64, shape (rows,)
-        NaN for a missing cell; a change across it is not a jump.
+        A missing cell is NaN. A change across it is not a jump.
     """
     size = np.abs(np.diff(values))
     reach = _reach(values)

@@ -33,7 +33,8 @@ SHORTEST_SPAN, LONGEST_SPAN = 8, 40
 samples."""
 
 SENSOR_FLOORS = 2.3
-"""Largest second difference attributed to the sensor, in sensor floors: two quanta and six standard deviations."""
+"""Threshold for second differences in sensor floors. Differences up to two quanta and six standard deviations are
+attributed to the sensor."""
 
 SMALLEST_FORCE = max(SETTLING_BANDS.values())
 """Smallest reported disturbance relative to the step, and assumed relative error of the command and the forces of the
@@ -64,7 +65,7 @@ class Disturbance:
 
 @dataclass(frozen=True)
 class PushResponse:
-    """Device fitted to an experiment to detect disturbances: m, b, k and delay [samples].
+    """Device (m, b, k and delay [samples]) that is fitted to an experiment to detect disturbances.
 
     The mass is 0 if the trials show no motion. ``span`` is the number of rows on each side of a row that determine its
     force. ``least`` is the smallest force of an event, relative to the smallest reported one. Smaller forces are

@@ -1,4 +1,4 @@
-"""Detect limits that end or distort a log: the travel of the device, rigid stops, and the largest command."""
+"""Detect limits that end or distort a log, which are the travel of the device, rigid stops, and the largest command."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ for a smooth reversal), number of such reversals at one extreme that indicate a 
 reversal in sensor floors. Below this distance, a smooth reversal stays for several samples."""
 
 BLOW = 2.0
-"""Smallest force of an impact relative to the step. Hands push with less force; impacts at 0.2 m/s cause more."""
+"""Smallest force of an impact relative to the step. Hands push with less force, whereas impacts at 0.2 m/s cause
+more."""
 
 UNMOVED_SAMPLES = LONGEST_DELAY + 2 * FEWEST_SAMPLES
 """Number of samples after the step for which a device at rest may still be waiting for the command. It is the longest

@@ -103,7 +103,7 @@ class _Span:
     basis : float64, shape (points, rank)
         Directions of a window.
     shift : float64, shape (rank, rank)
-        Matrix that maps the directions to the next point; its eigenvalues are the modes.
+        Matrix that maps the directions to the next point. Its eigenvalues are the modes.
     """
 
     noise: float

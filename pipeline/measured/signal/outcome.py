@@ -136,7 +136,7 @@ RULES: dict[str, Callable[[_Evidence], tuple[bool, int]]] = {
     "settled": lambda of: (of.end.settled, of.end.entry),
 }
 """Rules of the outcomes in order of precedence. Each rule returns whether the outcome applies, and the row in which its
-evidence begins. Outcomes that end a log or make it useless precede outcomes of the loop."""
+evidence begins. Outcomes that end a log or make it useless take precedence over outcomes of the loop."""
 
 OUTCOMES = tuple(RULES)
 
@@ -164,8 +164,8 @@ def classify(trial: Trial, response: Response, verdict: Verdict, usual_rows: int
     outside the band; the response is not yet permanently in the band; the response has settled. A limit cycle inside
     the band is settled.
 
-    The band is 2 % of the final displacement, or the sensor floor if the floor is wider. With K <= 0 there is no final
-    position; the outcome of such a trial is divergence or motion.
+    The band is 2 % of the final displacement, or the sensor floor if the floor is wider. With K <= 0, there is no final
+    position. The outcome of such a trial is divergence or motion.
     """
     stepped = trial.stiffness > 0 and trial.step != 0
     travel = abs(trial.step / trial.stiffness) if stepped else np.nan

@@ -1,4 +1,4 @@
-"""Estimate the resolution of a sensor: its quantum, its noise, and the amplitude that both can cause."""
+"""Estimate the quantum and the noise of a sensor, and the amplitude that both can cause."""
 
 from __future__ import annotations
 

@@ -263,8 +263,8 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 def _hidden(views: Views, response: Response) -> float:
     """Return the growth per sample of a component that grows within or below a decaying motion, or NaN if unknown.
 
-    Differences reveal a vibration that is hidden by a slow motion; their error is twice as large. Unless noise blurs
-    it, the quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
+    Differences reveal a vibration that a slow motion hides. Their error is twice as large. Unless noise blurs it, the
+    quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
     """
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)

@@ -1,4 +1,4 @@
-"""Types of stages. A stage has typed inputs and a typed output; the fields of the output are the stored columns."""
+"""Types of stages. A stage has typed inputs and a typed output. The fields of the output are the stored columns."""
 
 from __future__ import annotations
 

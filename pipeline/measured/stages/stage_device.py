@@ -1,4 +1,7 @@
-"""Stages `parts`, `device` and `model`: one device from the likelihood of all trials, and estimates of each trial."""
+"""Define the stages `parts`, `device` and `model`.
+
+They determine one device from the likelihood of all trials, and estimates of each trial.
+"""
 
 from __future__ import annotations
 
@@ -303,7 +306,7 @@ def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
 
 
 def _complete(trial: Trial, rows: slice) -> slice:
-    """Return the range between lost rows with the most motion; all rows if none is lost."""
+    """Return the range between lost rows with the most motion, or all rows if none is lost."""
     time, position = trial.time[rows], trial.position[rows]
     gaps = np.flatnonzero(np.diff(time) > GAP * trial.sampling_period_s) + 1
     bounds = [0, *gaps.tolist(), len(time)]

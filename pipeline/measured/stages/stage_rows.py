@@ -71,7 +71,7 @@ def wall_law(of: MeasuredTrial, _: None) -> WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeInputs:
-    """Inputs of outcomes that are common to the experiment: the usual number of rows, and the device."""
+    """Inputs of outcomes that are common to the experiment. They are the usual number of rows and the device."""
 
     usual_rows: int
     device: PushResponse
@@ -109,7 +109,7 @@ def delay(of: MeasuredTrial, _: None) -> DelayRow:
 
 @dataclass(frozen=True)
 class MassInputs:
-    """Common inputs of momentum balances: delay [samples] and length of the window [s]."""
+    """Common inputs of momentum balances, which are the delay [samples] and the length of the window [s]."""
 
     delay: int
     window_s: float
@@ -160,7 +160,7 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInputs:
-    """Return the common inputs of reading errors: spring, sensor error, and usual gain."""
+    """Return the common inputs of reading errors, which are the spring, the sensor error, and the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
     sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
@@ -175,7 +175,8 @@ def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -
 
 
 def _spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad]: declared, else of the identified device, else from rest positions."""
+    """Return the stiffness k [N/m, Nm/rad] that is declared, or otherwise identified, or otherwise found from rest
+    positions."""
     k = by_model(of, "stiffness")
     if of.spring or k.value is None:
         return rest_spring(of)

@@ -66,7 +66,7 @@ def stage_row(of: MeasuredTrial, measure: Callable[[MeasuredTrial, Any], object]
 
 
 def stored_value(name: str, value: object) -> object:
-    """Return a column value in stored form: null for a negative row number or an empty text.
+    """Return a column value in stored form, which is null for a negative row number or an empty text.
 
     >>> stored_value("edge_row", -1), stored_value("edge_row", 20), stored_value("reason", "")
     (None, 20, None)
@@ -286,7 +286,8 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage with the same inputs from the experiment; none if they are damaged."""
+        """Return the stored rows of a stage with the same inputs from the experiment. There are none if they are
+        damaged."""
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:

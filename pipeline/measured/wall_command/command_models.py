@@ -1,4 +1,4 @@
-"""Models of a logged command: the wall law, and its variants in controllers and loggers.
+"""Models of a logged command, which are the wall law and its variants in controllers and loggers.
 
 Each candidate returns the departures of a log from the wall law (possibly none). It returns None if it does not explain
 the log, i.e. if the command in some row differs by more than the rounding of the logged digits.
@@ -45,7 +45,8 @@ SCALE_TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class Departure:
-    """Departure of a log from the wall law. ``obeyed`` contains K, B and step of another wall that it obeys, if any."""
+    """Departure of a log from the wall law. ``obeyed`` contains K, B and step of the other wall if the command obeys
+    one."""
 
     code: str
     evidence: str
@@ -57,7 +58,7 @@ class Departure:
 Departures = tuple[Departure, ...]
 
 Law = Callable[[LogRows], Departures | None]
-"""Candidate: a function that returns the departures of a log."""
+"""Candidate, which is a function that returns the departures of a log."""
 
 
 def explanation(log: LogRows) -> Departures | None:
@@ -339,4 +340,7 @@ CANDIDATES: tuple[Law, ...] = (
     _filtered_and_clipped,
     _shifted(_velocity_filter, 1),
 )
-"""Candidates in the order of their free parameters: none, a limit or a constant, three, and those of a filter."""
+"""Candidates in the order of the number of their free parameters.
+
+They have none, a limit or a constant, three, or those of a filter.
+"""

@@ -1,8 +1,8 @@
-"""Rows of one log: rounding of printed digits, residual of the wall law, and missing or repeated rows.
+"""Examine the rows of one log for rounding of printed digits, residual of the wall law, and missing or repeated rows.
 
 A file may print decimals or significant digits, or contain single precision, which may have been printed again. The
-numbers of a column show the format: it has the smallest number of digits that represents all of them. Each number has a
-rounding error of up to half a unit in its last digit.
+numbers of a column show its format, which has the smallest number of digits that represents all of them. Each number
+has a rounding error of up to half a unit in its last digit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Evaluate the time stamps of a log: missing rows, scattering stamps, or another sampling period.
+"""Evaluate the time stamps of a log to find missing rows, scattering stamps, or another sampling period.
 
-Time stamps count rows, but they do not time them exactly: an operating system writes them late while control continues.
-A missing row shifts all later stamps, and a late stamp shifts only itself.
+Time stamps count rows, but they do not time them exactly, because an operating system writes them late while control
+continues. A missing row shifts all later stamps, and a late stamp shifts only itself.
 """
 
 from __future__ import annotations

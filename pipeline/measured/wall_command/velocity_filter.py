@@ -45,7 +45,7 @@ class VelocityFilterFound:
 
     @property
     def free(self) -> int:
-        """Number of free parameters: none for a mean over samples, one for a Butterworth filter (cut-off)."""
+        """Number of free parameters. A mean over samples has none, and a Butterworth filter has one (the cut-off)."""
         return 0 if self.difference else 1 if self.cutoff_hz else len(self.a) + len(self.b) - 2
 
     @property
@@ -94,8 +94,8 @@ def find_filter(
 
     Notes
     -----
-    At constant speed, a filter returns this speed: its static gain is 1. Another static gain means that the wall law
-    differs.
+    At constant speed, a filter returns this speed, because its static gain is 1. Another static gain means that the
+    wall law differs.
     """
     result = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
     if result is None or result.difference:
