@@ -118,8 +118,8 @@ class PlanOptions:
     dampings : tuple of float
         B at which limits are wanted [Ns/m, Nms/rad]. By default, `DAMPINGS` of them cover the range.
     largest_stiffness, largest_damping, largest_force, travel : float
-        Bounds of trials: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm], and distance of the start from the centre
-        [m, rad].
+        Bounds of K [N/m, Nm/rad], of B [Ns/m, Nms/rad], of the command [N, Nm], and of the distance of the start from
+        the centre [m, rad].
     """
 
     goal: Literal["boundary", "optimum"] = "boundary"
@@ -318,7 +318,8 @@ def _experiment(name: str, requested: str | None, stored: Sequence[str], device:
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are wanted: the stated dampings, otherwise evenly spaced or tried ones.
+    """Return the dampings at which limits are wanted. They are the stated dampings, or otherwise evenly spaced or tried
+    ones.
 
     Evenly spaced dampings are moved to a nearby damping that was tried or is a step of the device file. If the rig
     replaced a damping by another one, it is also replaced here.
@@ -389,7 +390,7 @@ def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
 
 
 def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits for the step, as predicted by the device from the logs, or else by the device file.
+    """Return the limits for the step, as predicted by the device from the logs or otherwise by the device file.
 
     The result is None without either, or if the limits of the devices consistent with the logs differ too much.
     """

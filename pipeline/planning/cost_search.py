@@ -1,4 +1,4 @@
-"""Search for the goal `optimum`: walls to try until the best cost by a criterion is found.
+"""Search for the goal `optimum`, which selects walls to try until the best cost by a criterion is found.
 
 The device identified from all logs predicts the cost of each wall. The deviation of measured costs is modelled as a
 random function of (K, B). The best wall is always one with a measured cost.
@@ -20,17 +20,18 @@ from pipeline.theory.boundary import stiffness_limit
 from pipeline.theory.costs import point_costs_by_name
 
 LENGTHS = np.array([0.12, 0.08])
-"""Correlation lengths of the logarithm of a cost, relative to the ranges of B and K."""
+"""Correlation lengths of the logarithm of a cost along B and K, relative to the ranges of B and K."""
 
 HIGHEST = 0.95
-"""Fraction of the limit above which responses are too slow to be simulated or to be good."""
+"""Threshold for the stiffness as a fraction of the limit. Above it, responses are too slow to be simulated or to be
+good."""
 
 DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
-"""Grid over the stable region: number of dampings, and fractions of the limit at each damping."""
+"""Grid over the stable region, given by the number of dampings and the fractions of the limit at each damping."""
 
 ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
-"""Refinement around the lowest grid points: relative positions, and pairs of range (in grid spacings) and number of
-points.
+"""Refinement around the lowest grid points, given by relative positions and by pairs of range (in grid spacings) and
+number of points.
 
 The shortest settling times lie in a narrow valley next to a jump, which a grid finds only by chance.
 """
@@ -119,7 +120,7 @@ class CostTarget:
         return np.interp(damping, self.dampings, self.highest)
 
     def predicted(self, K: Floats, B: Floats) -> Floats:
-        """Return the logarithm of predicted costs: 0 without a device, NaN if it predicts none."""
+        """Return the logarithm of predicted costs. It is 0 without a device, and NaN if the device predicts no cost."""
         if self.by is None:
             return np.zeros(len(K))
         found = costs_of(self.by, K, B, self.criterion) + self.offset
@@ -133,9 +134,9 @@ class Search:
     Parameters
     ----------
     walls : tuple of (float, float, float)
-        Walls to try next: K [N/m, Nm/rad], B [Ns/m, Nms/rad], expected cost.
+        Walls to try next, each with K [N/m, Nm/rad], B [Ns/m, Nms/rad] and the expected cost.
     done : bool
-        Whether the search is done: no wall is expected to improve on the best trial by more than the accuracy.
+        Whether the search is done, because no wall is expected to improve on the best trial by more than the accuracy.
     best : int or None
         Index of the best trial.
     least : float
@@ -215,7 +216,8 @@ def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
 
 
 def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
-    """Return K, B and the logarithm of the predicted cost of candidate walls: a grid, denser around its optimum."""
+    """Return K, B and the logarithm of the predicted cost of candidate walls. They form a grid that is denser around
+    its optimum."""
     dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
     K, B = np.outer(target.highest_at(B), SHARES).ravel(), np.repeat(B, len(SHARES))

@@ -1,4 +1,4 @@
-"""Stability limits of walls for a loop: limits of its linear motion, and limits for a step with friction or jitter."""
+"""Compute stability limits of a loop, both for its linear motion and for a step with friction or jitter."""
 
 from __future__ import annotations
 
@@ -203,8 +203,8 @@ def limits_of(
     """Return the limits at dampings B, and their 95 % uncertainty, both (n,) [N/m, Nm/rad].
 
     The limits are those of the linear loop. For a nonlinear device they are limits for its step (`step_limits`), and
-    the uncertainty includes a fraction of the increase due to friction. Sensor resolution alone does not shift a limit:
-    the oscillation that it sustains ends below the limit.
+    the uncertainty includes a fraction of the increase due to friction. Sensor resolution alone does not shift a limit,
+    because the oscillation that it sustains ends below the limit.
     """
     loop = device.loop
     limit = linear_limits(loop, damping)

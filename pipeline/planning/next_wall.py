@@ -1,4 +1,7 @@
-"""Search for the goal `boundary`: walls to try until two verdicts bracket the limit at each damping closely enough."""
+"""Search for the goal `boundary`.
+
+The search selects walls to try until two verdicts bracket the limit at each damping closely enough.
+"""
 
 from __future__ import annotations
 
@@ -258,7 +261,8 @@ class PlanGoal:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Limit at each damping before it is measured: value and standard error [N/m, Nm/rad], both of shape (n,).
+    """Forecast of the limit at each damping before it is measured, as value and standard error [N/m, Nm/rad], shape
+    (n,) each.
 
     A limit that cannot be predicted is NaN. ``misfit`` is the error at measured limits, relative to the largest limit.
     ``low`` is the lowest limit of all devices consistent with the logs. By default, it equals the limit. ``scale`` is
@@ -283,7 +287,8 @@ class Forecast:
 
 @dataclass(frozen=True)
 class NextTrial:
-    """Best wall to try: its index among the edges, probability of instability, and expected total number of trials."""
+    """Best wall to try, with its index among the edges, the probability of instability, and the expected total number
+    of trials."""
 
     place: int
     unstable: float
@@ -292,7 +297,7 @@ class NextTrial:
 
 @dataclass(frozen=True)
 class DampingState:
-    """State of a damping: its limit by verdicts and forecast, and the wall to try (None if the damping is done).
+    """State of a damping, with its limit by verdicts and forecast, and the wall to try (None if the damping is done).
 
     ``estimate`` is None if it is unknown. ``split`` is None if a wall is tried again. ``most`` is the stiffest wall
     that may be tried now.
@@ -329,7 +334,7 @@ class PlanState:
 def plan_state(
     tried: TriedWalls, goal: PlanGoal, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
 ) -> PlanState:
-    """Return the state of each damping: its limit, and the wall to try next.
+    """Return the state of each damping, which contains its limit and the wall to try next.
 
     Parameters
     ----------
@@ -574,8 +579,8 @@ def _wall_to_try(
 def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = False) -> float:
     """Return the stiffest wall that may be tried now, or at most the bracket's lower end if none may be tried.
 
-    It does not exceed the lowest limit consistent with the logs, until one of three things is known: a wall near this
-    limit was stable, such a wall was undecided inside the bracket, or ``repeated`` shows that the rig sets no wall
+    It does not exceed the lowest limit consistent with the logs until one of three conditions is true. A wall near this
+    limit was stable, or such a wall was undecided inside the bracket, or ``repeated`` shows that the rig sets no wall
     there. Then only a stiffer wall can close the bracket.
     """
     goal = task.goal
@@ -605,8 +610,8 @@ def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> Dampi
 def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
     """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
 
-    A second trial of the wall must confirm the verdict. If the rig is to be protected, no unstable wall is tried twice:
-    to judge a stable wall as unstable is safe.
+    A second trial of the wall must confirm the verdict. If the rig is to be protected, no unstable wall is tried twice,
+    because judging a stable wall as unstable is safe.
     """
     ends = []
     for wall in (of.low,) if gentle else (of.low, of.high):

@@ -125,7 +125,7 @@ class Plan(Record):
     left_out: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """Return the plan as lines of text: walls, remarks, the best trial so far, and the limits."""
+        """Return the plan as lines of text, with walls, remarks, the best trial so far, and the limits."""
         lines = [f"K = {w.stiffness:g}, B = {w.damping:g}: expected {w.expected}. {w.why}" for w in self.next]
         lines += self.remarks
         if self.left_out:
@@ -280,7 +280,7 @@ def aim_of(
 
 
 def _remarks(campaign: Campaign, found: PlanState, goal: PlanGoal) -> tuple[str, ...]:
-    """Return remarks on the basis of the plan: contradictions, and whether a loop explains the logs."""
+    """Return remarks on the basis of the plan, namely on contradictions and on whether a loop explains the logs."""
     remarks = [
         f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit is used"
         for c in found.columns

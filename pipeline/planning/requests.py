@@ -1,4 +1,4 @@
-"""Requested walls and the walls that a rig sets: its steps, its range or scale of K, and its dampings."""
+"""Relate requested walls to the walls that a rig sets, by its steps, its range or scale of K, and its dampings."""
 
 from __future__ import annotations
 
@@ -133,7 +133,8 @@ def store_requests(
 
 @dataclass(frozen=True)
 class GainGrid:
-    """Stiffnesses that a rig sets: multiples of a step [N/m, Nm/rad], and how it rounds to them."""
+    """Stiffnesses that a rig sets, given by the step [N/m, Nm/rad] of which they are multiples and by the kind of
+    rounding."""
 
     step: float
     rounding: Literal["nearest", "down", "up"]
@@ -199,7 +200,7 @@ class RigRange:
         wanted : float
             Most informative stiffness.
         low, high : float
-            Ends of the bracket: 0 and infinity if there is no wall.
+            Ends of the bracket. They are 0 and infinity if there is no wall.
         most : float
             Stiffest permitted wall. If the rig sets no softer wall inside, a stable wall is repeated once.
         """

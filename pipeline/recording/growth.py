@@ -76,7 +76,7 @@ class Growth:
 
 
 def last_at_rest(samples: Samples, edge: int) -> int:
-    """Return the last row in which a device at rest must not have moved: the edge, or one row earlier if polled.
+    """Return the last row in which a device at rest must not have moved. It is the edge, or one row earlier if polled.
 
     A controller reads the position before it sends a command, so a command in row k has no effect until row k + 1.
     Between two polled rows, the command may have changed and moved the device before the second row.

@@ -54,9 +54,9 @@ class FreeResponse:
     Parameters
     ----------
     delay : float
-        Delay of the best fit [rows]; negative if the position precedes the command.
+        Delay of the best fit [rows]. It is negative if the position leads the command.
     gain : float
-        Acceleration per unit of command [position/row^2]; negative if the signs differ.
+        Acceleration per unit of command [position/row^2]. It is negative if the signs differ.
     residual : float
         Root mean square of the residual of the best fit.
     residual_causal : float

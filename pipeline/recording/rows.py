@@ -1,4 +1,4 @@
-"""Find rows that are not readings: repeated rows, a frozen position, and interpolated positions."""
+"""Find rows that are not readings, namely repeated rows, a frozen position, and interpolated positions."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ EQUAL = 0.3
 """Probability of two equal consecutive readings, divided by the ratio of sensor step to noise standard deviation."""
 
 MADE_UP = 1.3
-"""Smallest ratio of the changes after and before a repeated reading. It exceeds 1 because the change after the
-repetition covers two rows."""
+"""Threshold for the ratio of the change after a repeated reading to the change before it. The threshold exceeds 1
+because the change after the repetition covers two rows."""
 
 JUMPS = 5.0
-"""Smallest change after frozen rows, relative to both the typical nearby change and the last change before the frozen
-rows."""
+"""Threshold for the change after frozen rows. It is relative to both the typical nearby change and the last change
+before the frozen rows."""
 
 FEWEST = 3
 """Smallest number of repeated rows that is not attributed to a reversal of the motion."""
@@ -39,14 +39,14 @@ FROZEN = 10
 """Smallest number of constant rows for which a position counts as frozen."""
 
 FEWEST_KNOTS = 4
-"""Smallest number of kinks of a position or command that shows a grid of fewer readings."""
+"""Smallest number of kinks of a position or command from which a grid of fewer readings is inferred."""
 
 NO_CHANCE = 7.0
-"""Logarithm of the number of possible arrangements of kinks. Above it, a grid is not attributed to chance, because only
-one arrangement is a grid."""
+"""Threshold for the logarithm of the number of possible arrangements of kinks. Above it, a grid is not attributed to
+chance, because only one arrangement is a grid."""
 
 STRAIGHT = 0.4
-"""Share of collinear rows among the moving rows above which a position is interpolated."""
+"""Threshold for the share of collinear rows among the moving rows. Above it, a position counts as interpolated."""
 
 MOVING = 2.0
 """Change per row, in units of the smallest kink, above which the position moves."""

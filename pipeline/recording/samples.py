@@ -13,10 +13,10 @@ from pipeline.records.findings import Finding, FindingCode, Severity
 from pipeline.records.trials import Floats, Integers
 
 NOISE_GAIN = 6.0
-"""Variance of the second difference of white noise relative to the variance of the noise, 1 + 4 + 1."""
+"""Ratio of the variance of the second difference of white noise to the variance of the noise, 1 + 4 + 1."""
 
 THIRD_GAIN = 20.0
-"""Variance of the third difference of white noise relative to the variance of the noise, 1 + 9 + 9 + 1."""
+"""Ratio of the variance of the third difference of white noise to the variance of the noise, 1 + 9 + 9 + 1."""
 
 NORMAL_QUARTILE = NormalDist().inv_cdf(0.75)
 """Median of the absolute value of a standard normal variable."""
@@ -42,8 +42,8 @@ ON_DIGIT = 1e-4
 """Tolerance for an integer number of digits, in digits. It allows for errors of a unit conversion."""
 
 QUIET = 0.15
-"""Largest command of a wall before the step, and largest deviation from the step in its first row, relative to the
-step."""
+"""Limit on the command of a wall before the step, and on its deviation from the step in the first row of the step. Both
+are relative to the step."""
 
 
 def middle(values: Floats) -> float:

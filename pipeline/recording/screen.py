@@ -1,4 +1,6 @@
-"""Screen many logs in machine code: in a single pass over the rows, find logs that obey their wall and have no fault.
+"""Screen many logs in machine code.
+
+A single pass over the rows finds the logs that obey their wall and have no fault.
 
 No check has a finding for a log that passes. Each condition is necessary for a finding of some check (`check`).
 """
@@ -15,7 +17,10 @@ from pipeline.recording.samples import LAW_RESIDUAL, SMALLEST_STEP, THIRD_MEDIAN
 from pipeline.records.trials import Floats, Integers
 
 NOTHING, REPEATED_ROWS, TRAVEL_STOP, ANYTHING = 0, 1, 2, 4
-"""Codes of the possible findings of a log: none, repeated rows, a travel stop (or their sum), or any finding."""
+"""Codes of the possible findings of a log.
+
+They denote no finding, repeated rows, a travel stop (or the sum of the last two), or any finding.
+"""
 
 _LIMITS = np.array(
     [
@@ -30,7 +35,7 @@ fixed copies of constants."""
 
 
 def screened(logs: Sequence[Samples]) -> list[int]:
-    """Return the possible findings of each log: none, only repeated rows or a travel stop, or any finding.
+    """Return whether each log may have no finding, only repeated rows or a travel stop, or any finding.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ BASELINE = 5
 
 
 def unusable_signal(samples: Samples) -> Finding | None:
-    """Return a finding if a log is unusable: too few rows, no motion, or no command."""
+    """Return a finding if a log is unusable because it has too few rows, no motion, or no command."""
     rows = len(samples)
     if rows < FEWEST_ROWS:
         return samples.finding(

@@ -1,4 +1,4 @@
-"""Find travel stops: the position reaches an extreme at speed and stops there or rebounds."""
+"""Find travel stops, at which the position reaches an extreme at speed and stops there or rebounds."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ deviations of the noise, and in rows at the speed before the stop."""
 def travel_stop(samples: Samples) -> Finding | None:
     """Return a finding with the row from which a travel stop affects the motion.
 
-    At a travel stop, the velocity changes within two rows by more than command and friction change it anywhere else.
-    This happens at the largest or the smallest position of the log. Afterwards, the device stays there or leaves more
-    slowly than it arrived.
+    At a travel stop, the velocity changes within two rows by more than command and friction change it elsewhere. This
+    happens at the largest or the smallest position of the log. Afterwards, the device stays there or leaves more slowly
+    than it arrived.
     """
     x, change = samples.position, samples.change
     if len(x) < 2 * BEFORE:

@@ -32,7 +32,7 @@ FEWEST_STEPS = 16
 """Smallest number of sensor steps in a modulus, since a sensor at rest between two values also jumps."""
 
 MODULI = (2 * np.pi, np.pi, 4 * np.pi, 8 * np.pi, 25.0)
-"""Moduli of common encoders [rad]: one, half and several turns, and +-12.5 rad."""
+"""Moduli of common encoders [rad]. They are one turn, half a turn, several turns, and +-12.5 rad."""
 
 SMALL_DOUBT = 3.0
 """Largest uncertainty of an estimated modulus that is not a standard one, in reading errors, for which it is

@@ -1,7 +1,7 @@
 """Compute the limits of walls for a general loop, at given dampings and over the whole stable region.
 
 The limit at a damping is the upper end of the stable interval that begins at alpha -> 0. Another stable interval is an
-island: it lies beyond an unstable gap, or above unstable soft walls.
+island, which lies beyond an unstable gap or above unstable soft walls.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ class Limits:
     alpha : float64, shape (n,)
         Stiffest wall of the interval that begins at alpha -> 0, or nan if there is no such interval.
     angle : float64, shape (n,)
-        Angle of the pole that leaves the unit circle at the limit [rad/sample]; pi for a real pole.
+        Angle of the pole that leaves the unit circle at the limit [rad/sample]. It is pi for a real pole.
     low, low_angle : float64, shape (n,)
         Lower end of the interval and the angle there. If the interval begins on the line alpha = -gamma, they are
         -gamma and nan.
     islands : float64, shape (i, 3)
-        Further stable intervals: beta, and the lowest and the highest alpha > 0.
+        Further stable intervals, each given by beta and the lowest and the highest alpha > 0.
     """
 
     alpha: Floats
@@ -84,7 +84,7 @@ class Outline:
     islands : float64, shape (i, 3)
         Islands as in `Limits`, at these dampings and between the first and the last damping with a stable wall.
     tried : float64, shape (t,)
-        Sorted dampings at which islands were searched for, including both sides of each damping at which an island
+        Sorted dampings at which islands were searched for. They include both sides of each damping at which an island
         begins or ends.
     alpha_max, beta_at_alpha_max : float
         Stiffest wall, without islands, or nan if there is none.
@@ -149,8 +149,8 @@ def outline(loop: NormalisedLoop, points: int = 400, floor: float = 0.0) -> Outl
 
     Notes
     -----
-    Begins, ends, jumps and extrema of limits are not searched for by sampling. They are all in
-    `crossings.turning_dampings`, which lacks only corners. A corner is detected if different branches bound
+    The dampings at which limits begin, end, jump or have extrema are not searched for by sampling.
+    `crossings.turning_dampings` returns all of them except corners. A corner is detected if different branches bound
     neighbouring dampings.
     """
     turning, nodes = turning_dampings(loop), _nodes(loop)
@@ -227,7 +227,7 @@ _FEWEST = 8
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Stability boundary: the edge of the stable region over the damping.
+    """Stability boundary, which is the edge of the stable region over the damping.
 
     Parameters
     ----------
@@ -338,9 +338,9 @@ def _over_dampings(loop: NormalisedLoop, points: int) -> Boundary:
 def _edges(rows: Floats, level: Integers, line: float) -> Floats:
     """Return alpha, beta and angle along the edges of all regions, shape (n, 3), with a row of nan between regions.
 
-    Rows are stable intervals in ascending order of beta: beta, low, high, and the angles at low and high. Intervals of
-    neighbouring levels are matched by their order, or by overlap if their number changes. An edge ends where regions
-    join.
+    Rows are stable intervals in ascending order of beta. A row contains beta, low, high, and the angles at low and
+    high. Intervals of neighbouring levels are matched by their order, or by overlap if their number changes. An edge
+    ends where regions join.
     """
     chains: list[list[int]] = []
     joined = np.zeros(len(rows), np.bool_)
@@ -415,7 +415,7 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
-    """Return the distance of alpha to the closer end of its stable interval, shape (n,); negative if alpha is
+    """Return the distance of alpha to the closer end of its stable interval, shape (n,). It is negative if alpha is
     unstable."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
@@ -447,7 +447,8 @@ _POINTS = 40
 
 
 def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
-    """Return the outline of the region that is stable with every spring: alpha, beta and the worst gamma, shape (n,).
+    """Return alpha, beta and the worst gamma along the outline of the region that is stable with every spring, shape
+    (n,).
 
     The arrays are empty if there is no such region, e.g. for delta = 0. Parameters and errors are as in
     `robust_limits`.
@@ -586,7 +587,7 @@ def quantum_limit(coulomb: float, quantum: float, force_gain: float = 1.0) -> fl
 
     Notes
     -----
-    The condition is sufficient but not necessary: stiffer walls may also be free of limit cycles.
+    The condition is sufficient but not necessary. Stiffer walls may also be free of limit cycles.
 
     Source: Diolaiti et al. 2006; Abbott and Okamura 2005.
     """

@@ -1,4 +1,4 @@
-"""Compute results of theory for the command line, REST and Python: limits, costs of listed walls, and optima.
+"""Compute limits, costs of listed walls, and optima in theory, for the command line, REST and Python.
 
 Each result is a record. ``to_json`` returns its JSON document, and ``columns`` returns its rows. A number that cannot
 be computed is NaN in a record and None in a document, with a reason. Maps are in `pipeline.theory.costs`.
@@ -111,7 +111,8 @@ def case_of(device: Device, experiment: Experiment) -> Case:
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Points of a CSV file: values, shape (n, columns), in the order of the columns, and their row numbers."""
+    """Points of a CSV file, with values of shape (n, columns) in the order of the columns, and with their row
+    numbers."""
 
     path: Path
     values: Floats
@@ -279,7 +280,7 @@ class Boundary:
     stiffest, most_damped : (float, float), optional
         Stiffness and damping at the largest stiffness and at the largest damping, or None if no wall is stable.
     islands : float64, shape (i, 3)
-        Stable intervals beyond an unstable gap: damping, smallest and largest stiffness.
+        Stable intervals beyond an unstable gap, each given by damping, smallest and largest stiffness.
     """
 
     case: Case
@@ -295,7 +296,8 @@ class Boundary:
         return math.nan if self.stiffest is None else self.stiffest[0]
 
     def columns(self) -> dict[str, list[Any]]:
-        """Return the points of a table: stiffness, damping, and the index of the separate region, from 0."""
+        """Return the points of a table, each with stiffness, damping, and the index of the separate region, counted
+        from 0."""
         known = ~np.isnan(self.stiffness)
         values = {name: part[known].tolist() for name, part in zip(self.case.axes, self.curve, strict=True)}
         return {**values, "region": np.cumsum(~known)[known].tolist()}
@@ -478,11 +480,12 @@ class BestDamping:
     criterion : str
     stiffness : float
     damping, cost : float, optional
-        None if no damping stabilises the wall, or no damping has a cost; `reason` states the reason.
+        None if no damping stabilises the wall or no damping has a cost. In this case, `reason` states why.
     low, high : float, optional
         Ends of the range of equally good dampings. `damping` is in the middle.
     critical, amplitude : float
-        Dampings from the rules for continuous time (5.17): critical, and optimal in amplitude (ratio 1/sqrt 2).
+        Critical damping, and damping that is optimal in amplitude (ratio 1/sqrt 2), by the rules for continuous time
+        (5.17).
     reason : str, optional
     """
 
@@ -512,18 +515,19 @@ class BestDamping:
 
 
 def continuous_rules(mass: float, damping: float, spring: float, stiffness: float) -> tuple[float, float]:
-    """Return the dampings of a wall by the rules for continuous time: critical, and optimal for the amplitude.
+    """Return the critical damping of a wall and the damping that is optimal for the amplitude, in continuous time.
 
     Parameters
     ----------
     mass, damping, spring : float
         m, b and k of the device, in any consistent units.
     stiffness : float
-        K of the wall; K + k is positive.
+        Stiffness K of the wall. The sum K + k must be positive.
 
     Notes
     -----
-    2 sqrt(m (K + k)) - b and sqrt(2 m (K + k)) - b: damping ratios of 1 and of 1/sqrt(2) without delay and sampling.
+    The dampings are 2 sqrt(m (K + k)) - b and sqrt(2 m (K + k)) - b. Without delay and sampling, the damping ratio is
+    then 1 and 1/sqrt(2), respectively.
 
     Source: Hulin 2017, eq. 5.17.
 
@@ -604,7 +608,7 @@ def best_wall(case: Case, criterion: str, signal: str | None = None) -> Optimum:
     criterion : str
         One of `CRITERIA` or `POINT_CRITERIA`. ``_discrete`` is appended for the sampled response, or `signal` is given.
     signal : {"continuous", "discrete"}, optional
-        Response that determines the cost; by default according to the name of the criterion.
+        Response that determines the cost. By default, it follows from the name of the criterion.
 
     Raises
     ------

@@ -152,7 +152,8 @@ def bounding_box(loop: NormalisedLoop) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class MapBlock:
-    """Rows of a map: all points for some beta, with beta changing slowest, and costs by name (NaN without a cost)."""
+    """Rows of a map. They contain all points for some beta, with beta changing slowest, and costs by name (NaN without
+    a cost)."""
 
     alpha: Floats
     beta: Floats
@@ -166,7 +167,7 @@ AXES = ("alpha", "beta")
 
 @dataclass(frozen=True)
 class CostMap:
-    """Specification of a map: a grid over the bounding box of the stable region, including both ends.
+    """Specification of a map, which is a grid over the bounding box of the stable region, including both ends.
 
     Parameters
     ----------

@@ -56,7 +56,8 @@ FLOOR = 1e-300
 """Absolute value below which a coefficient is unknown, because doubles lose digits there."""
 
 DEEPEST, NARROWEST = 160, 44
-"""Largest number of halvings of an interval in doubles: in total, and below the leading digit of its position."""
+"""Largest number of halvings of an interval in doubles, first in total and then below the leading digit of its
+position."""
 
 ENCLOSED = 1e-9
 """Relative distance from a root, on both sides, at which doubles must determine the sign."""
@@ -157,7 +158,8 @@ def isolate(stack: Floats, places: Floats, roots: Floats, count: Integers) -> No
     Parameters
     ----------
     stack : float64, shape (depth, 2, n + 1)
-        Nodes: Bernstein coefficients over an interval, and bounds of their errors. The first node is an input.
+        Nodes, which are Bernstein coefficients over an interval, and bounds of their errors. The first node is an
+        input.
     places : float64, shape (depth, 2)
         Lower end and width of each interval. The first interval is an input.
     roots, count : float64, shape (n + 1,); int, shape (1,)
@@ -467,7 +469,7 @@ class Ends:
     start : float
         beta at which the first branch leaves the line alpha = -gamma, theta -> 0.
     last, slope : float
-        There is a pole at z = -1 for alpha = last - beta slope; infinite without such a pole.
+        There is a pole at z = -1 for alpha = last - beta slope. The values are infinite without such a pole.
     bend : tuple of float
         With rising alpha, this pole leaves the circle if bend[0] + beta bend[1] > 0.
     unstable : int
@@ -588,7 +590,7 @@ class CircleCondition:
         return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
-        """Return beta at a place; infinity at a pole of beta."""
+        """Return beta at a place. It is infinite at a pole of beta."""
         bottom = value_at(self.turn, s)
         return -value_at(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
 
@@ -935,7 +937,8 @@ _SIDES = np.array([1e-9, 0.5, 1 - 1e-9])
 
 @lru_cache(maxsize=512)
 def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
-    """Return the first branch of a mass with damper and spring if it alone encloses the stable region; else None."""
+    """Return the first branch of a mass with damper and spring if it alone encloses the stable region, otherwise
+    None."""
     b, ends = branches(loop), level_passings(loop, -loop.gamma)
     _, high, start, top, gain = (column[0] for column in b.cells)
     plain = len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1

@@ -1,4 +1,4 @@
-"""Compute optimal curves: the best damping for each stiffness, and the best stiffness for each damping.
+"""Compute optimal curves, which are the best damping for each stiffness and the best stiffness for each damping.
 
 All lines of a curve are searched together (`theory.search`). The search along a line does not depend on its neighbours,
 so a curve may jump where the optimum jumps (settling time and overshoot, Figs. 5.4 and 5.8).
@@ -132,7 +132,7 @@ def _curve(loop: NormalisedLoop, criterion: str, values: object, *, stiffness_gi
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Lines through the stable region: values of the given parameter, and both ends of the other parameter."""
+    """Lines through the stable region, given by values of one parameter and both ends of the other parameter."""
 
     loop: NormalisedLoop
     given: Floats

@@ -260,7 +260,8 @@ def add(polynomial: Floats, i: int, x: Five, sign: float) -> None:
 
 @inlined
 def put_in(powers: Floats, chances: Floats, walls: Five, result: Floats) -> None:
-    """Set a polynomial at a wall: value, first and half the second derivative, and two random perturbations."""
+    """Set the value, the first and half the second derivative, and two random perturbations of a polynomial at a
+    wall."""
     for i in range(len(result)):
         for part in range(3):
             result[i, part] = 0.0

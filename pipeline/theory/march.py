@@ -1,4 +1,4 @@
-"""Simulate (march) step responses, one wall at a time, in loops compiled by numba: settling, overshoot and rise.
+"""Simulate (march) step responses for settling, overshoot and rise, one wall at a time, in loops compiled by numba.
 
 A response is simulated exactly from sample to sample. Between samples, the motion is a polynomial over each piece of
 the interval (`pipeline.theory.motion`), which is evaluated where the velocity changes sign. After some samples, the
@@ -44,10 +44,10 @@ MODES = "Tuple((f8[::1],f8[::1],c16[::1],c16[::1],c16[:,::1],f8[:,::1]))"
 WORK = f"UniTuple(f8[::1],6),Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),{MODES}"
 
 MOVING, STILL, LATE = 0, 1, 2
-"""Ends of a march: at its last sample, at rest, or at the cutoff outside all bands."""
+"""Ends of a march. It ends at its last sample, at rest, or at the cutoff outside all bands."""
 
 KNOWN, UNSETTLED, UNFINISHED, NO_MODES = 0, 1, 2, 4
-"""Status of a response: complete, no settling time, no overshoot, or modes from eigenvectors are needed."""
+"""Status of a response. It is complete, has no settling time, has no overshoot, or needs modes from eigenvectors."""
 
 CUTOFF_SAMPLES = 16
 """Number of samples between two checks of the cutoff."""
@@ -66,12 +66,12 @@ guesses, since real guesses would stay real, and relative change at which the it
 third power of this change."""
 
 ROUNDED = 1e-12
-"""Tolerance for rounding of three numbers: the step of a pole relative to its distance from z = 1, the imaginary part
-of a real pole, and the relative difference between the state at sample 0 and its modes."""
+"""Tolerance for rounding of three numbers. They are the step of a pole relative to its distance from z = 1, the
+imaginary part of a real pole, and the relative difference between the state at sample 0 and its modes."""
 
 CANCELLED = 1e3
-"""Ratio of the sum of all mode sizes to the size of their sum above which cancellation loses too many digits. The
-rounding error grows with the square of this ratio."""
+"""Threshold for the ratio of the sum of all mode sizes to the size of their sum. Above it, cancellation loses too many
+digits. The rounding error grows with the square of this ratio."""
 
 ROUNDED_SAMPLES = 64
 """Number of samples in which the rounding error of a pole rotates its mode by the initial tolerance of `agrees`."""
@@ -83,8 +83,8 @@ OUTWEIGHED = 0.99
 """Largest sum of all other modes, relative to a leading negative mode, for which the sign stays negative."""
 
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
-"""Initial and largest number of samples that are simulated before the end of an envelope, which may be far above the
-motion. An eighth of the squared sample limit is a further limit."""
+"""Initial and largest number of samples that are simulated before the end of an envelope. An envelope may be far above
+the motion. An eighth of the squared sample limit is a further limit."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Number of samples between two checks whether a response may exceed its peak, and smallest number of skipped
@@ -109,7 +109,8 @@ def behind(rows: Floats, r: int, z: Floats, first: Three, forces: Forces) -> flo
 
 @inlined
 def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
-    """Return the applied forces and the next index in the delay line, in which a new force replaces the oldest."""
+    """Return the applied forces and the next index in the delay line. The new force replaces the oldest force in this
+    line."""
     if not len(line):
         return (force, force), 0
     after = at + 1 if at + 1 < len(line) else 0

@@ -54,9 +54,10 @@ def polynomials(loop: NormalisedLoop) -> tuple[Floats, ...]:
     determinant : float64, shape (own + 1,)
         Empty for a long filter, since its polynomials lose digits.
     rows : float64, shape (2, own, own)
-        Products of position and velocity with the adjugate: powers, states.
+        Products of the rows of position and velocity with the adjugate. The last two axes are powers and states.
     columns : float64, shape (own + 1, own)
-        Product of the adjugate and the gains of the forces, with those of the newer force times z: powers, states.
+        Product of the adjugate and the gains of the forces, with those of the newer force multiplied by z. The axes are
+        powers and states.
     walls : float64, shape (2, own + 1)
         Products of position and velocity with the columns. The poles solve z^delay D + alpha walls_0 + beta walls_1 =
         0.

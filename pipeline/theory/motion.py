@@ -192,7 +192,7 @@ def interval_motion(loop: NormalisedLoop, between: bool) -> tuple[Floats, ...]:
     ends : float64, shape (2 (pieces - 1), own + 2)
         Sensed position and its velocity at the end of each piece, except the last one.
     curves : float64, shape (pieces, degree + 1, own + 2)
-        Position over the share of each piece, lowest power first; zeros if only samples are requested.
+        Position over the share of each piece, lowest power first. It is zero if only samples are requested.
     timing : float64, shape (2, pieces)
         Start and duration of each piece.
     """
@@ -248,7 +248,7 @@ def response(
     alpha, beta : float
         Normalised wall.
     signal : {"step", "impulse"}
-        A step is added to the command; an impulse is an impact on the motor side.
+        A step is added to the command. An impulse is an impact on the motor side.
     samples, per_sample : int
         Length [samples], and number of evenly spaced points in each sampling interval, both at least 1.
 

@@ -1,9 +1,9 @@
 """Find the optimal wall of a loop for each criterion.
 
-Each kind of criterion has a search that suits its costs. Energy is smooth. Settling time jumps where an extremum of the
-response crosses the band, and its optimum is in the corner of such a jump. The discrete settling time has steps. Pole
-radius and damping ratio have kinks where poles meet. The region without overshoot ends in cusps. `search` and `curves`
-explain why each search finds the global optimum.
+Each kind of criterion has a search that is suitable for its costs. Energy is smooth. Settling time jumps where an
+extremum of the response crosses the band, and its optimum is in the corner of such a jump. The discrete settling time
+has steps. Pole radius and damping ratio have kinks where poles meet. The region without overshoot ends in cusps.
+`search` and `curves` explain why each search finds the global optimum.
 """
 
 from __future__ import annotations
@@ -86,11 +86,11 @@ def optimal_point(loop: NormalisedLoop, criterion: str) -> OptimalPoint:
     -------
     OptimalPoint
         The cost is as printed in the tables: pole modulus, damping ratio (the largest ratio, not its negative as in
-        5.3), settling time [samples], overshoot, or energy. If several points are optimal, the discrete settling time
-        uses the centre of their bounding box; overshoot, and a damping ratio of 1, use the stiffest point. ``attained``
-        is False if the optimum is a limit. This may be the edge of the stable region, or, for E_0 of an impulse, alpha
-        -> -gamma. With a delay and gamma = 0, the damping ratio tends to 1 for alpha, beta -> 0, since the additional
-        poles tend to 0 and the poles of the plant are real.
+        5.3), settling time [samples], overshoot, or energy. If several points are optimal, the result for the discrete
+        settling time is the centre of their bounding box. For overshoot and for a damping ratio of 1, it is the
+        stiffest point. ``attained`` is False if the optimum is a limit. This may be the edge of the stable region, or,
+        for E_0 of an impulse, alpha -> -gamma. With a delay and gamma = 0, the damping ratio tends to 1 for alpha, beta
+        -> 0, since the additional poles tend to 0 and the poles of the plant are real.
 
     Raises
     ------
@@ -382,8 +382,8 @@ def scaling_factor(criterion: str, reference: float = REFERENCE_DELAY, gamma: fl
 
 
 _FAINT = 1e-60
-"""Deviation down to which a response is checked for an overshoot of any size. Below it, the slowest modes dominate: a
-mode that decays 10 % faster is smaller by six more decades."""
+"""Deviation down to which a response is checked for an overshoot of any size. Below it, the slowest modes dominate,
+because a mode that decays 10 % faster is smaller by six more decades."""
 
 _FLOORS = (0.2, 0.05, 0.01)
 """Lower ends of the search for the edge, as shares of the stable stiffness. The edge is near 0.35, and softer walls

@@ -108,7 +108,8 @@ def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Flo
 
 
 def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:
-    """Return alpha and beta of the outline of the passive region, starting at (0, -delta); zeros if delta is 0."""
+    """Return alpha and beta of the outline of the passive region, starting at (0, -delta). They are zero if delta is
+    0."""
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 
@@ -152,7 +153,7 @@ def _needed(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Floats) ->
 
 
 def _alias_sums(loop: NormalisedLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
-    """Return S0, S1 and S2: sums over aliases, computed as sums over samples (Poisson).
+    """Return S0, S1 and S2, which are sums over aliases that are computed as sums over samples (Poisson).
 
     The actuator x' = A x + B u, f = C x has a static gain of 1 and the ramp response t - C A^-2 B + C exp(A t) A^-2 B.
     With A P + P A' + B B' = 0, (|G|^2 - 1)/omega^2 is the spectrum of -C exp(A |t|) A^-2 P C'.

@@ -208,7 +208,7 @@ def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, flo
 
 
 def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
-    """Return the parts of the characteristic polynomial: without a wall, factor of alpha, and factor of beta."""
+    """Return the characteristic polynomial without a wall, and its factors of alpha and of beta."""
     g = loop.sampled
     up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
     bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
@@ -239,7 +239,7 @@ class Margins:
     phase : float, optional
         Smallest phase distance [rad] of the loop's frequency response from -1 at a gain of 1.
     delay : float, optional
-        Smallest additional delay [samples] that makes the loop unstable.
+        Smallest additional delay [samples] with which the loop is unstable.
     bandwidth : float, optional
         Smallest angle [rad/sample] at which the amplitude of the position, for a given command, is below 1/sqrt(2) of
         its static value.
@@ -323,7 +323,7 @@ def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[F
 
 
 def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:
-    """Return the smallest additional delay [samples] that makes the loop unstable, near the values ``expected``."""
+    """Return the smallest additional delay [samples] with which the loop is unstable, near the values ``expected``."""
 
     def stable(delay: Floats) -> np.ndarray:
         try:

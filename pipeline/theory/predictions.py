@@ -38,7 +38,7 @@ BOUNDARY_POINTS = 160
 
 @dataclass(frozen=True)
 class Prediction:
-    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad] and cost.
+    """Stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad] and cost of a theoretical optimum.
 
     ``region`` is (K, K, B, B) if the optimum is a region.
     """

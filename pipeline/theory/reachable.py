@@ -1,4 +1,4 @@
-"""Compute the lowest cost that a delay allows: a polynomial in the delay, with one factor per criterion.
+"""Compute the lowest cost that a delay allows. It is a polynomial in the delay with one factor per criterion.
 
 Source: Hulin 2017, sec. 5.4.2, eqs. 5.19 and 5.20, Table 5.1.
 """

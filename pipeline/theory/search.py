@@ -15,7 +15,7 @@ from pipeline.theory.boundary import boundary, is_well_inside, limits
 from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, float], Floats]
-"""Cost of points. The last argument is the best known cost; the cost of worse points may be infinite."""
+"""Cost of points. The last argument is the best known cost. The cost of worse points may be infinite."""
 
 
 @dataclass(frozen=True)
@@ -186,13 +186,14 @@ class Landscape:
         return np.where((way >= 0) & (way <= 1), self.cost(*self.chart.wall(root, way), best), np.inf)
 
     def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
-        """Return the cost along lines. Each line has one position along the outline."""
+        """Return the cost at positions along lines. All points of a line have the same position along the outline."""
         return self(root, way[line], best)
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Starting points of a search: coordinates, costs, and half the size of the region to examine around each point."""
+    """Starting points of a search, with coordinates, costs, and half the size of the region to examine around each
+    point."""
 
     root: Floats
     way: Floats
@@ -212,7 +213,7 @@ def search(
         Function that is evaluated at stable points only.
     grids : Grids
     bounds : tuple of float64, shape (2,), optional
-        Corners of the first grid in coordinates of the chart; by default, those of the stable region.
+        Corners of the first grid in coordinates of the chart. By default, they are those of the stable region.
 
     Raises
     ------
@@ -369,8 +370,8 @@ def _distance(feasible: Cost, axis: int, sign: float, alpha: Floats, beta: Float
 
 
 LineCost = Callable[[Integers, Floats, float], Floats]
-"""Cost of points given by the index of their line and their position on it; infinite without a cost. The last argument
-is a cost; the cost of worse points may be infinite."""
+"""Cost of points given by the index of their line and their position on it. It is infinite if a point has no cost. The
+last argument is a cost. The cost of worse points may be infinite."""
 
 COARSE = 121
 """Number of points of the first scan of a line."""
@@ -391,7 +392,7 @@ LEVELS = 20
 
 @dataclass(frozen=True, eq=False)
 class LineOptima:
-    """Best point of each line and its cost; NaN and infinity if no point of the line has a cost."""
+    """Best point of each line and its cost. They are NaN and infinity if no point of the line has a cost."""
 
     place: Floats
     cost: Floats
@@ -458,7 +459,8 @@ def search_lines(
 
 
 def _hopes(values: Floats) -> Floats:
-    """Return a lower estimate of costs along lines before the next point: a decrease by the ratio of the previous step.
+    """Return a lower estimate of costs along lines before the next point. It assumes a decrease by the ratio of the
+    previous step.
 
     A cost with jumps decreases towards a cliff, beyond which it is high again. Its minimum usually lies between two
     examined points, and neither of them need be lower than its neighbours.
@@ -484,7 +486,7 @@ def search_plane(
     Parameters
     ----------
     cost : callable
-        Cost of points given by two coordinates; infinite without a cost.
+        Cost of points given by two coordinates. It is infinite if a point has no cost.
     low, high : float64, shape (2,)
         Corners of the rectangle.
     coarse : tuple of int

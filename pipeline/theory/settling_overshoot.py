@@ -30,14 +30,16 @@ QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer simulated for overshoot."""
 
 _FIRST, _LOOK = 24, 0.25
-"""Number of samples before modes are computed: a constant, and a factor of the squared number of states. A computation
-of modes takes about as long."""
+"""Number of samples before modes are computed, as a constant and a factor of the squared number of states. A
+computation of modes takes about as long."""
 
 _SETTLED = 0.1
-"""Share of the band (or of the overshoot) below which all motion must stay for the memory of the loop."""
+"""Threshold for the motion as a share of the band (or of the overshoot). All motion must stay below it for the memory
+of the loop."""
 
 _FADED = 0.25
-"""Share of the largest deviation from a sample on below which all motion must stay for the memory of the loop."""
+"""Threshold for the motion as a share of the largest deviation from a sample on. All motion must stay below it for the
+memory of the loop."""
 
 _ENTRIES = 1 << 22
 """Number of eigenvector entries that are computed together."""
@@ -70,7 +72,7 @@ def transient_costs(
     continuous : bool
         Whether the motion between samples is requested in addition to the samples.
     longest : int
-        Number of samples after which a point has no result if it still moves and its modes are inconclusive.
+        Largest number of samples. A point has no result if it still moves after them and its modes are inconclusive.
     quiet : float
         Deviation below which a response without overshoot so far is no longer simulated. A map for a figure needs less
         accuracy than the default.
@@ -175,7 +177,7 @@ def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
 
 
 def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:
-    """Return the work arrays of a point: those of the march, its records, and those of the modes."""
+    """Return the work arrays of a point. They are those of the march, its records, and those of the modes."""
     n, delay = loop.states, loop.oldest_force
     own = n - delay
     marched = tuple(np.zeros(size) for size in (own, delay, own, interval[2].shape[1], own, delay))

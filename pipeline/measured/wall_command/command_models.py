@@ -342,5 +342,6 @@ CANDIDATES: tuple[Law, ...] = (
 )
 """Candidates in the order of the number of their free parameters.
 
-They have none, a limit or a constant, three, or those of a filter.
+The first have no free parameter, the next have one (a limit or a constant) or three, and the last have those of a
+filter.
 """
