@@ -39,7 +39,8 @@ _TEMPORARY = f".*.{'[0-9a-f]' * 16}{TEMPORARY_ENDING}"
 """Name pattern of incomplete files."""
 
 _ABANDONED_S = 7 * 86400.0
-"""Age above which a temporary file is abandoned [s]. Even a large map is written within hours."""
+"""Threshold for the age of a temporary file [s]. Above it, the file counts as abandoned. Even a large map is written
+within hours."""
 
 _LONGEST_NAME = 200
 """Number of bytes of the final name in the temporary name. File systems allow 255."""

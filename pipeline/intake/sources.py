@@ -35,7 +35,8 @@ from pipeline.records.findings import Motion
 from pipeline.store.names import folder_name
 
 MANY = 400
-"""Number of sources above which checking recordings together saves more time than loading compiled code takes."""
+"""Threshold for the number of sources. Above it, checking recordings together saves more time than loading compiled
+code takes."""
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20

@@ -37,7 +37,7 @@ MOST_EVENTS = 400
 """Largest number of region changes. After that, a motion stays in its region, which ends any chatter."""
 
 SETTLED = 2.0**-50
-"""Newton step relative to a cell below which the step is only a rounding error."""
+"""Threshold for the Newton step relative to a cell. Below it, the step is only a rounding error."""
 
 MOST_STEPS = 60
 """Largest number of iterations in the search for a zero. Bisection alone needs 53 for a double."""

@@ -36,7 +36,7 @@ SMALLEST_SIGNAL = 20.0
 """Smallest change of velocity, in standard errors of the sensor. At 20, the sensor causes an error of 5 %."""
 
 ZERO_RATE = 1e-6
-"""Growth rate, relative to the range of the rates, below which it is zero up to rounding."""
+"""Threshold for the growth rate, relative to the range of the rates. Below it, the rate is zero except for rounding."""
 
 ZERO_RATE_AT_END = 0.01
 """Threshold like `ZERO_RATE` for the largest tested B, with noise. It is an error of 1 % of the tested range of B."""

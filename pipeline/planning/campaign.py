@@ -55,10 +55,11 @@ A parameter that is accurate to 1 % from one log is accurate to 0.3 % from this 
 """
 
 FEW = 3
-"""Number of logs below which a device with friction is not identified reliably. Another delay may explain the logs."""
+"""Threshold for the number of logs. Below it, a device with friction is not identified reliably. Another delay may
+explain the logs."""
 
 UNSURE = 0.5
-"""Share of the most likely device's largest limit below which the device counts as unknown.
+"""Threshold for the share of the most likely device's largest limit. Below it, the device counts as unknown.
 
 The smallest of the largest limits of all devices consistent with the logs is compared with it.
 """

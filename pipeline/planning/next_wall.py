@@ -46,7 +46,7 @@ below which no wall is tried, because it would give no information. It also limi
 """
 
 WEAK = 0.08
-"""Logarithmic change of the amplitude over a log below which a second verdict is requested.
+"""Threshold for the logarithmic change of the amplitude over a log. Below it, a second verdict is requested.
 
 Noise and friction may cause such a change.
 """

@@ -59,14 +59,15 @@ OPTIMUM_ACCURACY = 0.05
 """Largest relative excess of the best tried cost over the best possible cost."""
 
 SURE = 0.75
-"""Probability above which a verdict is expected."""
+"""Threshold for the probability of a verdict. Above it, the verdict is expected."""
 
 
 Expected = Literal["stable", "unstable", "undecided"]
 
 
 MOST_MISFIT = 0.2
-"""Error of the predicted limits, relative to the largest limit, above which they do not predict stable walls."""
+"""Threshold for the error of the predicted limits, relative to the largest limit. Above it, the limits do not predict
+stable walls."""
 
 
 class PlannedWall(Record):

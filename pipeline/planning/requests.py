@@ -50,7 +50,8 @@ STIFFER = 1.3
 """Factor of the next request relative to former ones, if the rig set its stiffest wall for stiffer requests."""
 
 COARSE = 1 / 3
-"""Step, relative to the stiffest set wall, above which this wall counts as the end of the rig's range."""
+"""Threshold for the step, relative to the stiffest set wall. Above it, this wall counts as the end of the rig's
+range."""
 
 ROUNDINGS = ("nearest", "down", "up")
 

@@ -60,7 +60,8 @@ A response at 1 kHz has no pause of minutes, and rows at 1 ms have no sampling p
 
 
 MISSING = 1.5
-"""Step between samples, in sampling periods, above which samples are missing, because it rounds to 2 or more."""
+"""Threshold for the step between samples, in sampling periods. Above it, samples are missing, because the step rounds
+to 2 or more."""
 
 
 @dataclass(frozen=True)

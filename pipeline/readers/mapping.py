@@ -63,7 +63,8 @@ SHORTEST_STEP = 12
 """Smallest number of rows between two changes of the command for a usable step response."""
 
 LONGEST_STEP = 1.5
-"""Time between rows, in sampling periods, above which a row is missing. The velocity in such a gap is unknown."""
+"""Threshold for the time between rows, in sampling periods. Above it, a row is missing. The velocity in such a gap is
+unknown."""
 
 
 def read(profile: Profile, raws: Sequence[RawLog]) -> list[tuple[Log, ...] | LogError]:

@@ -48,7 +48,7 @@ CLEARLY = (1.15, 1.6)
 applies if only noise remains, and the second if effects remain that the model does not contain."""
 
 BY_CHANCE = 20.0
-"""Log-likelihood ratio above which a difference is not attributed to chance."""
+"""Threshold for the log-likelihood ratio. Above it, a difference is not attributed to chance."""
 
 MOST_RESIDUAL = 0.06
 """Largest residual of the best delay, relative to the motion. Above it, parts of the device that are not modelled may

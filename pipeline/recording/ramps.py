@@ -22,11 +22,12 @@ KINK = 1e-3
 """Smallest change of the slope of a command that counts as a kink, relative to its largest change per row."""
 
 OWN_STEPS = 1.25
-"""Ratio of the residuals for an interpolated command and for a zero-order hold above which steps were sent."""
+"""Threshold for the ratio of the residuals for an interpolated command and for a zero-order hold. Above it, steps were
+sent."""
 
 SAME_DELAY = 2.5
-"""Ratio of these residuals above which steps were sent if the ramps span one grid interval. It is larger because
-interpolated steps on the grid have a common delay, like real ramps."""
+"""Threshold for the ratio of these residuals. Above it, steps were sent if the ramps span one grid interval. This
+threshold is larger because interpolated steps on the grid have a common delay, like real ramps."""
 
 MOST_RAMPS = 40
 """Largest number of ramps of a command that are examined individually."""
@@ -45,7 +46,8 @@ LIKELIER = (-15.0, 20.0)
 limit on, it consists of steps."""
 
 BETTER = 2.0
-"""Ratio of the residual sums of squares for ramps with one delay and for steps above which steps were sent."""
+"""Threshold for the ratio of the residual sums of squares for ramps with one delay and for steps. Above it, steps were
+sent."""
 
 OTHER_DELAYS = 8.0
 """Ratio of the residual sums of squares for ramps with one delay and for steps. Above it, ramps are in doubt even if

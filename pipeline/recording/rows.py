@@ -15,8 +15,8 @@ CLEAR = 8.0
 """Smallest position change before and after a repeated row, in standard deviations of a reading."""
 
 NOISY = 3.0
-"""Standard deviation of the noise, in sensor steps, above which equal consecutive readings are not attributed to
-chance."""
+"""Threshold for the standard deviation of the noise, in sensor steps. Above it, equal consecutive readings are not
+attributed to chance."""
 
 RARE = 0.15
 """Largest share of equal consecutive readings for noise of this size."""
@@ -49,10 +49,10 @@ STRAIGHT = 0.4
 """Threshold for the share of collinear rows among the moving rows. Above it, a position counts as interpolated."""
 
 MOVING = 2.0
-"""Change per row, in units of the smallest kink, above which the position moves."""
+"""Threshold for the change per row, in units of the smallest kink. Above it, the position moves."""
 
 NEARLY_STRAIGHT = 0.02
-"""Second difference, relative to the change, below which rows may be collinear."""
+"""Threshold for the second difference, relative to the change. Below it, rows may be collinear."""
 
 BEND = 1e-6
 """Largest second difference, relative to the largest change, for which three rows are collinear."""

@@ -12,16 +12,18 @@ FEWEST_ROWS = 8
 """Smallest number of rows at which a device model has more equations than parameters."""
 
 COARSE = 0.05
-"""Sensor step, relative to the range of the position, above which the sensor is coarse."""
+"""Threshold for the sensor step, relative to the range of the position. Above it, the sensor is coarse."""
 
 CLEAR = 8.0
 """Smallest displacement of a clear first motion, in noise standard deviations and in sensor steps."""
 
 OTHER_SIGN = 2.5
-"""Ratio of the residuals with the logged and with the opposite sign above which the opposite sign is correct."""
+"""Threshold for the ratio of the residuals with the logged and with the opposite sign. Above it, the opposite sign is
+correct."""
 
 DRIVEN = 3.0
-"""Ratio of the residuals without and with a reversed command above which the motion is a response to the command."""
+"""Threshold for the ratio of the residuals without and with a reversed command. Above it, the motion is a response to
+the command."""
 
 AS_GOOD = 1.3
 """Largest ratio of the residuals for the best likely delay with a reversed sign and for the best of all delays."""

@@ -40,7 +40,7 @@ from pipeline.store.objects import is_url, opened
 from pipeline.store.storage import Exclusion
 
 ROUNDING = 1e-9
-"""Relative difference below which two values are equal.
+"""Threshold for the relative difference. Below it, two values are equal.
 
 Other processors and builds of numpy round the last digits of a sum differently.
 """

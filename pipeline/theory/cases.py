@@ -41,8 +41,9 @@ POINT_COSTS = tuple(
 """Default costs of a listed wall."""
 
 MARGINAL = 1e-12
-"""Distance of the spectral radius from 1 below which no cost is given. The rounding errors of poles are about 1e-15,
-and energy costs grow with the inverse distance to the power of w + 1, so fewer than three digits would remain."""
+"""Threshold for the distance of the spectral radius from 1. Below it, no cost is given. The rounding errors of poles
+are about 1e-15, and energy costs grow with the inverse distance to the power of w + 1, so fewer than three digits would
+remain."""
 
 _ISLANDS = (
     "walls beyond an unstable gap, for which softer walls at their damping are unstable, were not searched; they exist "

@@ -44,7 +44,7 @@ BLOCK = 1 << 16
 251 points is one block."""
 
 MARGIN = 1e-9
-"""Distance from the boundary, as a share of alpha + gamma, below which rounding dominates costs."""
+"""Threshold for the distance from the boundary, as a share of alpha + gamma. Below it, rounding dominates costs."""
 
 _FEWEST = 8
 """Number of points of a boundary that is computed only for its extremes."""

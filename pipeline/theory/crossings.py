@@ -53,7 +53,8 @@ EPSILON = 2.0**-52
 """Rounding error of a double."""
 
 FLOOR = 1e-300
-"""Absolute value below which a coefficient is unknown, because doubles lose digits there."""
+"""Threshold for the absolute value of a coefficient. Below it, the coefficient is unknown, because doubles lose digits
+there."""
 
 DEEPEST, NARROWEST = 160, 44
 """Largest number of halvings of an interval in doubles, first in total and then below the leading digit of its
@@ -885,7 +886,8 @@ class StableIntervals:
 
 
 _MANY = 400
-"""Number of crossings above which a test is made first whether the first branch alone encloses the stable region."""
+"""Threshold for the number of crossings. Above it, it is first tested whether the first branch alone encloses the
+stable region."""
 
 
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:

@@ -27,7 +27,8 @@ _GAUSS = 14
 WEIGHTS = (0, 1, 2)
 
 _NEGLIGIBLE = 1e-20
-"""Size of a coefficient of a motion, relative to the largest one, below which it is neglected."""
+"""Threshold for the size of a coefficient of a motion, relative to the largest one. Below it, the coefficient is
+neglected."""
 
 
 @dataclass(frozen=True, eq=False)

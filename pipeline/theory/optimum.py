@@ -43,14 +43,14 @@ UNDAMPED_LOSS = 1e-9
 decreases by 2e-10."""
 
 _CLEAR = 1e-8
-"""Distance from the edge of the stable region, as a share of alpha + gamma, below which an optimum lies on the edge. A
-search keeps a tenth of this distance."""
+"""Threshold for the distance from the edge of the stable region, as a share of alpha + gamma. Below it, an optimum lies
+on the edge. A search keeps a tenth of this distance."""
 
 _ENDLESS = 60
 """Number of samples per d + 1 after which a response is not settled in a search. Optima settle in about 5 (d + 1)."""
 
 _ENDLESS_LOSS = 1e-9
-"""Distance of the smallest pole radius from 1 below which no response settles in a search."""
+"""Threshold for the distance of the smallest pole radius from 1. Below it, no response settles in a search."""
 
 _IMPULSE_INSET = 0.002
 """Distance of the first grid for an impulse from alpha = -gamma, as a share of the width."""
@@ -400,7 +400,8 @@ _CLIMBS = 7
 stiffness to 1e-8."""
 
 _EQUAL = 1e-4
-"""Relative difference of stiffness below which two tips are equal. The tables of the thesis have four digits."""
+"""Threshold for the relative difference of stiffness. Below it, two tips are equal. The tables of the thesis have four
+digits."""
 
 
 def _stiffest(loop: NormalisedLoop, criterion: str) -> OptimalPoint:

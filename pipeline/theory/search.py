@@ -94,7 +94,7 @@ _NEAR_BEST = 1.1
 """Largest cost, relative to the best, of a point that is refined to the end. A refinement improves a cost by less."""
 
 _DEAR = 2.0
-"""Cost, relative to the lowest known one, above which the minimum of a line is not needed."""
+"""Threshold for the cost, relative to the lowest known one. Above it, the minimum of a line is not needed."""
 
 
 def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[..., Floats]:

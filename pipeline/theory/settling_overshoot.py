@@ -27,7 +27,7 @@ NO_OVERSHOOT = OVERSHOOT.none
 """Largest overshoot, as a fraction, that is not an overshoot by definition (Hulin 2017, footnote 4 of 5.2.2)."""
 
 QUIET = 0.1 * NO_OVERSHOOT
-"""Motion below which a response is no longer simulated for overshoot."""
+"""Threshold for the motion of a response. Below it, the response is no longer simulated for overshoot."""
 
 _FIRST, _LOOK = 24, 0.25
 """Number of samples before modes are computed, as a constant and a factor of the squared number of states. A

@@ -56,7 +56,7 @@ BEFORE, AFTER = 2, 6
 """Number of sampling periods in the close-up before the command edge and after the first change."""
 
 REACH = 100.0
-"""Displacement, relative to that of the log, above which a simulated response is not drawn."""
+"""Threshold for the displacement, relative to that of the log. Above it, a simulated response is not drawn."""
 
 MILLI = 1e3
 TIME = "time after the command edge [ms]"

@@ -22,7 +22,8 @@ FEWEST_COMPARISONS = 5
 """Smallest number of comparisons whose median may be shown as a main result."""
 
 NEGLIGIBLE = 1e-3
-"""Magnitude below which the sign of a median is not significant. Such a median is reported as less than 0.1 %."""
+"""Threshold for the magnitude of a median. Below it, the sign of the median is not significant. Such a median is
+reported as less than 0.1 %."""
 
 
 def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:

@@ -20,10 +20,10 @@ ROBUST = 3
 """Number of rounds of robust reweighting."""
 
 NO_ERROR = 1e-12
-"""Magnitude below which errors of values count as zero."""
+"""Threshold for the magnitude of errors of values. Below it, such errors count as zero."""
 
 LEAST_RATIO = 1e-9
-"""Ratio of eigenvalues of a plane's normal matrix below which the smaller eigenvalue counts as zero.
+"""Threshold for the ratio of eigenvalues of a plane's normal matrix. Below it, the smaller eigenvalue counts as zero.
 
 Points on a line do not determine the slope across the line.
 """

@@ -33,10 +33,11 @@ PERIOD_TOLERANCE = 0.01
 """Relative difference of sampling periods without visible effect. K is proportional to 1/T^2, B to 1/T."""
 
 BAD_FITS = 0.2
-"""Share of unexplained trials above which it is reported. By chance, the model does not explain 5 % of the trials."""
+"""Threshold for the share of unexplained trials. Above it, the share is reported. By chance, the model does not explain
+5 % of the trials."""
 
 EXTRAPOLATED = 0.05
-"""Share of an optimal energy cost beyond the end of the log above which it is reported."""
+"""Threshold for the share of an optimal energy cost beyond the end of the log. Above it, the share is reported."""
 
 _ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
 """Parts in which equal warnings of several experiments may differ."""

@@ -25,16 +25,16 @@ WEIGHTS = tuple(sorted({c.weight for c in members(ENERGY)}))
 """Exponents w of the time weight k^w."""
 
 LEVEL_SIGMAS = 4.5
-"""Distance from the final position, in standard errors of a reading, above which the response is not at rest. Noise
-alone exceeds it in 0.3 % of logs with 400 samples. The bias of the sum is corrected, so the level can be lower than for
-a plain sum."""
+"""Threshold for the distance from the final position, in standard errors of a reading. Above it, the response is not at
+rest. Noise alone exceeds it in 0.3 % of logs with 400 samples. The bias of the sum is corrected, so the level can be
+lower than for a plain sum."""
 
 LARGEST_LEVEL = 0.1
 """Largest level of the horizon, relative to the final displacement, for which first-order error propagation is valid.
 Above it, the intervals cover fewer than 90 % of simulated trials (60 um quantum, Falcon)."""
 
 LARGEST_HALF_WIDTH = 0.5
-"""Half-width of the interval, relative to the value, above which the cost is not reported."""
+"""Threshold for the half-width of the interval, relative to the value. Above it, the cost is not reported."""
 
 GROWTH_ERROR, MEAN_ERROR = 0.2, 0.5
 """Relative errors of the decay beyond the horizon. The first is for a growth rate from the modes of the motion (95 % of

@@ -18,8 +18,8 @@ from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
 from pipeline.records.findings import MATTERS, Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05
-"""Distance [samples] from a whole number above which a delay is not whole, even with a wide interval. It changes the
-limit by 2 %."""
+"""Threshold for the distance [samples] from a whole number. Above it, a delay is not whole, even with a wide interval.
+Such a distance changes the limit by 2 %."""
 
 LEAST_OFFSET = 0.01
 """Distance [samples] from a whole number up to which a delay is whole, since the bias of a fit may be as large."""

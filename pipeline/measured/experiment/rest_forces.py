@@ -17,7 +17,8 @@ RESTS = 3.0
 """Smallest distance from x_0 + F_0/K, in sensor floors, for which a device rests elsewhere."""
 
 SLIGHT = 0.1 * MATTERS
-"""Displacing force, relative to the step, below which it is negligible. It exceeds the effect of residual motion."""
+"""Threshold for the displacing force, relative to the step. Below it, the force is negligible. The threshold exceeds
+the effect of residual motion."""
 
 OFTEN = 0.2
 """Smallest share of logs with a displaced rest position that is not accidental (due to trials that still move)."""

@@ -22,13 +22,15 @@ FEWEST_FOR_TREND = 8
 """Smallest number of trials for a trend: three for the coefficients and five for their errors."""
 
 HUBER = 1.345
-"""Residual, in standard deviations, above which the weight of a trial is reduced (95 % efficiency, Huber)."""
+"""Threshold for the residual, in standard deviations. Above it, the weight of a trial is reduced (95 % efficiency,
+Huber)."""
 
 _ROUNDS = 50
 """Largest number of reweighted fits. Five to fifteen are usual."""
 
 _SETTLED = 1e-6
-"""Change of the weights below which the fit has converged. Its effect is far below a standard error."""
+"""Threshold for the change of the weights. Below it, the fit has converged. The effect of such a change is far below a
+standard error."""
 
 _LEAST_FREE = 1e-6
 """Smallest value of 1 - leverage of a trial. It avoids a division by zero if a single trial determines the line."""

@@ -23,20 +23,20 @@ ALIKE = 0.7
 delays."""
 
 MIRRORED = 2.0
-"""Decrease of the log residual above which a device moves against its command. It is 8 or more for a wrong sign and
-negative for a correct one."""
+"""Threshold for the decrease of the log residual. Above it, a device moves against its command. The decrease is 8 or
+more for a wrong sign and negative for a correct one."""
 
 ROUNDED = 1e-12
 """Smallest eigenvalue of the scaled normal equations, relative to the largest. Smaller eigenvalues are rounding
 errors."""
 
 SMALLEST_SHARE = 1e-6
-"""Share of a column below which the column is a rounding error of the others (the square root of the limit that
-`numpy.linalg.lstsq` uses)."""
+"""Threshold for the share of a column. Below it, the column is a rounding error of the others (the square root of the
+limit that `numpy.linalg.lstsq` uses)."""
 
 VISIBLE = 4.0
-"""Sum of squares of a segment's deviations from a straight line, relative to its noise, above which the motion is
-visible. A plateau at constant speed contains no information on the mass, even if it is long."""
+"""Threshold for the sum of squares of a segment's deviations from a straight line, relative to its noise. Above it, the
+motion is visible. A plateau at constant speed contains no information on the mass, even if it is long."""
 
 RESTING = (
     "no part of a log with a changing position is long enough: static friction or a stop may block the device. "

@@ -41,7 +41,8 @@ LOAD_SHARES = ((0.1, 0.1), (0.3, 0.4))
 """Initial values of the shares of damping and friction that act on the load."""
 
 VISIBLE = 4.0
-"""Variance of free-run errors, relative to the variance of readings, above which a slow mode is searched for."""
+"""Threshold for the variance of free-run errors, relative to the variance of readings. Above it, a slow mode is
+searched for."""
 
 LOWEST, HIGHEST, FACTOR = 4 * np.pi, 0.4, 1.4
 """Limits and ratio of the frequencies of the search: the lowest phase [rad] of a mode over a record (two periods), the

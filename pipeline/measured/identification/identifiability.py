@@ -25,7 +25,8 @@ STILL_COUNTS, SPRING_LIKE = 3.0, 0.5
 the device follows the command like a spring. Friction without sliding acts like a spring."""
 
 FEW_COUNTS = 100
-"""Number of sensor steps below which a device without an identifiable mass is reported to hardly move."""
+"""Threshold for the number of sensor steps. Below it, a device without an identifiable mass is reported to hardly
+move."""
 
 PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.coulomb", "constant_force"}
 """Parameters that cannot be identified if the mass cannot be identified."""

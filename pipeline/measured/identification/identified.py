@@ -46,10 +46,11 @@ EXPLAINS = 0.5
 """Smallest weight of a trial that the device explains (see `scatter.OWN_ROWS`)."""
 
 PRECISE = 95.0
-"""Fit of free runs [%] above which the errors are too small to matter, whatever they depend on."""
+"""Threshold for the fit of free runs [%]. Above it, the errors are too small to matter, regardless of what they depend
+on."""
 
 SLOW_ROWS = 10.0
-"""Time constant [rows] above which rows show the inertia of a device."""
+"""Threshold for the time constant [rows]. Above it, rows show the inertia of a device."""
 
 SAME_PERIOD = 0.05
 """Largest relative difference between sampling periods that are treated as equal."""

@@ -36,10 +36,12 @@ LEAST_SHARE = 1e-6
 """Smallest initial value of the noise, as a share of the mean square. Most units have similar noise."""
 
 RIDGE = 1e-12
-"""Share of a number's information below which a direction contains only rounding errors. The step along it is 0."""
+"""Threshold for the share of a number's information. Below it, a direction contains only rounding errors. The step
+along it is 0."""
 
 ROUNDED = 1e-16
-"""Share of a number's information below which a column is a rounding error and its number has no scatter."""
+"""Threshold for the share of a number's information. Below it, a column is a rounding error and its number has no
+scatter."""
 
 LEAST_LOG, MOST_LOG = -9.0, 25.0
 """Smallest and largest logarithm of a variance between units, relative to the variance of the number from a typical
@@ -52,7 +54,7 @@ FARTHEST = 3.0
 """Largest change of the logarithm of a variance in one step."""
 
 ENOUGH = 1e-6
-"""Predicted gain of log-likelihood below which the search for variances ends."""
+"""Threshold for the predicted gain of log-likelihood. Below it, the search for variances ends."""
 
 SWEEPS, NOTHING = 30, 1e-150
 """Largest number of sweeps of rotations for eigenvalues (six are typical), and size below which an element is zero."""

@@ -46,7 +46,7 @@ SCORING, FARTHEST = 6, 1.5
 in a step."""
 
 ENOUGH = 0.05
-"""Gain of log-likelihood in a step below which the search ends."""
+"""Threshold for the gain of log-likelihood in a step. Below it, the search ends."""
 
 OTHER_AGES = 0.08
 """Relative error of a jitter due to the unknown shape of its distribution, per sample of jitter above one half. It is

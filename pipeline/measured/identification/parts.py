@@ -66,8 +66,8 @@ UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
 """Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than none."""
 
 IMITATED = 0.75
-"""Lag [samples] below which a fast mode, beyond the range of the search, has the same effect. A mode at 1.9 rad/sample
-acts like a lag of 0.38 samples with a delay that is shorter by the same amount."""
+"""Threshold for the lag [samples]. Below it, a fast mode, beyond the range of the search, has the same effect. A mode
+at 1.9 rad/sample acts like a lag of 0.38 samples with a delay that is shorter by the same amount."""
 
 BESIDE = 1.92
 """Drop of the log-likelihood at the ends of a 95 % profile interval."""
@@ -96,7 +96,8 @@ SLOW = 4 * np.pi
 """Largest phase [rad] of a mode over a log for which the load hardly moves (two periods)."""
 
 FEW_PERIODS = 20 * np.pi
-"""Phase [rad] of a mode over a segment below which the unknown initial states hide the mode (ten periods)."""
+"""Threshold for the phase [rad] of a mode over a segment. Below it, the unknown initial states hide the mode (ten
+periods)."""
 
 APART = 10.0
 """Largest range of the initial positions of logs that begin in the same place, in noise standard deviations of a
@@ -107,11 +108,12 @@ UNSEEN_FRICTION = 0.02
 fit. The relative error of the mass equals this ratio."""
 
 SLIGHT = 1e-6
-"""Force of a spring or of friction, relative to the largest command, below which it is zero. The value separates
-rounding from real forces in exact logs."""
+"""Threshold for the force of a spring or of friction, relative to the largest command. Below it, the force counts as
+zero. The value separates rounding from real forces in exact logs."""
 
 CONSTANT = 1e-3
-"""Change of the commands, relative to the largest one, below which they are treated as one constant command."""
+"""Threshold for the change of the commands, relative to the largest one. Below it, the commands are treated as one
+constant command."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ EXPLAINS = 0.97
 is visible."""
 
 FASTEST = 2.0
-"""Sum of delay and time constant [rows] above which the inertia is visible in the rows."""
+"""Threshold for the sum of delay and time constant [rows]. Above it, the inertia is visible in the rows."""
 
 
 def damping_without_inertia(recordings: Sequence[Recording]) -> Interval | None:

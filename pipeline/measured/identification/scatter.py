@@ -22,7 +22,7 @@ FOLDS = 5
 """Number of folds of units. Each fold is left out once."""
 
 ROUNDED = 1e-16
-"""Residual, relative to the motion, below which it is a rounding error."""
+"""Threshold for the residual, relative to the motion. Below it, the residual is a rounding error."""
 
 LEAST_NOISE = 1e-100
 """Noise that is assumed for logs without any motion or residual."""

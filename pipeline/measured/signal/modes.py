@@ -33,10 +33,11 @@ DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
 """Smallest singular value that is kept, relative to the largest one (as in `numpy.linalg.matrix_rank`)."""
 
 CLEAN_FRACTION = 1e-4
-"""Fraction of the motion at its end below which modes are rounding errors, in a signal explained by few modes."""
+"""Threshold for the fraction of the motion at its end. Below it, modes are rounding errors, in a signal explained by
+few modes."""
 
 NOISY_FRACTION = 0.3
-"""Fraction of the motion at its end below which modes contain no information, in a noisy signal."""
+"""Threshold for the fraction of the motion at its end. Below it, modes contain no information, in a noisy signal."""
 
 WIDE, NARROW = 2, 3
 """Divisors of the length of a motion for the length of its windows (a half, a third), as two views of a noisy

@@ -51,7 +51,7 @@ COARSE_MULTIPLES = 1e3
 """Largest multiple that tests a grid in printed positions."""
 
 ROUNDING_UNITS = 64.0
-"""Number of rounding units below which changes are numerical errors and not sensor steps."""
+"""Threshold for the number of rounding units. Below it, changes are numerical errors and not sensor steps."""
 
 
 def sensor_floor(quantum: Size, noise: Size) -> Size:

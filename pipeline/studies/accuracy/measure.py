@@ -24,7 +24,7 @@ FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
 """Exceptions of a method that cannot compute a number. Any other exception is a defect."""
 
 _SHORT = 2e-3
-"""Run time [s] below which a single run is too short for the clock. Then the timed loop repeats it."""
+"""Threshold for the run time [s]. Below it, a single run is too short for the clock. Then the timed loop repeats it."""
 
 _T = TypeVar("_T")
 Values = dict[str, Floats]
