@@ -1,9 +1,9 @@
 """Loops that numba compiles at their first call and stores on disk for later processes.
 
 A command that calls no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions run for a
-debugger: slowly, with the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default in the
-cache folder of the user. If this folder is read-only, each process compiles in memory. Several processes that index the
-same folder would damage it (numba issue 4807), so only one process compiles or loads at a time.
+debugger. They are slow but give the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default
+in the cache folder of the user. If this folder is read-only, each process compiles in memory. Several processes that
+index the same folder would damage it (numba issue 4807), so only one process compiles or loads at a time.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def load_compiled(*modules: str) -> None:
 
 
 def on_compiling(listener: Callable[[str], None] | None, after_s: float = NOTICED_S) -> None:
-    """Call a function once with a message if a compilation takes longer than ``after_s``; None removes the function."""
+    """Call a function once with a message if a compilation takes longer than ``after_s``. None removes the function."""
     _listeners[:] = [] if listener is None else [(listener, after_s)]
 
 
@@ -153,7 +153,7 @@ def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocat
             with _one_process(folder), _numba_folder(config, folder):
                 kept: Callable[P, R] = numba.njit(cache=True, **options)(function)
                 return kept
-        except Exception:  # various exceptions: full disk, invalid file, folder of another user
+        except Exception:  # exceptions due to a full disk, an invalid file, or a folder of another user
             made: Callable[P, R] = numba.njit(**options)(function)
             return made
 

@@ -1,8 +1,8 @@
 """Atomic files, named by the hash of their content. They appear completely or not at all, even after a power failure.
 
-A new file is written under a temporary name, synced and renamed; then its folder is synced. The file is invisible
+A new file is written under a temporary name, synced and renamed. Then its folder is synced. The file is invisible
 before the rename and durable after it. A file with the hash of its content in its name needs no other checksum, and two
-writers of the same content write the same file.
+writers that write equal content write the same file.
 
 Only one command at a time writes to `processed/`. It locks the file ``processed/.lock``. The kernel releases the lock
 when the process ends, for any reason, and the file remains. Readers need no lock, because stored files are always
@@ -89,7 +89,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:
-    """Apply an I/O-bound function to each item in a thread pool; the results are in the order of the items."""
+    """Apply an I/O-bound function to each item in a thread pool. The results are in the order of the items."""
     if len(items) < 2:
         return [work(item) for item in items]
     with ThreadPoolExecutor(min(at_once, len(items))) as pool:
@@ -110,7 +110,7 @@ def remove_all(files: Iterable[Path]) -> None:
 
 @dataclass
 class NewFile:
-    """A file that is being written: its stream, and its path, which is temporary until the file is complete."""
+    """Stream and path of a file that is being written. The path is temporary until the file is complete."""
 
     stream: BinaryIO
     path: Path
@@ -201,7 +201,8 @@ def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | 
 
 
 def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
-    """Return the files that store a result: usually one, and two while it is being replaced."""
+    """Return the files that store a result. There is usually one, and there are two while the result is being
+    replaced."""
     try:
         names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):
@@ -286,7 +287,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     ----------
     processed : Path
     wait_s : float
-        Waiting time for another process [s]; with 0, the call fails immediately.
+        Time to wait for another process [s]. If it is 0, the call fails immediately.
     say : callable, optional
         Function that is called with one line when waiting begins.
 

@@ -52,7 +52,8 @@ class Array:
 
     @property
     def types(self) -> list[Any]:
-        """C types of the arguments: two object pointers of numba, size, item size, address, shape and strides."""
+        """C types of the arguments, which are two object pointers of numba, size, item size, address, shape and
+        strides."""
         return [ctypes.c_int64] * (5 + 2 * self.axes)
 
     def append(self, value: np.ndarray, values: list[Any]) -> None:

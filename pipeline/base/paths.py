@@ -90,7 +90,7 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
     option : str
         Name of the command-line option for the message. The name is empty if the path is not given by an option.
     document_beside : bool
-        Whether a JSON document of the same name is written next to the file.
+        Whether a JSON document with the same name is written next to the file.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def check_output(path: Path, option: str, *, document_beside: bool = False) -> N
             f"{place}: is the name of the JSON document, which is written next to the page and would replace it; "
             f"expected the name of the page. Give {path.with_suffix('.html')}."
         )
-    # the nearest existing parent decides; a removed working folder raises the error below
+    # The nearest existing parent decides. A removed working folder raises the error below.
     folder = next((above for above in path.parents if above.exists()), Path("."))
     try:
         with tempfile.TemporaryFile(dir=folder):  # permission bits alone do not show whether files can be created

@@ -1,4 +1,4 @@
-"""Provenance of stored numbers: hashes of inputs, parameters and code, and the package version."""
+"""Determine the provenance of stored numbers by hashes of inputs, parameters and code, and by the package version."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers in prose: plurals, percentages, minus signs and non-breaking spaces."""
+"""Write numbers in prose, with plurals, percentages, minus signs and non-breaking spaces."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
 
 
 def known_devices() -> dict[str, Device]:
-    """Return all known devices, sorted by name. A device of the user replaces a shipped device of the same name.
+    """Return all known devices, sorted by name. A device of the user replaces a shipped device with the same name.
 
     Raises
     ------
@@ -150,7 +150,8 @@ def read_device(path: Path) -> Device:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DeviceError(f"{path}: device file is not valid TOML in UTF-8: {error}.") from error
     try:
-        # via JSON: strict validation refuses mass = "0.58" and mass = true, but accepts arrays as tuples
+        # The data are validated as JSON. Strict validation then refuses mass = "0.58" and mass = true, but accepts
+        # arrays as tuples.
         return Device.model_validate_json(json.dumps(data, default=str), strict=True, context=STATED)
     except ValidationError as error:
         details = error.errors(include_url=False)
@@ -233,7 +234,7 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
 
 
 def _owner(location: tuple[int | str, ...], data: dict[str, Any]) -> str:
-    """Return the name of the experiment or table that contains an invalid field, if any."""
+    """Return the name of the experiment or table that contains an invalid field, if the field is in one."""
     if len(location) < 2 or not isinstance(location[1], int):
         return ""
     entry = data[str(location[0])][location[1]]

@@ -1,1 +1,1 @@
-"""The explorer: a page with sliders for the theory of a loop. The page itself computes the theory."""
+"""The explorer is a page with sliders for the theory of a loop. The page itself computes the theory."""

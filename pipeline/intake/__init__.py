@@ -1,1 +1,4 @@
-"""Intake of log files as stored trials: find, read and check logs, skip known logs, refuse or store the others."""
+"""Take in log files as stored trials.
+
+Logs are found, read and checked. Known logs are skipped, and the others are refused or stored.
+"""

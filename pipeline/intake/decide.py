@@ -1,4 +1,4 @@
-"""Decisions of an ingest: which action follows for a source, given the source and the stored data.
+"""Decide which action an ingest takes for a source, given the source and the stored data.
 
 The functions are pure and access no files. `decide_unread` uses size and time of a source before it is opened. `decide`
 uses the content. Each rule has a name, and the first rule that applies determines the decision.
@@ -89,7 +89,7 @@ class Drop:
 
 @dataclass(frozen=True)
 class Decision:
-    """Decision on a source: rule, reason for the report, removals, and a warning."""
+    """Decision on a source, with the rule, the reason for the report, removals, and a warning."""
 
     rule: Rule
     reason: str
@@ -136,7 +136,7 @@ def decide(evidence: Evidence, *, replace: bool) -> Decision:
     ----------
     evidence : Evidence
     replace : bool
-        Whether to replace trials of the same content that were read with another profile or for another device.
+        Whether to replace trials with the same content that were read with another profile or for another device.
 
     Raises
     ------
@@ -182,7 +182,8 @@ def _repeated(evidence: Evidence) -> Decision:
 
 
 def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
-    """Return the decision on a source whose path is not stored: a new source, or a lost one with a corrected name."""
+    """Return the decision on a source whose path is not stored. It is a new source, or a lost one with a corrected
+    name."""
     source = evidence.source
     if evidence.lost is None:
         return Decision("new", "new", drops)

@@ -1,4 +1,6 @@
-"""Ingest of logs into Parquet files: find logs, skip known ones, read in batches, check, and store or refuse them.
+"""Ingest logs into Parquet files.
+
+Logs are found and read in batches. They are then checked, and stored or refused. Known logs are skipped.
 
 A log is identified by its content. A source whose size and modification time are unchanged is not opened. Only one
 ingest writes at a time. Its results become visible batch by batch, and the next ingest completes an interrupted one.
@@ -223,7 +225,8 @@ def ingest(
 
 @dataclass
 class _Run:
-    """An ingest: the stored sources, the decisions so far, and the trials that wait to be stored.
+    """State of an ingest, which consists of the stored sources, the decisions so far, and the trials that wait to be
+    stored.
 
     Parameters
     ----------
@@ -416,7 +419,7 @@ class _Run:
         return None
 
     def _accept(self, source: Source, sha256: str, logs: tuple[Log, ...] | None) -> None:
-        """Store a log. `logs` is None for a known log that was not parsed; it is skipped.
+        """Store a log. `logs` is None for a known log that was not parsed. Such a log is skipped.
 
         Raises
         ------
@@ -451,7 +454,8 @@ class _Run:
         return log if other == source.shown else replace(log, noted=(*log.noted, same_samples(len(log.time), other)))
 
     def _evidence(self, source: Source, sha256: str, accepted: Sequence[Accepted] | None) -> Evidence:
-        """Return the input of a decision: a source with the stored sources of the same path or content."""
+        """Return the input of a decision, which is a source with the stored sources that have the same path or
+        content."""
         former, path = self.stored.get(source.key), self._find(source, sha256)
         if accepted:
             paths = {self.places.get(one.trial) for one in accepted}

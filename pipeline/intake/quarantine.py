@@ -1,4 +1,4 @@
-"""Quarantine of refused sources: one record for each, with the reason and a remedy.
+"""Quarantine of refused sources. There is one record for each source, with the reason and a remedy.
 
 Each record is in a separate folder below ``processed/quarantine``. Another refusal replaces the record, and an accepted
 source loses its record. The source itself is never changed or copied.

@@ -119,7 +119,8 @@ _THOUSANDS = "{} may separate thousands. Write the number without them, with one
 
 @cache
 def _compiled(pattern: str) -> Any:
-    # Python's regular expressions backtrack exponentially: ^(a+)+$ takes years for a file name of sixty letters.
+    # Python's regular expressions may backtrack exponentially. For example, ^(a+)+$ takes years for a name of sixty
+    # letters.
     options = re2.Options()
     options.log_errors = False  # errors are raised as exceptions
     return re2.compile(pattern, options)
@@ -128,8 +129,8 @@ def _compiled(pattern: str) -> Any:
 def find_groups(pattern: str, text: str) -> dict[str, str] | None:
     """Return the named groups of the first match of a pattern, or None if there is no match.
 
-    Groups that did not match are omitted. The text must not contain lone surrogates; `file_names.storable` removes
-    them.
+    Groups that did not match are omitted. The text must not contain lone surrogates, which `file_names.storable`
+    removes.
     """
     match = _compiled(pattern).search(text)
     return None if match is None else {key: value for key, value in match.groupdict().items() if value is not None}
@@ -139,8 +140,8 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
     """Return the conditions that a pattern reads from a file name, or None if it does not match.
 
     If there is no match, the pattern is tried again with points in place of commas between digits. A number is always
-    returned complete: if the pattern ends it at a comma between digits, the remaining digits are appended. A comma that
-    the pattern requires is a separator.
+    returned completely. If the pattern ends it at a comma between digits, the remaining digits are appended. A comma
+    that the pattern requires is a separator.
 
     Raises
     ------
@@ -183,8 +184,8 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
 
 
 def _requires_comma(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return whether a pattern requires a comma: with another character in its place, the match of the group
-    changes."""
+    """Return whether a pattern requires a comma, so that another character in its place changes the match of the
+    group."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
         match = _compiled(pattern).search(tried)
@@ -905,7 +906,7 @@ class Profile(TextLayout, StepTime):
         return frozenset() if pattern_problem(self.name_pattern) else group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
-        """Return the columns by SI name: time, command, position, and the optional columns."""
+        """Return time, command, position, and the optional columns by their SI names."""
         return {} if self.columns is None else self.columns.sources()
 
     def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:

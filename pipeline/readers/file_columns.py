@@ -24,7 +24,8 @@ LARGEST_LOG = 256 << 20
 """Largest size [byte] of a file that is read, compressed or not. A larger file is not a log."""
 
 MOST_VALUES = 1 << 26
-"""Largest number of values in a file: 10^7 rows of six columns. It is limited by the memory of a worker."""
+"""Largest number of values in a file. It corresponds to 10^7 rows of six columns. It is limited by the memory of a
+worker."""
 
 SMALL_FILE = 64 << 20
 """Unpacked size [byte] that is allowed for any file: 10^6 rows of eight columns.
@@ -36,7 +37,7 @@ EXPANSION = 30
 """Largest ratio of unpacked to packed size of a larger file. Recorded samples are compressed by a factor of 1 to 20."""
 
 LONGEST_HEADER = 1 << 16
-"""Number of bytes in which the column line is searched. A header has a few hundred; other files may be huge."""
+"""Number of bytes in which the column line is searched. A header has a few hundred. Other files may be huge."""
 
 KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE = 100, 10_000
 """Largest number of file attributes stored with each trial, and their largest length [characters].
@@ -69,7 +70,7 @@ class FileColumns:
     name : str
         Name of the file, for messages.
     wanted : tuple of str
-        Names that a profile needs; other columns are skipped. If it is empty, all columns are read.
+        Names that a profile needs. Other columns are skipped. If it is empty, all columns are read.
     most : int
         Largest number of values that the file may contain.
     row_name : str
@@ -286,7 +287,7 @@ def _ends(name: str) -> tuple[str, ...]:
 
 
 _REFERENCE = re.compile(r"desired|target|ref|soll|set_?point|cmd|command|raw|filtered", re.IGNORECASE)
-"""Names of groups that are not trials, such as reference signals or a second recording of the same motion."""
+"""Names of groups that are not trials, such as reference signals or a second recording of a motion."""
 
 
 def trial_groups(contents: FileColumns) -> list[str]:
@@ -314,7 +315,8 @@ def trial_groups(contents: FileColumns) -> list[str]:
 
 
 def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
-    """Return the columns with several rows in each group, by their names in it: fields, or elements of a matrix."""
+    """Return the columns that have several rows in each group, by their names in the group. They are fields or matrix
+    elements."""
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
         element = None if whole else _ELEMENT.search(name)
@@ -352,7 +354,8 @@ def _is_part(column: str, path: str) -> bool:
 
 
 def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array by name: one for a vector of any orientation, one for each element of a matrix."""
+    """Yield the columns of an array by name. There is one for a vector of any orientation, or one for each matrix
+    element."""
     shape = array.shape
     if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):
         yield path, array.reshape(-1)

@@ -79,7 +79,7 @@ class FollowedGains:
 
     @property
     def sentence(self) -> str:
-        """The differences, each with its factor."""
+        """Differences of the gains, each with its factor."""
         times = {
             name: f" (factor {factor:.4g})" if np.isfinite(factor) else "" for name, factor in self.factors.items()
         }
@@ -215,7 +215,9 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
 
 
 def _edges(command: Floats) -> list[int]:
-    """Return candidate rows of the step: the largest jump, and the first jumps much larger than all earlier jumps.
+    """Return candidate rows of the step.
+
+    They are the largest jump, and the first jumps that are much larger than all earlier jumps.
 
     Later jumps of the command at an unstable wall may exceed the step.
     """

@@ -74,7 +74,7 @@ class RawLog:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """A step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,).
+    """Step response, with its conditions, and time [s], command [N, Nm] and position [m, rad] of shape (rows,).
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Log:
     raw_time : float64 or int64, shape (rows,), optional
         Time stamps as in the file, or None if they equal ``time``.
     counts : mapping of str to int
-        Number of repaired rows by kind: counter wraps, rows out of order, and others.
+        Number of repaired rows by kind. Kinds are counter wraps, rows out of order, and others.
     warnings : tuple of str
         Irregularities that were accepted.
     label : str, optional
@@ -115,7 +115,8 @@ class Log:
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header of the same conditions and an additional warning. Findings are kept."""
+        """Return the log with another header that states the same conditions, and with an additional warning. Findings
+        are kept."""
         log = replace(self, header=header, warnings=(*self.warnings, warning))
         log.__dict__["findings"] = self.findings
         return log
@@ -232,7 +233,8 @@ def check_samples(
 
 
 def stray(readings: Floats, scale: float) -> int | None:
-    """Return the first row that is an outlier beyond any motion: a lost bit, a counter overflow, or a missing value.
+    """Return the first row that is an outlier beyond any motion, such as a lost bit, a counter overflow, or a missing
+    value.
 
     Parameters
     ----------

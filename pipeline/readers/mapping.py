@@ -1,6 +1,6 @@
-"""Conversion of the columns of a foreign log to logs in SI: columns, trials, windows, step, conditions.
+"""Convert the columns of a foreign log to logs in SI units, with their trials, windows, step and conditions.
 
-The order of operations is: rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows.
+The order of operations is rows of a trial, missing cells, stamps to seconds, order of time, duplicate stamps, windows.
 Nothing is interpolated.
 """
 
@@ -363,7 +363,8 @@ def _step_row(where: str, step: StepTime, table: Table, period: float) -> int | 
 
 
 def _extra(profile: Profile, frame: FileColumns, step_row: int | None) -> dict[str, str]:
-    """Return the additional texts of a trial: declared step, origin of columns, attributes of the file, warnings."""
+    """Return the additional texts of a trial, which are the declared step, the origin of columns, attributes, and
+    warnings."""
     extra = {} if step_row is None else {"step_row": str(step_row)}
     for key, source in profile.column_sources().items():
         if source.provenance:
@@ -397,8 +398,7 @@ def statements(profile: Profile, name: str, part: Part) -> dict[str, tuple[str, 
     """Return the profile key that gives each condition of a trial, and its value, or None if the file contains the
     value.
 
-    The most specific key has priority: that of the step, then of the file, columns, attributes, the file name, and the
-    constants.
+    The most specific key has priority. The order is step, file, columns, attributes, file name, constants.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""Rows of a trial in a foreign file, as the profile describes them: numbers, missing cells, time in seconds and order.
+"""Read the rows of a trial in a foreign file as the profile describes them.
+
+The profile determines numbers, missing cells, time in seconds, and order.
 
 Nothing is interpolated. Rows are omitted only if the profile requests it, and omitted rows are counted by kind.
 """

@@ -1,4 +1,4 @@
-"""Inspection of an unknown log: its format, its layout, and its numeric columns."""
+"""Inspect the format, the layout, and the numeric columns of an unknown log."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _OF_ANOTHER = re.compile(r"[./](data|values?)(\[\d+\])*$", re.IGNORECASE)
 
 
 class Sample(NamedTuple):
-    """An unknown log: its format, the keys of its layout with questions about them, and its contents.
+    """Unknown log, with its format, the keys of its layout, questions about these keys, and its contents.
 
     If the file has several trials, ``trials`` has the contents of each.
     """

@@ -1,4 +1,4 @@
-"""Design of a rig: whether it can render a required wall, and the smallest changes of the rig with which it can.
+"""Determine whether a rig can render a required wall, and the smallest changes of the rig with which it can.
 
 A rig is a device with its control loop. The size of a change is ln of the ratio of the new and the old value.
 """
@@ -116,7 +116,7 @@ class Design:
     motion: Motion = "translation"
 
     def __str__(self) -> str:
-        """Return a summary in lines of text: whether the rig suffices, the wall and the changes."""
+        """Return a summary in lines of text, which state whether the rig suffices, the wall, and the changes."""
         k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
         lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
         largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
@@ -268,7 +268,7 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
             from scipy.optimize import minimize_scalar
 
-            # margins jump: they may become positive and negative again between two points
+            # because margins jump, they may become positive and negative again between two points
             ends = sorted((trail[-2][0], behind))
             options = {"maxiter": _TOP_LOOKS}
             top = minimize_scalar(lambda x: -max(room(x), _NO_RIG), bounds=ends, method="bounded", options=options)

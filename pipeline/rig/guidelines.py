@@ -1,4 +1,5 @@
-"""Guidelines for a rig: effects of delay, sampling, damping, mass and a hand on the stiffest wall.
+"""Compute guidelines for a rig, which are the effects of delay, sampling, damping, mass and a hand on the stiffest
+wall.
 
 Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
 """
@@ -99,12 +100,12 @@ class Guidelines:
 
 
 def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidelines:
-    """Return the guidelines for a rig.
+    """Return the guidelines for improving a rig.
 
     Parameters
     ----------
     loop : Loop
-        Rig. Its operator, if any, is the hand, and is removed to compute the effect of a hand.
+        Rig. If the loop has an operator, it is the hand, and it is removed to compute the effect of a hand.
     arms : mapping of HumanArm, optional
         Known arms by name, by default those of Table 3.2.
 

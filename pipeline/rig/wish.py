@@ -55,7 +55,7 @@ class DesignTarget:
     Parameters
     ----------
     stiffness : float, optional
-        Stiffness K [N/m, Nm/rad]; arbitrary if omitted.
+        Stiffness K [N/m, Nm/rad]. It is arbitrary if omitted.
     settling_s : float, optional
         Longest settling time to 2 % [s].
     overshoot : float, optional

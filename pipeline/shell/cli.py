@@ -1,4 +1,4 @@
-"""The command line. Its modules parse arguments, call functions and print results; they compute nothing.
+"""The command line. Its modules parse arguments, call functions and print results. They compute nothing.
 
 A process loads only the module of the command that it runs, and each command imports its dependencies itself, because
 start-up dominates the run time of a short command.

@@ -1,4 +1,5 @@
-"""Output to the user: results on stdout, progress and notes on stderr. An error has a message and an exit status."""
+"""Write output to the user. Results go to stdout, and progress and notes go to stderr. An error has a message and an
+exit status."""
 
 from __future__ import annotations
 
@@ -64,7 +65,7 @@ def command(work: Callable[..., int | None]) -> Callable[..., None]:
 
 
 def show(document: object, lines: Iterable[str]) -> None:
-    """Print a result: its document with ``--json``, otherwise its lines."""
+    """Print the document of a result with ``--json``, and otherwise its lines."""
     if _JSON.get():
         _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
     else:
@@ -199,7 +200,7 @@ def _text(value: object) -> str:
 
 
 def is_answered() -> bool:
-    """Return whether the user can answer questions: input and stderr are terminals, and no JSON is requested."""
+    """Return whether the user can answer questions, because input and stderr are terminals and no JSON is requested."""
     return not _JSON.get() and _is_watched() and sys.stdin is not None and sys.stdin.isatty()
 
 

@@ -1,6 +1,6 @@
-"""Logs of a report, read again into a temporary folder, and their differences from the time of the report.
+"""Read the logs of a report again into a temporary folder, and find what has changed since the report.
 
-No computed results are reused: the temporary folder contains trials and samples, but neither stages nor theory.
+No computed results are reused, because the temporary folder contains trials and samples, but neither stages nor theory.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def read_again(
     folder : Path
         Folder in which the trials are stored.
     profiles : sequence of Path or None
-        Profile files of the lab, in addition to the shipped profiles. With None, no log is read: stored samples are
+        Profile files of the lab, in addition to the shipped profiles. With None, no log is read, and stored samples are
         copied.
     excluded : sequence of Exclusion
         Trials that were excluded manually, according to the page.

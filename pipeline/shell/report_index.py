@@ -54,7 +54,8 @@ def _row(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, str]:
-    """Return the largest stable stiffness of the first experiment that has one: measured, theoretical, deviation."""
+    """Return the measured and theoretical largest stable stiffness of the first experiment that has one, and their
+    deviation."""
     for e in experiments:
         score = e["scores"][0]["stiffness"] if e.get("scores") else None
         if score:
@@ -73,7 +74,8 @@ def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, st
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """A page: a report with its document, a report that cannot be read (``problem``), or another page."""
+    """Page in the folder. It is a report with its document, a report that cannot be read (``problem``), or another
+    page."""
 
     page: str
     title: str

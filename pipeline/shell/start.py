@@ -1,4 +1,5 @@
-"""Decisions of `pipeline start`: contents of a folder of logs, keys that the data prove, and open questions.
+"""Make the decisions of `pipeline start` on the contents of a folder of logs, keys that the data prove, and open
+questions.
 
 The decisions depend only on the folder. `pipeline.shell.commands.cli_start` asks the user, calls functions and prints.
 """
@@ -58,12 +59,12 @@ class Folder:
     others : tuple of Path
         Other files.
     ignored : tuple of Path
-        Papers, scripts, settings, pictures.
+        Files that are not logs, such as papers, scripts, settings and pictures.
     sheet : Path or None
     native : bool
         Whether the logs are native and need no profile.
     samples : tuple of Sample
-        A selection of the logs, opened.
+        Opened selection of the logs.
     """
 
     path: Path

@@ -1,4 +1,4 @@
-"""Verification of a report: every number is recomputed from the logs, and differences are listed."""
+"""Verify a report. Every number is recomputed from the logs, and differences are listed."""
 
 from __future__ import annotations
 
@@ -351,7 +351,7 @@ def device_problems(request: Request) -> tuple[LogProblem, ...]:
 
 
 def stored_place(report: Path, named: str, given: Path | str | None) -> Path | str:
-    """Return the folder or URL of the stored tables of a report: the given one, or the one that the report names.
+    """Return the folder or URL of the stored tables of a report. It is the given one, or the one that the report names.
 
     Raises
     ------

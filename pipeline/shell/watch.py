@@ -28,7 +28,7 @@ FileState = tuple[int, int, int]
 """Size [byte], and times of the last change of the content and of metadata such as permissions [ns since 1970]."""
 
 Event = dict[str, Any]
-"""An event: its kind under ``event``, and further keys that depend on the kind."""
+"""Event, with its kind under ``event`` and further keys that depend on the kind."""
 
 LOOK_SHARE = 200
 """Smallest ratio of a waiting time to the duration of the scan before it. Scans take at most 0.5 % of a processor."""
@@ -192,7 +192,7 @@ def follow(watched: Watched, interval_s: float) -> Iterator[Event]:
 
 
 def status_of(events: Sequence[Event]) -> int:
-    """Return the exit status of a pass: 1 if something failed, 3 if logs are in quarantine."""
+    """Return the exit status of a pass. It is 1 if something failed, and 3 if logs are in quarantine."""
     if any(event["event"] == "failed" for event in events):
         return EXIT_ERROR
     return EXIT_QUARANTINED if any(event.get("quarantined") for event in events) else EXIT_OK

@@ -1,4 +1,4 @@
-"""The order in which a lab tests pairs (K, B): coarse steps up to the first unstable trial, then fine steps.
+"""Order in which a lab tests pairs (K, B). Coarse steps lead up to the first unstable trial, and fine steps follow.
 
 The ladders of several dampings are climbed in parallel. Trials are simulated in waves. Trials after the first unstable
 one are discarded, so that the result equals the result of sequential testing.
@@ -21,14 +21,14 @@ from pipeline.records.trials import Floats, Integers, Trial, Trials
 Strings = NDArray[np.str_]
 
 FINE_STEPS = 5
-"""Number of fine steps in a coarse step. A fine step is 20 % of the coarse step (6.1.1)."""
+"""Number of fine steps per coarse step. A fine step is 20 % of a coarse step (6.1.1)."""
 
 WAVE = 12
 """Number of trials that are simulated in advance for each damping. A smaller number requires more runs of the
 simulator, a larger number discards more trials."""
 
 LONGEST_CLIMB = 2000
-"""Largest number of stiffness steps at one damping; the stiffest column of the thesis needs 65."""
+"""Largest number of stiffness steps at one damping. The stiffest column of the thesis needs 65."""
 
 AT_ZERO_STIFFNESS = 1 << 30
 """Column index of the trials with K = 0, which follow the trials of all dampings."""
@@ -46,7 +46,7 @@ class _Ladder:
 
     @property
     def number(self) -> int:
-        """Number of the pass over the column: 1 for coarse steps, 2 for fine steps."""
+        """Number of the pass over the column. It is 1 for coarse steps and 2 for fine steps."""
         return 1 if self.stride == FINE_STEPS else 2
 
 
@@ -88,7 +88,7 @@ class Climb:
         """
         last = ceil(self.lowest_damping / self.damping_step) + 1
         coarse = [
-            # the first rung at K = 0 is B = 0; at a fixed damping, it is the first step of K
+            # The first rung at K = 0 is B = 0. At a fixed damping, it is the first step of K.
             _Ladder(AT_ZERO_STIFFNESS, None, -FINE_STEPS, FINE_STEPS, last)
             if damping is None
             else _Ladder(column, damping, 0, FINE_STEPS, None)

@@ -1,4 +1,4 @@
-"""Spectral radius of the linear part of the simulated loop: the growth of a motion from one sample to the next."""
+"""Compute the spectral radius of the linear part of the simulated loop, which is the growth of a motion per sample."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""Conditions of all trials of an experiment: loop, step, duration, travel limits and undocumented faults.
+"""Define the conditions of all trials of an experiment, which are loop, step, duration, travel limits and undocumented
+faults.
 
-The module also draws the random quantities of each trial: noise, delays, repeated sensor samples and missing rows.
+The module also draws the random quantities of each trial, which are noise, delays, repeated sensor samples and missing
+rows.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ MOST_ROWS = 10_000_000
 """Largest number of samples of a trial. Such a trial takes a few GB of memory."""
 
 NOTHING_HIDDEN = SimulationParts()
-"""Default without hidden faults: the device behaves as stated, and its logs are complete."""
+"""Default without hidden faults. The device behaves as stated, and its logs are complete."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ class Setup:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of parts that a spectral radius cannot include: parts of the loop, clipping and hidden faults."""
+        """Names of parts that a spectral radius cannot include. They are parts of the loop, clipping and hidden
+        faults."""
         present = {
             "force_limit": self.loop.force_limit is not None,
             "one_sided_wall": self.hidden.one_sided_wall,
@@ -140,7 +143,7 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
 
 
 def idealise(setup: Setup) -> Setup:
-    """Return the loop of linear theory: without noise, quantisation, jitter, friction or hidden faults.
+    """Return the loop of linear theory, which has no noise, quantisation, jitter, friction or hidden faults.
 
     The limits are kept.
     """
@@ -153,8 +156,8 @@ class TrialDraws:
     """Random draws for each row of a trial, shape (rows,). A draw is None if its quantity is not random.
 
     ``noise`` [m, rad] is added before the sensor rounds. ``delays`` [samples] are the delays of the commands. In
-    ``held`` samples the sensor repeats its last value. In ``repeated`` rows the log repeats the last position. The log
-    lacks the ``lost`` rows.
+    ``held`` samples, the sensor repeats its last value. In ``repeated`` rows, the log repeats the last position. The
+    log lacks the ``lost`` rows.
     """
 
     noise: Floats | None

@@ -1,4 +1,5 @@
-"""Hybrid simulation of the virtual wall: sampled controller, delayed command and exact motion between the samples.
+"""Simulate the virtual wall as a hybrid system with a sampled controller, a delayed command and exact motion between
+samples.
 
 In each sample k, noise is added to the true position, and the sum is rounded to the quantum of the sensor. The wall
 force ``K (x_k - x_0) + B v_k`` is subtracted from the external step. The command is clipped to the force limit and

@@ -1,4 +1,4 @@
-"""Simulation of a sweep: the pairs (K, B) that a lab would test, and the logs that it would record.
+"""Simulate the pairs (K, B) of a sweep that a lab would test, and the logs that it would record.
 
 For each damping B, the stiffness K is increased by the stiffness step until a trial is unstable. It is then increased
 again from the last stable K, in steps of 20 % of the stiffness step (6.1.1). Trials at K = 0 with decreasing B follow,
@@ -95,7 +95,8 @@ def run_sweep(
     duration_s : float, optional
         Duration of a trial [s] instead of the device's, at most `LONGEST_TRIAL` samples.
     coarsen : int
-        Factor n for a small sweep: every n-th damping is tested with n times the stiffness step. K = 0 is tested fully.
+        Factor n for a small sweep: every n-th damping is tested with n times the stiffness step. All trials at K = 0
+        are kept.
     progress : callable, optional
         Function that is called with the number of trials kept so far.
     **changes

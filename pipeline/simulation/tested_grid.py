@@ -1,4 +1,5 @@
-"""Walls that a series of trials tests, from the device file or else from the range of stable walls."""
+"""Determine the walls that a series of trials tests, from the device file or otherwise from the range of stable
+walls."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ its stiffnesses reach up to the limit."""
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of tested walls: range and step of the damping [Ns/m, Nms/rad], and step of the stiffness [N/m, Nm/rad]."""
+    """Grid of tested walls, given by range and step of the damping [Ns/m, Nms/rad] and by the step of the stiffness
+    [N/m, Nm/rad]."""
 
     damping_first: float
     damping_last: float

@@ -36,10 +36,11 @@ from pipeline.records.trials import Booleans
 from pipeline.store.storage import TABLE, VERSION_COLUMNS, Rows, read_rows, row_parts, trials_folder
 
 GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
-"""Largest number of trials in a row group, and of bytes of their samples. Reading a trial reads its entire group."""
+"""Largest number of trials in a row group, and of bytes of their samples. To read a trial, its entire group must be
+read."""
 
 READING_BYTES = 24
-"""Size of a sample in memory [byte]: time, command, position."""
+"""Size of a sample in memory [byte]. A sample consists of time, command and position."""
 
 _REPEATED = [
     *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
@@ -62,7 +63,8 @@ LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
 
 Key = tuple[str, str, str]
 KEY_COLUMNS = ("source_path", "trial_id", "profile_sha256")
-"""Columns that identify a trial as read: its id, the path of its log, and the SHA-256 of the profile."""
+"""Columns that identify a trial as it was read. They are its id, the path of its log, and the SHA-256 of the
+profile."""
 
 
 class ExperimentKey(NamedTuple):
@@ -221,7 +223,7 @@ def remove_superseded(processed: Path, damaged: dict[Path, str]) -> None:
     """Remove replaced files and unused trials. The caller must have locked the store.
 
     Two writers on an object store may have stored or merged the same trials. Each would then remove another file, and a
-    trial could be lost. Therefore, one new file replaces all files that share trials. Damaged files are added to
+    trial could be lost. Therefore, all files that share trials are replaced by one new file. Damaged files are added to
     `damaged` and skipped.
     """
     rows = read_rows(processed, VERSION_COLUMNS, damaged)

@@ -1,8 +1,8 @@
-"""Manual corrections of stored trials: trials are excluded, moved or deleted, and a correction can be undone.
+"""Correct stored trials manually. Trials are excluded, moved or deleted, and a correction can be undone.
 
 Corrections are stored in ``processed/corrections`` and applied when trials are read (`storage`), so that stored trials
 agree with the logs. A correction refers to the content of a log. It remains valid if the same log is ingested, merged
-or repaired again; a log with other content is another trial. Each change writes a new file with all corrections, then
+or repaired again. A log with other content is another trial. Each change writes a new file with all corrections, then
 removes the files that were read. Two files written at the same time are both valid.
 
 All functions take a text that selects trials: a device, ``device/experiment`` (as encoded by `names.folder_name`), the

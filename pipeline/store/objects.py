@@ -1,9 +1,9 @@
 """A store given by a URL, such as S3. Its files are copied to a temporary folder, and changes are copied back.
 
 Files are named by the hash of their content, are complete and never change. Therefore, an object store works like a
-folder: new files are uploaded, then the files that they replace are deleted. Writers never wait for each other, because
-two writers store different files or the same file. The temporary folder is removed at the end. A store that is a folder
-is used directly, and the package for object stores (the extra ``cluster``) is not imported.
+folder. New files are uploaded, and then the files that they replace are deleted. Writers never wait for each other,
+because two writers store different files or the same file. The temporary folder is removed at the end. A store that is
+a folder is used directly, and the package for object stores (the extra ``cluster``) is not imported.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ REPEATS = 20
 """Largest number of times that a store is listed again because its files were merged during the download."""
 
 _AT_ONCE = 8
-"""Number of parallel requests, which mostly wait. A batch takes about 10 MiB of memory, at most 256 MiB."""
+"""Number of parallel requests. Requests mostly wait. A batch takes about 10 MiB of memory, and at most 256 MiB."""
 
 Listed = tuple[str, int, datetime]
 """Name, size [byte] and upload time of an object."""
@@ -206,7 +206,7 @@ def _is_stored(name: str) -> bool:
 
 
 def _is_of(parts: list[str], place: tuple[str, ...]) -> bool:
-    """Return whether a file concerns a device or experiment. Without a place, this is true for all files."""
+    """Return whether a file belongs to a device or experiment. Without a place, this is true for all files."""
     if not place or parts[0] in ("theory", "corrections"):
         return True
     return parts[0] != "quarantine" and tuple(map(name_of_folder, parts[1 : 1 + len(place)])) == place
@@ -218,14 +218,16 @@ _mirrors: dict[Path, _Mirror] = {}
 
 @contextmanager
 def opened(place: str | Path, *only: str) -> Iterator[Path]:
-    """Yield the folder of a store. For an object store it is a mirror, which is published if the block succeeds.
+    """Yield the folder of a store. For an object store, the folder is a mirror, which is published if the block
+    succeeds.
 
     Parameters
     ----------
     place : str or Path
         Folder, or URL of an object store.
     *only : str
-        A device, or a device and one of its experiments. Trials of others are then not downloaded.
+        A device, or a device and one of its experiments. Then, trials of other devices or experiments are not
+        downloaded.
 
     Raises
     ------

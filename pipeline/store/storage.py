@@ -6,8 +6,8 @@
     quarantine/                                              refused logs, with the reasons
 
 Each file is complete and named by the hash of its content. The metadata of a replacement list the replaced files.
-Readers need no lock: they skip replaced files, and list the folder again if it changed while they read. Thus they see
-each trial once.
+Readers need no lock, because they skip replaced files, and list the folder again if it changed while they read. Thus
+they see each trial once.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
     Raises
     ------
     StoreError
-        If reading fails although no file was moved, or other processes write there permanently.
+        If reading fails although no file was moved, or if other processes write to the folder permanently.
     """
     for _ in range(ATTEMPTS):
         before = _listing(folder)
@@ -136,7 +136,7 @@ def read_steadily(folder: Path, read: Callable[[], Result]) -> Result:
                     raise
                 raise damaged_file(Path(error.filename or folder), error.strerror) from error
         else:
-            # Listing a folder is not atomic: a batch that is merged meanwhile may be missing from both lists.
+            # Listing a folder is not atomic, so that a batch that is merged meanwhile may be missing from both lists.
             if _listing(folder) == before:
                 return result
         time.sleep(_PAUSE_S)
@@ -150,10 +150,11 @@ def read_trials(
     columns: list[str] | None = None,
     damaged: dict[Path, str] | None = None,
 ) -> pa.Table:
-    """Return trials without samples, ordered by file name: all trials, those of a device, or those of an experiment.
+    """Return all trials, or those of a device or experiment, without samples and ordered by file name.
 
     A trial stored in several files is returned once. If two writers stored a log with different content, the newer
-    content is returned. Corrections are applied: moved trials appear in their new place, deleted trials do not appear.
+    content is returned. Corrections are applied, so that moved trials appear in their new place and deleted trials do
+    not appear.
 
     Parameters
     ----------
@@ -162,13 +163,13 @@ def read_trials(
     columns : list of str, optional
         Columns from `tables.OF_TRIALS`. The default is all.
     damaged : dict of Path to str, optional
-        Receives the damaged files and their faults. Files that it already contains are skipped. If it is None, a
-        damaged file raises an error.
+        Dictionary to which damaged files and their faults are added. Files that it already contains are skipped. If it
+        is None, a damaged file raises an error.
 
     Raises
     ------
     StoreError
-        If a file is damaged, or other processes write there permanently.
+        If a file is damaged, or if other processes write to the folder permanently.
     """
     wanted = list(OF_TRIALS) if columns is None else columns
     corrections = {}

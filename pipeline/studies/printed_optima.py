@@ -1,4 +1,4 @@
-"""Tables D.1 to D.6: recomputed rows of theory, and deviations of the printed measurements from theory.
+"""Recompute the rows of theory in Tables D.1 to D.6, and the deviations of the printed measurements from theory.
 
 No logs are needed. The marks are those of `pipeline.studies.thesis_tables`.
 

@@ -3,7 +3,7 @@
 Every printed number has one mark. ``equal``: the computed number rounds to it. ``within``: it differs within one of
 three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be reproduced, and the reason is
 stored with the printed number. ``unexplained``: none of these applies. Computed numbers depend only on the parameters
-of the loop and the criterion; nothing is tuned to the printed numbers.
+of the loop and the criterion. Nothing is tuned to the printed numbers.
 
 Source: Hulin 2017, Table 5.1, appendices B and C.
 """
@@ -205,7 +205,8 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
 
 
 def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Yield recomputed tables in the requested order: name, number of rows, and an iterator over finished rows.
+    """Yield recomputed tables in the requested order. Each has a name, the number of rows, and an iterator over
+    finished rows.
 
     Raises
     ------

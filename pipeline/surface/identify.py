@@ -88,7 +88,8 @@ class IdentifiedDevice:
 
     @property
     def replay(self) -> pd.DataFrame:
-        """Fit [%] of replayed free runs to the velocity of logs left out of the estimation.
+        """Fit [%] of replayed free runs to the velocity of logs. Each log is left out of the estimation that predicts
+        it.
 
         ``naive_percent`` is the fit of a motion that ignores the command.
         """
@@ -96,7 +97,7 @@ class IdentifiedDevice:
 
     @property
     def findings(self) -> pd.DataFrame:
-        """Faults of the recordings: kind, location, evidence and remedy."""
+        """Faults of the recordings, each with kind, location, evidence and remedy."""
         return frame_of("log code severity first_row rows evidence remedy", self.document["findings"], {})
 
     @cached_property
@@ -316,7 +317,7 @@ def _completed(raw: RawLog) -> RawLog:
 
 
 def _period(text: bytes) -> float | None:
-    """Return the median time between the first rows [s], or None if their times are not numbers."""
+    """Return the median time between the first rows of a log [s], or None if the times are not numbers."""
     rows = [
         line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
     ]
@@ -532,7 +533,7 @@ def wall_loop(document: dict[str, Any], **other: float) -> LoopRecord | None:
 
 
 LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
-"""Parameters of a linear loop in a document, without those of the vibration mode."""
+"""Names of the parameters of a linear loop in a document, without those of the vibration mode."""
 
 
 def _border(loop: LoopRecord, points: int) -> dict[str, Any]:

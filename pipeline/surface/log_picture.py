@@ -1,4 +1,4 @@
-"""Picture of a raw log with columns, step, jumps, rests and missing rows, in SI units or as recorded."""
+"""Show the columns, the step, jumps, rests and missing rows of a raw log, in SI units or as recorded."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MOST_TRIALS = 12
 
 @dataclass(frozen=True, eq=False)
 class LogPicture:
-    """Picture of a log: path, titled trials with their columns, remarks, and label of the abscissa."""
+    """Picture of a log, with its path, titled trials with their columns, remarks, and the label of the abscissa."""
 
     log: str
     trials: tuple[tuple[str, tuple[RecordedColumn, ...]], ...]
@@ -151,7 +151,7 @@ def _as_it_stands(log: Path) -> tuple[str, tuple[RecordedColumn, ...]]:
     """Return the file name and the numeric columns of a file that matches no profile."""
     sample = open_sample(log)
     columns = dict(islice(sample.numbers.items(), MOST_COLUMNS))
-    # A column that increases in every row is a clock or a counter. Its gaps are missing rows of the log.
+    # A column that increases in every row is a clock or a counter. Gaps in this column are missing rows of the log.
     clock = next((values for values in columns.values() if (np.diff(values) > 0).all()), None)
     return sample.name, tuple(
         _column(name, sample.contents.hints.get(name, ""), rows, values, rows if clock is None else clock, None)

@@ -38,7 +38,7 @@ class Nanoseconds(int):
 
 
 class _Topic(NamedTuple):
-    """Messages of a topic: their type, numbers in the bag, times of reception [ns], and fields."""
+    """Messages of a topic, with their type, numbers in the bag, times of reception [ns], and fields."""
 
     kind: str
     number: list[int]

@@ -47,7 +47,7 @@ NUMERIC_SHARE = 0.5
 """Smallest share of numbers among the cells of a row of samples. Some columns may contain texts."""
 
 _GROUP_SIGNS = " \u00a0\u2009\u202f'\u2019"
-"""Thousands separators: blanks and apostrophes, as in French and Swiss numbers."""
+"""Thousands separators, which are blanks and apostrophes as in French and Swiss numbers."""
 
 _GROUPED_NUMBER = rf"[+-]?[0-9]{{1,3}}(?:[{_GROUP_SIGNS}][0-9]{{3}})+(?:[.,][0-9]*)?"
 _NUMBER = re.compile(

@@ -1,4 +1,4 @@
-"""Reader of files from measuring systems: HDF5, TDMS of LabVIEW, and MDF of dSPACE, CANape and INCA.
+"""Read files from measuring systems, in the formats HDF5, TDMS (LabVIEW) and MDF (dSPACE, CANape and INCA).
 
 HDF5: columns are paths of datasets (``/arm/q``), fields of compound datasets (``/log.t``), and elements
 (``/arm/q[3]``). Values in other files are not read.

@@ -1,4 +1,4 @@
-"""Preview of a profile on sample files: conditions and their sources, columns in SI, time, step, and warnings.
+"""Preview a profile on sample files, with conditions and their sources, columns in SI units, time, step, and warnings.
 
 A warning concerns a log that can be read but contradicts the profile. Nothing is stored. If `pipeline ingest` would
 refuse a file, the preview shows the reason.
@@ -172,7 +172,8 @@ def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
-    """Return samples as lines of text: the first readable sample in full, each other sample on one line."""
+    """Return samples as lines of text. The first readable sample is shown in full, and each other sample on one
+    line."""
     lines, found, others, refused = list[str](), [], [], []
     for sample in samples:
         path, trials = sample["path"], sample["trials"]

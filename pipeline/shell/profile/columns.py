@@ -1,8 +1,8 @@
 """Conversion of columns named on the command line to an ordinary profile.
 
-The logs must show everything else: the layout of the files, the sampling period, the sign of the position, and the row
-of the step. Units are never guessed. Before the profile is used, it is checked against some of the logs. It is refused
-if their commands do not follow the stated wall.
+The logs must show everything else, namely the layout of the files, the sampling period, the sign of the position, and
+the row of the step. Units are never guessed. Before the profile is used, it is checked against some of the logs. It is
+refused if their commands do not follow the stated wall.
 """
 
 from __future__ import annotations
@@ -266,7 +266,7 @@ class _Maker:
         return table
 
     def _clock(self) -> str:
-        """Return the time column if no option names it: the only column that increases by equal steps."""
+        """Return the time column if no option names it. It is the only column that increases by equal steps."""
         numbers = self.sample.numbers
         taken = {ColumnText.among("", getattr(self.stated, name), list(numbers)).column for name in COLUMNS[1:]}
         rising = [
@@ -308,7 +308,8 @@ class _Maker:
         return known is not None and known.quantity in ("angle", "angular velocity")
 
     def _condition(self, values: dict[str, Any], name: str, text: str) -> None:
-        """Store the source of a condition: a constant, a value outside the table, a column, or the name of the file.
+        """Store the source of a condition. It is a constant, a value outside the table, a column, or the name of the
+        file.
 
         Raises
         ------
@@ -349,7 +350,7 @@ class _Maker:
         self.evidence.append(f"{name} is {place}")
 
     def _period(self, values: dict[str, Any]) -> None:
-        """Set the sampling period: the stated one, or the time between the rows of all samples."""
+        """Set the sampling period. It is the stated one, or the time between the rows of all samples."""
         text = self.stated.period
         if text is None and self.stated.time is not None:
             constant = _as_constant("time", self.stated.time, self.sample)
@@ -376,7 +377,8 @@ class _Maker:
         self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
     def _wall(self, values: dict[str, Any]) -> None:
-        """Set the keys that the wall law of the commands shows: sign of the position, and time of the step."""
+        """Set the keys that the wall law of the commands shows, which are the sign of the position and the time of the
+        step."""
         kind = self.stated.kind or "step"
         if kind not in IMPLIED:
             raise UsageError(f"--kind {kind}: expected one of {', '.join(IMPLIED)}.")

@@ -55,7 +55,8 @@ def proved_unit(numbers: Numbers, followed: Sequence[float], key: str, kind: Kin
 
 
 def numbers_inside(contents: Sequence[FileColumns]) -> dict[tuple[str, str], Numbers]:
-    """Return the numbers stated in files, or in trials of a file: values outside the table, and constant columns.
+    """Return the numbers stated in files, or in trials of a file. They are values outside the table, and constant
+    columns.
 
     A key consists of the profile table (``attributes``, ``condition_columns``) and the name. Numbers followed by a unit
     are converted to SI.

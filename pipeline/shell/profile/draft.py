@@ -1,4 +1,4 @@
-"""Draft of a profile for sample logs: TOML text with the keys that the data prove, their evidence, and questions.
+"""Draft a profile for sample logs, as TOML text with the keys that the data prove, their evidence, and questions.
 
 A question is a line ``# QUESTION: key: words`` above the key, which is commented out with a possible answer. To answer
 it, uncomment the key and correct its value. There are at most `MOST_QUESTIONS` questions, and only about keys that
@@ -69,7 +69,7 @@ def _difference(sample: Sample, other: Sample) -> str:
 
 
 def _lines(sample: Sample, found: dict[str, Answer]) -> Iterator[str]:
-    """Yield the lines of the draft by table: known keys, and keys with questions."""
+    """Yield the lines of the draft by table. They contain known keys, and keys with questions."""
     yield f"# Draft for {_toml(sample.name)}. The evidence follows each key. Below a question is the key to set."
     short = re.sub(r"[^a-z0-9]+", "_", Path(sample.name).stem.lower()).strip("_")
     yield from (f"name = {_toml(short or 'lab')}", f"format = {_toml(sample.kind)}")

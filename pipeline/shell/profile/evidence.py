@@ -65,7 +65,7 @@ _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORE
 class WallLaw(NamedTuple):
     """The wall law that the command of a log follows, its columns by role, and their plausible units.
 
-    ``first_row`` is True if the step precedes the first row. ``kind`` is the excitation of the device.
+    ``first_row`` is True if the step occurs before the first row. ``kind`` is the excitation of the device.
     """
 
     law: WallGains

@@ -1,4 +1,5 @@
-"""Stiff and extreme cases: error of each method along parameter paths towards the limits of double precision."""
+"""Measure the error of each method in stiff and extreme cases, along parameter paths to the limits of double
+precision."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ MARGINS = range(1, 15)
 """Relative distances 10^-k from the boundary."""
 
 Row = dict[str, Any]
-"""A point of a path: its abscissa x, its loop and wall, and the exact values."""
+"""Point of a path, with its abscissa x, its loop and wall, and the exact values."""
 
 Errors = Sequence[float | None]
 
@@ -106,7 +107,7 @@ def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence
 
 
 def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float | None]:
-    """Return the relative error of each weight at a point, or None for a weight without a number."""
+    """Return the relative error of the energy cost with each weight at a point, or None if a cost has no value."""
     found = np.asarray(of(case, np.array([row["alpha"]]), np.array([row["beta"]])))[:, 0]
     exact = [row[f"energy_step_w{w}"] for w in range(3)]
     return [abs(f - e) / e if np.isfinite(f) else None for f, e in zip(found.tolist(), exact, strict=True)]

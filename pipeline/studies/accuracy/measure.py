@@ -1,4 +1,4 @@
-"""Tables of methods, and the measurement of a row: its error relative to the truth, and its run time.
+"""Build tables of methods, and measure the error of a row relative to the truth and its run time.
 
 A table has quantities with known exact values. A row is a method with its settings. Only `Table.rungs` runs and times
 methods.
@@ -24,7 +24,8 @@ FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
 """Exceptions of a method that cannot compute a number. Any other exception is a defect."""
 
 _SHORT = 2e-3
-"""Threshold for the run time [s]. Below it, a single run is too short for the clock. Then the timed loop repeats it."""
+"""Threshold for the run time [s]. Below it, a single run is too short for the clock. Then, the run is repeated in the
+timed loop."""
 
 _T = TypeVar("_T")
 Values = dict[str, Floats]
@@ -69,7 +70,7 @@ class Row:
     quick : int or None
         Number of settings in a quick run, or None for all.
     given : callable, optional
-        Function that makes the argument of ``run`` from a setting, before the timing starts.
+        Function that prepares the argument of ``run`` from a setting before the timing starts.
     of : tuple of str
         Quantities of the table that the method computes. If it is empty, the method computes all.
     needs : str
@@ -109,7 +110,7 @@ class Table:
     summary : callable
         Function that summarises the errors.
     scale : mapping of str to float64
-        Reference of relative errors, if it differs from the truth.
+        Values to which errors are relative, if they differ from the truth.
     trials : int
         Number of trials in a run. The time of a rung is divided by it.
     """

@@ -89,7 +89,7 @@ def printed_numerator(gamma: float, delta: float) -> tuple[float, float]:
 
 
 def radius_by_roots(case: Case, alpha: Floats, beta: Floats) -> Floats:
-    """Return the largest root modulus of each characteristic polynomial, from one call of `np.roots` for each.
+    """Return the largest root modulus of each characteristic polynomial. `np.roots` is called once for each polynomial.
 
     Source: Hulin 2017, eq. 3.11.
     """
@@ -109,7 +109,8 @@ def held(delay: int) -> tuple[int, int]:
 
 
 def step_state(delay: int) -> Floats:
-    """Return the state at the step, shape (delay + 3,). All positions are one unit below the final one, at rest."""
+    """Return the state at the step, shape (delay + 3,). The device is at rest, and all positions are one unit below the
+    final one."""
     start = np.full(delay + 3, -1.0)
     start[1] = 0.0
     return start
@@ -157,7 +158,7 @@ def radius_by_control(case: Case, alpha: Floats, beta: Floats) -> Floats:
 
 
 def response_by_dlsim(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
-    """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
+    """Return the sampled deviation of a step response as computed by `scipy.signal.dlsim`, shape (samples, n)."""
     rest, start = np.zeros((samples, 1)), step_state(case.delay)
     found = (dlsim(system, rest, x0=start)[1] for system in _systems(case, alpha, beta))
     return np.array([np.asarray(position)[:, 0] for position in found]).T

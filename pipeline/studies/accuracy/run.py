@@ -1,4 +1,4 @@
-"""Measurement of all methods: tables, extreme cases, omitted methods, and their page."""
+"""Measure all methods, with tables, extreme cases, omitted methods, and their page."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float,
 
 
 def left_out() -> tuple[LeftOut, ...]:
-    """Return the methods of theory that are not measured here, with reasons.
+    """Return the methods of theory that are not measured in this run, with the reasons.
 
     Methods that are not installed come first.
     """
@@ -119,7 +119,7 @@ def render(report: AccuracyReport) -> str:
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
-    """Return a row for each quantity: error and time of this package, and of the fastest other method within
+    """Return a row for each quantity, with error and time of this package and of the fastest other method within
     `WRONG`."""
     rows = []
     for quantity, rungs in grouped(report.rungs, "quantity").items():

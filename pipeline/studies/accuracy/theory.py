@@ -1,4 +1,4 @@
-"""Limits, responses, costs and optima of loops: reference values, and a table with a row for each method.
+"""Provide reference values for limits, responses, costs and optima of loops, and a table with a row for each method.
 
 The truth is given by reference values that are shipped with the package (docs/make_reference.py). An error is the
 largest one over all reference points. Errors are relative, except for overshoot, which already is relative to the final
@@ -163,7 +163,7 @@ def _one(quantity: str, run: Callable[..., Any], *first: Any) -> Callable[..., V
 
 
 def _edge(case: Case, loop: NormalisedLoop) -> Table:
-    """Return the table of the boundary: largest alpha for given beta."""
+    """Return the table of the boundary, which is the largest alpha for given beta."""
     edge = reference()["boundary"]
     beta, high = np.array(edge["beta"]), 1.1 * edge["alpha_max"]
 
@@ -251,7 +251,7 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
 
 
 def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
-    """Return the table of costs of the samples over a grid, with all criteria in one row."""
+    """Return the table of methods that compute sampled costs over a grid. A row covers all criteria."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
     usable = axes[0] > 0  # at alpha = 0 the wall has no restoring force
     alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))
