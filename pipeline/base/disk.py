@@ -201,8 +201,10 @@ def write_result(folder: Path, stem: str, ending: str, data: bytes, mode: int | 
 
 
 def result_files(folder: Path, stem: str, ending: str) -> list[Path]:
-    """Return the files that store a result. There is usually one, and there are two while the result is being
-    replaced."""
+    """Return the files that store a result.
+
+    There is usually one, and there are two while the result is being replaced.
+    """
     try:
         names = sorted(os.listdir(folder))
     except (FileNotFoundError, NotADirectoryError):

@@ -55,8 +55,10 @@ class TableBuilder:
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
-        """Return all rows, table after table. For each criterion, the row of theory comes before those of the
-        experiments."""
+        """Return all rows, table after table.
+
+        For each criterion, the row of theory comes before those of the experiments.
+        """
         measured = {r.experiment: r for r in results}
         stages = {e.experiment: e for e in self.data.experiments}
 

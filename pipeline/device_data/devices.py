@@ -54,8 +54,10 @@ def known_devices() -> dict[str, Device]:
 
 
 def digest_of(device: Device) -> str:
-    """Return a hash of the content of a device file. Keys that later versions of the package add do not change the
-    hash."""
+    """Return a hash of the content of a device file.
+
+    Keys that later versions of the package add do not change the hash.
+    """
     return digest(device.model_dump(mode="json", exclude_defaults=True))
 
 

@@ -37,8 +37,10 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
 
 
 def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of each device. The label of each entry ends with the source of the loop
-    (``by``)."""
+    """Return an entry for each experiment of each device.
+
+    The label of each entry ends with the source of the loop (``by``).
+    """
     return [
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
@@ -103,8 +105,10 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
 
 
 def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
-    """Return the velocity filter and the vibration mode of an identified loop. Their kinds are those of the loop used
-    for theory."""
+    """Return the velocity filter and the vibration mode of an identified loop.
+
+    Their kinds are those of the loop used for theory.
+    """
     parts: dict[str, Any] = {}
     known = experiment.theory.loop if experiment.theory is not None else None
     velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}

@@ -45,8 +45,10 @@ def style() -> str:
 
 
 def panel(entries: Sequence[Entry], name: str = "explorer-entries") -> str:
-    """Return the HTML element of a panel and the element with its entries. The page must contain `script` and
-    `style`."""
+    """Return the HTML element of a panel and the element with its entries.
+
+    The page must contain `script` and `style`.
+    """
     shown = f'<div data-explorer="{escape(name)}"><p>This panel needs JavaScript.</p></div>'
     return f'{shown}\n<script type="application/json" id="{escape(name)}">{json_text(list(entries))}</script>'
 

@@ -182,8 +182,10 @@ def _repeated(evidence: Evidence) -> Decision:
 
 
 def _new(evidence: Evidence, drops: tuple[Drop, ...]) -> Decision:
-    """Return the decision on a source whose path is not stored. It is a new source, or a lost one with a corrected
-    name."""
+    """Return the decision on a source whose path is not stored.
+
+    It is a new source, or a lost one with a corrected name.
+    """
     source = evidence.source
     if evidence.lost is None:
         return Decision("new", "new", drops)

@@ -220,8 +220,10 @@ class NormalisedLoop:
 
     @cached_property
     def lag(self) -> float:
-        """Delay that the actuator adds to a slow command [sampling periods]. For a first-order lag, it is the time
-        constant."""
+        """Delay that the actuator adds to a slow command [sampling periods].
+
+        For a first-order lag, it is the time constant.
+        """
         return self.device.mean_lag
 
     def with_delta(self, delta: float) -> NormalisedLoop:
@@ -230,8 +232,10 @@ class NormalisedLoop:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """Parts of a sampling interval in order. There is one for an integer delay, and there are two for a fractional
-        delay."""
+        """Parts of a sampling interval in order.
+
+        There is one for an integer delay, and there are two for a fractional delay.
+        """
         whole = math.floor(self.delay)
         fraction = self.delay - whole
         if fraction == 0:

@@ -216,8 +216,10 @@ def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
 
 
 def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
-    """Return K, B and the logarithm of the predicted cost of candidate walls. They form a grid that is denser around
-    its optimum."""
+    """Return K, B and the logarithm of the predicted cost of candidate walls.
+
+    They form a grid that is denser around its optimum.
+    """
     dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
     K, B = np.outer(target.highest_at(B), SHARES).ravel(), np.repeat(B, len(SHARES))

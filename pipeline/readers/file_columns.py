@@ -315,8 +315,10 @@ def trial_groups(contents: FileColumns) -> list[str]:
 
 
 def _leaves(contents: FileColumns, whole: bool) -> dict[str, list[str]]:
-    """Return the columns that have several rows in each group, by their names in the group. They are fields or matrix
-    elements."""
+    """Return the columns that have several rows in each group, by their names in the group.
+
+    They are fields or matrix elements.
+    """
     leaves: dict[str, list[str]] = {}
     for name, values in contents.columns.items():
         element = None if whole else _ELEMENT.search(name)
@@ -354,8 +356,10 @@ def _is_part(column: str, path: str) -> bool:
 
 
 def _elements(path: str, array: Array, axis: int | None) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of an array by name. There is one for a vector of any orientation, or one for each matrix
-    element."""
+    """Yield the columns of an array by name.
+
+    There is one for a vector of any orientation, or one for each matrix element.
+    """
     shape = array.shape
     if array.size == 0 or sum(length != 1 for i, length in enumerate(shape) if i != axis) <= (axis is None):
         yield path, array.reshape(-1)

@@ -115,8 +115,10 @@ class Log:
         return joined.hexdigest()
 
     def with_warning(self, header: NativeHeader, warning: str) -> Log:
-        """Return the log with another header that states the same conditions, and with an additional warning. Findings
-        are kept."""
+        """Return the log with another header that states the same conditions, and with an additional warning.
+
+        Findings are kept.
+        """
         log = replace(self, header=header, warnings=(*self.warnings, warning))
         log.__dict__["findings"] = self.findings
         return log

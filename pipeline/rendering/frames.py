@@ -129,8 +129,10 @@ def estimates_frame(results: Iterable[ExperimentNumbers], *, all_methods: bool =
 
 
 def boundary_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.DataFrame:
-    """Return the measured limits. ``stiffness`` comes from the growth rates, and ``low`` and ``high`` are the ends of
-    its 95 % interval."""
+    """Return the measured limits.
+
+    ``stiffness`` comes from the growth rates, and ``low`` and ``high`` are the ends of its 95 % interval.
+    """
     rows = ({"experiment": e.experiment, **dict(p), "stiffness": p.estimate} for e in results for p in e.boundary)
     units = units_of(_WALL, {motion})
     more = dict.fromkeys(("stiffness_large_motion", "truth"), units["stiffness"])
@@ -225,8 +227,10 @@ def _missing(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
 
 
 def _trend(results: Sequence[ExperimentNumbers], motion: Motion) -> Iterator[Row]:
-    """Yield limits and estimates by experiment, with the header lines that differ. Without such lines, nothing is
-    yielded."""
+    """Yield limits and estimates by experiment, with the header lines that differ.
+
+    Without such lines, nothing is yielded.
+    """
     keys = differing_lines(results)
     for e in in_order(results, keys) if keys else ():
         about = {"experiment": e.experiment, "line": ", ".join(f"{key}: {line_text(e, key)}" for key in keys)}

@@ -127,8 +127,10 @@ def fixed(value: float, places: int) -> str:
 
 
 def decimal(value: float, places: int) -> str:
-    """Return a number with a fixed number of decimals and a true minus sign. Whole numbers are written without
-    decimals."""
+    """Return a number with a fixed number of decimals and a true minus sign.
+
+    Whole numbers are written without decimals.
+    """
     text = f"{value:.{places}f}"
     if "." in text and float(text) == int(float(text)):
         text = text.split(".")[0]
@@ -136,8 +138,10 @@ def decimal(value: float, places: int) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """Return a number rounded to significant digits. Numbers with at most seven digits before the decimal sign have no
-    exponent."""
+    """Return a number rounded to significant digits.
+
+    Numbers with at most seven digits before the decimal sign have no exponent.
+    """
     if value == 0 or not math.isfinite(value):
         return "0" if value == 0 else MISSING
     size = math.floor(math.log10(abs(value)))

@@ -202,7 +202,9 @@ def footnote(index: int) -> str:
 
 
 def is_sweep(rows: Sequence[Row]) -> bool:
-    """Return whether the rows of one table are over delay. In this case, measured rows differ only in their
-    experiment."""
+    """Return whether the rows of one table are over delay.
+
+    In this case, measured rows differ only in their experiment.
+    """
     measured = [(row["criterion"], row["condition"]) for row in rows if not row["condition"].startswith("theory")]
     return len(set(measured)) < len(measured)

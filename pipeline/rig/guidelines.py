@@ -100,7 +100,7 @@ class Guidelines:
 
 
 def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidelines:
-    """Return the guidelines for improving a rig.
+    """Return the effects of changes of a rig on its stiffest wall.
 
     Parameters
     ----------

@@ -115,8 +115,10 @@ class Selection:
     text: str = ""
 
     def where(self, said: Sequence[tuple[list[str], str]]) -> tuple[str, list[object]]:
-        """Return the selection as an SQL condition with its values. ``said`` contains notes and tags with their
-        owners."""
+        """Return the selection as an SQL condition with its values.
+
+        ``said`` contains notes and tags with their owners.
+        """
         parts, values = ["1"], list[object]()
         for name, word in self.words.items():
             parts.append(f"{name} IS ?")
@@ -173,8 +175,10 @@ class Catalogue:
         return self._connection.execute(statement, values).fetchall()
 
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
-        """Return rows of the present state. The state is at most `LOOK_S` old and always includes changes by this
-        service."""
+        """Return rows of the present state.
+
+        The state is at most `LOOK_S` old and always includes changes by this service.
+        """
         with self._lock:
             done = tuple(self.database.run(_DONE)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:

@@ -87,8 +87,10 @@ class Connection(H11Protocol):
 
 
 class _Server(uvicorn.Server):
-    """Server with separate limits on connections that are accepted at once and on queued connections. Asyncio uses one
-    number for both."""
+    """Server with separate limits on connections that are accepted at once and on queued connections.
+
+    Asyncio uses one number for both.
+    """
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start listening."""

@@ -176,8 +176,10 @@ class Database:
         return str(rows[0]["id"])
 
     def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> dict[str, Any] | None:
-        """Take a waiting job of these kinds, or one whose worker has no heartbeat. Return None if there is no such
-        job."""
+        """Take a waiting job of these kinds, or one whose worker has no heartbeat.
+
+        Return None if there is no such job.
+        """
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
@@ -231,15 +233,19 @@ class Database:
         return [_shown(row) for row in rows], last
 
     def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
-        """Return the rows below a number, the newest first. If more rows follow, also return the number of the last
-        row."""
+        """Return the rows below a number, the newest first.
+
+        If more rows follow, also return the number of the last row.
+        """
         given = (min(max(before, 0), NEWEST), limit + 1)
         rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
         return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
 
     def reports(self, most: int) -> list[dict[str, Any]]:
-        """Return the jobs that made comparisons, the newest first. A job is ``earlier`` if a newer job made the same
-        comparison."""
+        """Return the jobs that made comparisons, the newest first.
+
+        A job is ``earlier`` if a newer job made the same comparison.
+        """
         found, seen = self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0], set[str]()
         for job in found:
             asked = json.dumps(job["request"].get("asked", job["id"]))

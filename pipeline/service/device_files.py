@@ -17,8 +17,10 @@ from pipeline.store.names import folder_name
 
 
 def use_folder(settings: Settings) -> None:
-    """Set the folder of device files to that of the service's data if the environment names no folder. Workers inherit
-    it."""
+    """Set the folder of device files to that of the service's data if the environment names no folder.
+
+    Workers inherit it.
+    """
     if user_device_folder() is None and not settings.read_only:
         make_folder(settings.data / "devices")
         os.environ[USER_FOLDER_VARIABLE] = str(settings.data / "devices")

@@ -16,8 +16,10 @@ from pipeline.store.storage import read_corrections, trials_files
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of the stored data of experiments. Any change of the data, including a manual exclusion, changes
-    the hash."""
+    """Return a hash of the stored data of experiments.
+
+    Any change of the data, including a manual exclusion, changes the hash.
+    """
     files = [file for name in experiments for file in trials_files(processed, device, name)]
     places = [(device, name) for name in experiments]
     known = read_corrections(processed).values()

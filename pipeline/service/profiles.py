@@ -192,8 +192,10 @@ def with_confirmation(text: str, words: str, who: str, found: Sequence[Contradic
 
 
 def samples_folder(settings: Settings, sample: str) -> Path:
-    """Return the folder for the samples of a draft, and remove older folders. The folder's name is proposed for the
-    experiment."""
+    """Return the folder for the samples of a draft, and remove older folders.
+
+    The folder's name is proposed for the experiment.
+    """
     folder = settings.data / "drafts"
     for old in folder.glob("*"):
         if time.time() - old.stat().st_mtime > DRAFT_S:

@@ -204,8 +204,10 @@ def form_token(database: Database, browser: str) -> str:
 
 
 class _Body:
-    """Body of a request, limited in size and time. The time limit applies to the whole body, or for logs to each
-    piece."""
+    """Body of a request, limited in size and time.
+
+    The time limit applies to the whole body, or for logs to each piece.
+    """
 
     def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
         self.receive, self.most, self.wait_s, self.whole, self.seen = receive, most, wait_s, whole, 0

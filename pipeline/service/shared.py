@@ -133,8 +133,10 @@ class Service:
                     self.comparison(ComparisonRequest.model_validate(job["request"]["asked"]), late=1)
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
-        """Add the notes on experiments and their trials to a request. Notes are part of a report, so that new notes
-        cause a new report."""
+        """Add the notes on experiments and their trials to a request.
+
+        Notes are part of a report, so that new notes cause a new report.
+        """
         notes = [note for name in experiments for note in self.notes(device, name)]
         if notes:
             request["notes"] = [note.model_dump() for note in notes]

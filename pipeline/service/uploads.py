@@ -287,8 +287,10 @@ async def received(
 
 
 def _parts(name: str) -> list[str]:
-    """Split a name in a request into the names of folders and of a file. None of them leads outside the upload
-    folder."""
+    """Split a name in a request into the names of folders and of a file.
+
+    None of them leads outside the upload folder.
+    """
     parts = [folder_name(part) for part in name.replace("\\", "/").split("/") if part]
     if not parts or len(parts) > DEEPEST or any(len(part.encode()) > LONGEST_NAME for part in parts):
         raise Problem(
@@ -307,8 +309,10 @@ def _sync_file(file: Path) -> None:
 
 
 def remove_unacknowledged(settings: Settings, database: Database) -> None:
-    """Remove the folders of uploads that were interrupted before they had a job. A server calls this function when it
-    starts."""
+    """Remove the folders of uploads that were interrupted before they had a job.
+
+    A server calls this function when it starts.
+    """
     folder = settings.data / "logs"
     if folder.is_dir():
         jobs = {row["id"] for row in database.run("SELECT id FROM jobs WHERE kind = 'upload'")}

@@ -74,8 +74,10 @@ def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, st
 
 @dataclass(frozen=True)
 class IndexEntry:
-    """Page in the folder. It is a report with its document, a report that cannot be read (``problem``), or another
-    page."""
+    """Page in the folder.
+
+    It is a report with its document, a report that cannot be read (``problem``), or another page.
+    """
 
     page: str
     title: str

@@ -107,8 +107,10 @@ class Setup:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of parts that a spectral radius cannot include. They are parts of the loop, clipping and hidden
-        faults."""
+        """Names of parts that a spectral radius cannot include.
+
+        They are parts of the loop, clipping and hidden faults.
+        """
         present = {
             "force_limit": self.loop.force_limit is not None,
             "one_sided_wall": self.hidden.one_sided_wall,

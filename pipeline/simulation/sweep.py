@@ -95,8 +95,8 @@ def run_sweep(
     duration_s : float, optional
         Duration of a trial [s] instead of the device's, at most `LONGEST_TRIAL` samples.
     coarsen : int
-        Factor n for a small sweep: every n-th damping is tested with n times the stiffness step. All trials at K = 0
-        are kept.
+        Factor n for a small sweep: every n-th damping is tested with n times the stiffness step. At K = 0, every
+        damping is tested.
     progress : callable, optional
         Function that is called with the number of trials kept so far.
     **changes

@@ -415,8 +415,10 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
-    """Return the distance of alpha to the closer end of its stable interval, shape (n,). It is negative if alpha is
-    unstable."""
+    """Return the distance of alpha to the closer end of its stable interval, shape (n,).
+
+    It is negative if alpha is unstable.
+    """
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
     kept = np.flatnonzero(islands | (found.low <= 0))

@@ -152,8 +152,10 @@ def bounding_box(loop: NormalisedLoop) -> tuple[float, float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class MapBlock:
-    """Rows of a map. They contain all points for some beta, with beta changing slowest, and costs by name (NaN without
-    a cost)."""
+    """Rows of a map.
+
+    They contain all points for some beta, with beta changing slowest, and costs by name (NaN without a cost).
+    """
 
     alpha: Floats
     beta: Floats

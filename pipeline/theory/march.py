@@ -109,8 +109,10 @@ def behind(rows: Floats, r: int, z: Floats, first: Three, forces: Forces) -> flo
 
 @inlined
 def delayed(line: Floats, at: int, force: float) -> tuple[Forces, int]:
-    """Return the applied forces and the next index in the delay line. The new force replaces the oldest force in this
-    line."""
+    """Return the applied forces and the next index in the delay line.
+
+    The new force replaces the oldest force in this line.
+    """
     if not len(line):
         return (force, force), 0
     after = at + 1 if at + 1 < len(line) else 0

@@ -108,8 +108,10 @@ def _needed_slowly(loop: NormalisedLoop, alpha: Floats, beta: Floats, angle: Flo
 
 
 def passive_outline(loop: NormalisedLoop, delta: float) -> tuple[Floats, Floats]:
-    """Return alpha and beta of the outline of the passive region, starting at (0, -delta). They are zero if delta is
-    0."""
+    """Return alpha and beta of the outline of the passive region, starting at (0, -delta).
+
+    They are zero if delta is 0.
+    """
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 

@@ -415,8 +415,10 @@ def _triangles(K: Floats, B: Floats) -> Any:
 
 
 def departure_figures(data: StoredData, theories: Mapping[str, Theory], predictions: Predictions) -> list[Figure]:
-    """Return a figure for each criterion in the tables. It shows the deviation of measured costs from theory at the
-    tested walls."""
+    """Return a figure for each criterion in the tables.
+
+    It shows the deviation of measured costs from theory at the tested walls.
+    """
     asked = {c for table in layouts(data) for c in table.criteria}
     criteria = tuple(c for c in data.scene.criteria if c in asked)
     shown = [e for e in data.experiments if e.experiment in theories]

@@ -387,8 +387,10 @@ def _spread(count: int) -> Integers:
 
 
 def _coarse_to_fine(stiffness: Floats, damping: Floats) -> Integers:
-    """Return trials in an order whose beginning covers the plane. The first are nearest to the centres of 1, 4, 16 ...
-    cells."""
+    """Return trials in an order whose beginning covers the plane.
+
+    The first are nearest to the centres of 1, 4, 16 ... cells.
+    """
     if not len(stiffness):
         return np.zeros(0, dtype=np.int64)
     x, y = (

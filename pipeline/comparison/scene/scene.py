@@ -192,8 +192,10 @@ def plan_measured(data: StoredData) -> list[PlannedStage]:
 
 
 def layouts(data: StoredData) -> tuple[TableLayout, ...]:
-    """Return the tables that the stored experiments can fill. Published layouts come first, then one for each other
-    experiment."""
+    """Return the tables that the stored experiments can fill.
+
+    Published layouts come first, then one for each other experiment.
+    """
     requested = data.scene.criteria
     stored = data.scene.experiments
     known = data.device.tables if data.device else ()

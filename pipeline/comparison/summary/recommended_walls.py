@@ -241,8 +241,10 @@ def _not_chosen(
     result: MeasuredExperiment,
     trials: Sequence[str],
 ) -> str:
-    """Return the trial with the lowest cost, and why it was not chosen. The reason is empty if the trial was chosen, or
-    if no cost decides."""
+    """Return the trial with the lowest cost, and why it was not chosen.
+
+    The reason is empty if the trial was chosen, or if no cost decides.
+    """
     least = result.optimum.get(criterion)
     if least is None or not least.cost < tested.cost[chosen]:
         return ""

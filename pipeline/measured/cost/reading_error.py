@@ -287,8 +287,10 @@ def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> 
 
 
 def _gain_at_rest(trial: Trial, response: Response, sensor: float, at_end: Floats) -> float:
-    """Return the gain that explains the motion at rest, or NaN if the device is not at rest. ``at_end`` is a result of
-    `_answers`."""
+    """Return the gain that explains the motion at rest, or NaN if the device is not at rest.
+
+    ``at_end`` is a result of `_answers`.
+    """
     last, before, first = (float(mean) * trial.step**2 for mean in at_end[:3])
     kept, fed_back = (float(mean) * sensor**2 for mean in at_end[3:])
     travel = abs(response.position_final_expected - response.position_start)

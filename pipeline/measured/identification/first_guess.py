@@ -108,8 +108,10 @@ def _guess(products: Floats, names: list[str], delays: Floats, floor: Floats) ->
 
 
 def _way(segments: Segments) -> Floats:
-    """Return the integral of the position over each segment up to each row. The position is relative to the rest
-    position if there is one."""
+    """Return the integral of the position over each segment up to each row.
+
+    The position is relative to the rest position if there is one.
+    """
     parts = []
     for first, behind, rests in zip(segments.first, segments.behind, segments.rests, strict=True):
         way = segments.between[first:behind] - segments.position[first] * rests
@@ -197,8 +199,10 @@ def _rest(products: Floats, found: Floats) -> Floats:
 
 
 def _ways(products: Floats) -> Floats:
-    """Return the weights of segments in a mean. They are the distances, limited to the median and normalised to a sum
-    of 1."""
+    """Return the weights of segments in a mean.
+
+    They are the distances, limited to the median and normalised to a sum of 1.
+    """
     way = np.sqrt(products[..., -1, -1])
     way = np.minimum(way, np.median(way, axis=-1, keepdims=True))
     return np.asarray(way / np.maximum(way.sum(axis=-1, keepdims=True), 1e-300))

@@ -237,8 +237,10 @@ def _is_slow(errors: Errors) -> bool:
 
 
 def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
-    """Return the mass per unit of command for each direction, and the asymmetry. The result is empty without an
-    asymmetry."""
+    """Return the mass per unit of command for each direction, and the asymmetry.
+
+    The result is empty without an asymmetry.
+    """
     if "asymmetry" not in errors.numbers:
         return {}
     mass = ESTIMATED["mass"].quantity(units)

@@ -86,8 +86,10 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Reason why the trial contains no information on its wall (a fault, or another wall). It is empty
-        otherwise."""
+        """Reason why the trial contains no information on its wall (a fault, or another wall).
+
+        It is empty otherwise.
+        """
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
         other = self.law.other_wall
         return next(sentences, "") or ("" if other is None else other.evidence)

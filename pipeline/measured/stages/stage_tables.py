@@ -286,8 +286,10 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage with the same inputs from the experiment. There are none if they are
-        damaged."""
+        """Return the stored rows of a stage with the same inputs from the experiment.
+
+        There are none if they are damaged.
+        """
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
@@ -360,8 +362,10 @@ class ExperimentStages:
         return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
 
     def cost_reasons(self, criterion: str) -> list[str]:
-        """Return why each trial has no cost by a criterion, or a doubtful one. The result is empty if there is no
-        reason."""
+        """Return why each trial has no cost by a criterion, or a doubtful one.
+
+        The result is empty if there is no reason.
+        """
         return self._costs(criterion)[3]
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:

@@ -45,8 +45,10 @@ SCALE_TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class Departure:
-    """Departure of a log from the wall law. ``obeyed`` contains K, B and step of the other wall if the command obeys
-    one."""
+    """Departure of a log from the wall law.
+
+    ``obeyed`` contains K, B and step of the other wall if the command obeys one.
+    """
 
     code: str
     evidence: str

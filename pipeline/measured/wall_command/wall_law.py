@@ -173,8 +173,10 @@ def account(log: LogRows) -> Account:
 
 
 def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
-    """Yield the departures from the law. Those of the stamps come first, followed by those of the rows and of the
-    law."""
+    """Yield the departures from the law.
+
+    Those of the stamps come first, followed by those of the rows and of the law.
+    """
     if rows.departures and rows.departures[0].code == "decimated_rows":
         yield from rows.departures  # both time stamps and header may be correct
         return

@@ -192,8 +192,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Figure on the page. Panels are ``<svg>`` elements, with the numbers that are shown when the pointer hovers over
-    them."""
+    """Figure on the page.
+
+    Panels are ``<svg>`` elements, with the numbers that are shown when the pointer hovers over them.
+    """
 
     figure: Figure
     panels: tuple[str, ...]

@@ -31,8 +31,10 @@ MOST_POINTS = 1600
 
 
 def trend_figure(result: ComparisonResult) -> list[Figure]:
-    """Return the figure of limits and estimates over experiments. It is absent if no header line differs between
-    them."""
+    """Return the figure of limits and estimates over experiments.
+
+    It is absent if no header line differs between them.
+    """
     rows = records(frames(result)["trend"])
     if not rows:
         return []

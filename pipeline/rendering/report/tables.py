@@ -208,8 +208,10 @@ _NEAR_TEXTS = {"stiffness": stiffness_text, "damping": damping_text}
 
 
 def _near(row: Row, axis: str, show: Callable[[float], str]) -> str:
-    """Return the range of walls that are nearly as good as an optimum. The text is empty for documents of earlier
-    versions."""
+    """Return the range of walls that are nearly as good as an optimum.
+
+    The text is empty for documents of earlier versions.
+    """
     if row[f"near_{axis}_low"] is None:
         return ""
     return range_text(show, row[f"near_{axis}_low"], row[f"near_{axis}_high"])
@@ -595,15 +597,19 @@ def _named(rows: Sequence[Row]) -> Callable[[Row], str]:
 
 
 def _off(axis: str) -> Callable[[Row], str]:
-    """Return the deviation of an optimum from that of theory along an axis as text. It is empty if there is no
-    deviation."""
+    """Return the deviation of an optimum from that of theory along an axis as text.
+
+    It is empty if there is no deviation.
+    """
     name = f"{axis}_deviation_percent"
     return lambda row: "" if row.get(name) is None else f"{percent_text(row[name], 0)} %"
 
 
 def _parts(row: Row) -> str:
-    """Return the parts of a deviation in one line. Parts that print as zero are left out, except the part of the
-    model."""
+    """Return the parts of a deviation in one line.
+
+    Parts that print as zero are left out, except the part of the model.
+    """
     if row["model"] is None:
         return ""
     nothing, low, high = (percent_text(value) for value in (0.0, row["model_low"], row["model_high"]))
@@ -898,8 +904,10 @@ def _cost_of(criterion: str) -> Callable[[Any, Row], str]:
 
 
 def use_note(result: ExperimentResult) -> str:
-    """Return why the costs of a region did not select the walls to use, or why there are none. The text is otherwise
-    empty."""
+    """Return why the costs of a region did not select the walls to use, or why there are none.
+
+    The text is otherwise empty.
+    """
     if not result.use_reason:
         return ""
     return f"{'Chosen by' if result.use else 'None:'} {result.use_reason}."

@@ -108,8 +108,10 @@ def planes(runs: Sequence[Run]) -> dict[str, str]:
 
 
 def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
-    """Return the differences of two experiments, second minus first. If they are not comparable, return None and the
-    reason."""
+    """Return the differences of two experiments, second minus first.
+
+    If they are not comparable, return None and the reason.
+    """
     scales = None
     if first[0] != second[0]:
         own, others = _units(first[2]), _units(second[2])

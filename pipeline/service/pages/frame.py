@@ -125,8 +125,10 @@ def _about(job: Mapping[str, Any]) -> str:
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:
-    """Return the address of the same trials sorted by a column. If they are already sorted by it, the order is
-    reversed."""
+    """Return the address of the same trials sorted by a column.
+
+    If they are already sorted by it, the order is reversed.
+    """
     return urlencode({**state, "sort": f"-{name}" if state["sort"] == name else name})
 
 

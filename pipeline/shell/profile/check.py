@@ -172,8 +172,10 @@ def _other_step(log: Log, step_row: int | None) -> Iterator[str]:
 
 
 def check_lines(samples: Sequence[Checked]) -> list[str]:
-    """Return samples as lines of text. The first readable sample is shown in full, and each other sample on one
-    line."""
+    """Return samples as lines of text.
+
+    The first readable sample is shown in full, and each other sample on one line.
+    """
     lines, found, others, refused = list[str](), [], [], []
     for sample in samples:
         path, trials = sample["path"], sample["trials"]

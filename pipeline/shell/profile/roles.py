@@ -271,8 +271,10 @@ def _without_rates(sample: Sample, time: str, names: list[str], fewest: int) -> 
 
 
 def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
-    """Return the time column. It is the only column that increases in every row, or the most regular of consistent
-    clocks."""
+    """Return the time column.
+
+    It is the only column that increases in every row, or the most regular of consistent clocks.
+    """
     numbers = sample.numbers
     fitting = _named(sample, "time", numbers)
     clocks = [name for name in fitting if name in rising] or list(rising)

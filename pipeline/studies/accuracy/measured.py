@@ -130,8 +130,10 @@ def true_costs(logs: Logs) -> Values:
 
 
 def measured_tables(quick: bool = False) -> Iterator[Table]:
-    """Yield tables of the errors of delay, of mass and damping, and of costs. A quick run has fewer trials and
-    settings."""
+    """Yield tables of the errors of delay, of mass and damping, and of costs.
+
+    A quick run has fewer trials and settings.
+    """
     count, lengths = (60, ROWS[1:4]) if quick else (300, ROWS)
     for name, sensor in ((DELAY_OF, SENSOR), (f"{DELAY_OF}, coarse sensor", Sensor(quantum=QUANTA[-1], noise=1e-6))):
         delays = DELAYS[::4] if quick else DELAYS

@@ -109,8 +109,10 @@ def held(delay: int) -> tuple[int, int]:
 
 
 def step_state(delay: int) -> Floats:
-    """Return the state at the step, shape (delay + 3,). The device is at rest, and all positions are one unit below the
-    final one."""
+    """Return the state at the step, shape (delay + 3,).
+
+    The device is at rest, and all positions are one unit below the final one.
+    """
     start = np.full(delay + 3, -1.0)
     start[1] = 0.0
     return start
