@@ -76,9 +76,9 @@ def rows_of(
     Returns
     -------
     tuple of dict and dict
-        Table with ``time`` [s], ``raw_time`` (stamps as in the file, if any; with a fraction, both parts in its unit),
-        the other columns in the units of the file, ``number`` (row of the trial as read, from 0), and ``row`` (row of
-        the file, from 1). Nonzero counts by name.
+        Table with ``time`` [s], ``raw_time`` (stamps as in the file, if there are any; if they have a fraction, both
+        parts are in its unit), the other columns in the units of the file, ``number`` (row of the trial as read, from
+        0), and ``row`` (row of the file, from 1). Nonzero counts by name.
 
     Raises
     ------

@@ -71,7 +71,7 @@ def criterion_name(name: str) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Return a name with its unit, if any, as in ``overshoot [%]``."""
+    """Return a name with its unit, if it has one, as in ``overshoot [%]``."""
     return f"{name} [{unit}]" if unit else name
 
 

@@ -40,7 +40,7 @@ SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
 
 class Form(BaseModel):
-    """Base of the models of requests; an unknown field is refused."""
+    """Base of the models of requests. An unknown field is refused."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -105,7 +105,7 @@ def _stages(database: Database) -> int:
 
 
 def remove_old(settings: Settings, keys: set[str]) -> None:
-    """Remove old documents and reports that no job names any more; they can be recomputed."""
+    """Remove old documents and reports to which no job refers any more. They can be recomputed."""
     for folder in (settings.comparisons, settings.data / "documents"):
         for file in folder.glob("*"):
             if file.is_file() and file.stem not in keys and time.time() - file.stat().st_mtime > KEPT_S:

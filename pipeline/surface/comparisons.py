@@ -168,7 +168,7 @@ def compare(
     Parameters
     ----------
     device : str
-        Device name as in the logs; the device need not be a known one. A path of a device file (.toml) is also
+        Device name as in the logs. The device need not be a known one. A path of a device file (.toml) is also
         accepted.
     processed : path
         Folder that `ingest` filled. Results of stages are stored there and reused.

@@ -135,7 +135,7 @@ def simulate(
     experiment : str
         Name of one of its experiments.
     seed : int
-        Seed of noise and jitter; the same seed gives the same logs.
+        Seed of noise and jitter. The same seed gives the same logs.
     ideal : bool
         Whether to simulate without noise, quantisation and jitter.
     coarsen : int

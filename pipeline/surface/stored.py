@@ -168,7 +168,7 @@ def estimates(
     device : str
     experiment : str, optional
     all_methods : bool
-        Whether the values by other methods follow the recommended value.
+        Whether the recommended value is followed by the values that other methods give.
 
     Returns
     -------

@@ -468,6 +468,6 @@ def _shifted(value: Floats, shift: int) -> Floats:
     """Return the sum for a delay that is longer by a shift. Each sample before the motion has the energy E_0."""
     s0, s1, s2 = value.tolist()
     steps = range(1, abs(shift) + 1)
-    # a longer delay removes samples with negative indices; a shorter one adds samples from index 0
+    # A longer delay removes samples with negative indices. A shorter delay adds samples from index 0.
     e0, e1, e2 = (-sum((-k) ** w for k in steps) if shift > 0 else sum((k - 1) ** w for k in steps) for w in WEIGHTS)
     return np.array([s0 + e0, s1 - shift * s0 + e1, s2 - 2 * shift * s1 + shift**2 * s0 + e2])

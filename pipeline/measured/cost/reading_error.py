@@ -1,6 +1,6 @@
 """Estimate the error of each reading, compared with the same trial with an ideal sensor.
 
-A sensor error has two effects: it shifts its own reading, and the wall responds with a force that moves the device.
+A sensor error has two effects. It shifts its own reading, and the wall responds with a force that moves the device.
 Both can be estimated from the log alone. The wall force due to an error acts at the same point as the external force,
 so the response of the loop to an error follows from its step response.
 """
@@ -116,7 +116,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     seen = np.isfinite(noise) & np.isfinite(quantum)
     if not seen.any():
         return float("nan")
-    # pool the noise, except for baselines moved by a push or chatter; a baseline within one quantum shows no noise
+    # Pool the noise, except for baselines moved by a push or chatter. A baseline within one quantum shows no noise.
     square, step = noise[seen] ** 2, float(np.median(quantum[seen])) ** 2
     scatter = float(np.mean(square[square <= POOLED**2 * max(float(np.median(square)), step)]))
     if step > 0:

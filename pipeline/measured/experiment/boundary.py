@@ -152,14 +152,14 @@ def boundary_band(
     scatter = _pooled(found.scatter)
     low, high = _allowed(columns, np.where(np.isnan(found.zero), nothing, scatter))
     single = NORMAL_95 * scatter / found.slope
-    # two rates leave no degree of freedom for an error (NaN): only the verdicts are then used
+    # Two rates leave no degree of freedom for an error (NaN). Then, only the verdicts are used.
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     decided = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     # a mode that grows below the zero is not the mode that crosses zero
     decided &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     between = np.isfinite(columns.growth) & (columns.stiffness >= low[:, None]) & (columns.stiffness <= high[:, None])
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
-    # an interpolation of more than two rates is ambiguous; a range that begins at 0 has no meaningful middle
+    # An interpolation of more than two rates is ambiguous. A range that begins at 0 has no meaningful middle.
     interpolated &= (between.sum(axis=1) <= 2) | (low == 0)
     # rates contradict the verdicts if a mode that grows is below the sensor floor and another mode decays
     apart = ~decided & ~interpolated
@@ -248,7 +248,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], SIGMAS * scatter[:, None]
-    # with jitter, rates scatter more for fast loops than at the limit; their curvature shows this
+    # With jitter, rates scatter more for fast loops than at the limit. The curvature of the rates shows this.
     bends = np.abs(np.diff(g, n=2, axis=1))
     sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)

@@ -71,7 +71,7 @@ def by_model(of: Experiment, name: str) -> Estimate:
     spread = float(np.sqrt(max(excess, 0.0)))
     trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
-    # near a value of 0, a relative threshold fails; a drift within the error of one trial is then small
+    # A relative threshold fails near a value of 0. There, a drift within the error of one trial is small.
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]

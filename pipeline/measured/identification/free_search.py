@@ -144,7 +144,8 @@ def _variance(segments: Segments, fit: Fit) -> float:
 
 
 def _starts(segments: Segments, fit: Fit, without: Fit) -> Iterator[Device]:
-    """Yield initial devices with a mode: with the mode of the segments if any, otherwise the best of a grid."""
+    """Yield initial devices with a mode. It is the mode of the segments if they have one, otherwise the best of a
+    grid."""
     if "mode_frequency" in fit.device.numbers:
         for shares in LOAD_SHARES:
             yield _loaded(fit.device.numbers, shares)

@@ -18,7 +18,8 @@ first, behind : int64, shape (S,)
     Rows of segment s are ``first[s]`` to ``behind[s]``. ``begin`` is the first row of its trial. Friction fixes the
     device before the row ``edge``, and forces act on it from this row on; `ALWAYS` if they act in all rows.
 kind : int64, shape (1,) or (R,)
-    Index of the transition among F (m, n, n) for the interval after a row; one value if all intervals are equal.
+    Index of the transition among F (m, n, n) for the interval after a row. There is one value if all intervals are
+    equal.
 offset : int64, shape (2,) or (R + 1,)
     Pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``. One command is applied in each piece. It
     is ``back`` rows old, its age has the index ``age``, and it is applied for the share ``width`` of the interval.

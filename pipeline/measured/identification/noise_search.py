@@ -168,7 +168,7 @@ def with_jitter_error(segments: Segments, device: Device) -> Noise:
     noise, cost = device.noise, NoiseCost.of(segments, device)
     reading = device.numbers["gain"] ** 2 / (noise.late * cost.white)
     lost = [cost(noise.force, noise.jitter * float(np.exp(way * NEAR)), reading) for way in range(-2, 3)]
-    # the likelihood has a kink at a jitter and a delay of half a sample; the flatter side determines the error
+    # The likelihood has a kink at a jitter and a delay of half a sample. The flatter side determines the error.
     bends = np.diff(lost, 2)[[0, 2]]
     bend = max(float(min(bends, key=lambda each: each if each > 0 else np.inf)), 2e-3)
     error = float(np.hypot(NEAR / np.sqrt(bend), OTHER_AGES * max(noise.jitter - 0.5, 0.0)))

@@ -14,7 +14,7 @@ Starts = Callable[[dict[str, float]], list[dict[str, float]]]
 
 CLOSER = 20.0
 """Gain of log-likelihood required for each further number of a part, because rounding is not white noise. A mode in
-place of a lag of half a sample gained 6 to 38 with two more numbers; a real mode at 300 Hz gained 100."""
+place of a lag of half a sample gained 6 to 38 with two more numbers, whereas a real mode at 300 Hz gained 100."""
 
 NEARBY = (0.86, 0.93, 1.0, 1.07, 1.15)
 """Factors of the best starting value for a second search. Often only one or two rows of each log are clipped."""
@@ -78,7 +78,7 @@ def _modes(_: dict[str, float]) -> list[dict[str, float]]:
 def _modes_at_load(numbers: dict[str, float]) -> list[dict[str, float]]:
     """Return candidates of a mode if the position of the load is measured.
 
-    At its resonance, the load lags by a quarter of a period; the candidates therefore include a shorter delay. The lag
+    At its resonance, the load lags by a quarter of a period. The candidates therefore include a shorter delay. The lag
     is negligible if the mode is faster.
     """
     share = BEFORE["spring_damping_fraction"][0]

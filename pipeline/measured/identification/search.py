@@ -27,7 +27,7 @@ FIXED_STEPS = 2
 """Number of initial steps without scatter between trials, before each search for the noise."""
 
 STEPS = 18
-"""Largest number of Newton steps. Seven are usual; a mode may need all."""
+"""Largest number of Newton steps. Seven are usual, but a mode may need all of them."""
 
 LAST_STEPS = 3
 """Number of steps on all logs from the result of a subset. The last step is below rounding."""

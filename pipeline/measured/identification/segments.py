@@ -125,7 +125,8 @@ class Segments:
 
     @cached_property
     def spans(self) -> tuple[Floats, Integers]:
-        """Distinct lengths of intervals [samples], and index of the one after each row; one value if rows are even."""
+        """Distinct lengths of intervals [samples], and index of the interval after each row. There is one value if rows
+        are even."""
         if self.even:
             return np.ones(1), np.zeros(1, np.int64)
         span = np.append(np.diff(self.time), 1.0)
@@ -256,7 +257,7 @@ def _moving(trial: int, each: Recording, seen: Motion, rows: tuple[int, int], le
         if not sign[a] or stop <= a:
             continue
         edge = _edge(each, seen, first, first + a, lead)
-        if edge is not None and first + stop <= edge + 1:  # nothing follows the edge: all rows are at rest
+        if edge is not None and first + stop <= edge + 1:  # nothing follows the edge because all rows are at rest
             continue
         begin = max(first, edge - EARLIER) if edge is not None else first + a + seen.half * (a > 0)
         bounds = [*range(begin, first + stop, LONGEST), first + stop]

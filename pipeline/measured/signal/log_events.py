@@ -115,7 +115,7 @@ def _arrivals(x: Floats, edge: int, near: Booleans, floor: float) -> Integers:
     begins = np.flatnonzero(near[1:] & ~near[:-1]) + 1
     stays = lasting(near, SETTLED_SAMPLES)[begins]
     rows = edge + begins
-    # the device may arrive between two samples; the change before then shows its speed
+    # The device may arrive between two samples. In this case, the change before shows its speed.
     speed = np.maximum(np.abs(x[rows] - x[rows - 1]), np.abs(x[rows - 1] - x[np.maximum(rows - 2, 0)]))
     before = np.where(rows > 1, np.abs(x[rows] - x[np.maximum(rows - 2, 0)]), 0.0)
     last = len(x) - 1

@@ -253,7 +253,7 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
             end = k if end < 0 and share <= 1 - high else end
         radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows of this part of the displacement
     falls = 0.0 if np.isnan(growth) else min(growth, 0.0)
-    # damping slows an oscillation down; the bound is for the undamped oscillation
+    # damping slows an oscillation down, but the bound is for the undamped oscillation
     radian = max(radian / np.hypot(1.0, radian * falls), 1.0)
     span = int(min(max(np.rint(radian / 2), 1.0), max(n - 1, 1)))
     decay = np.exp(falls * 0.5 * np.pi * radian)

@@ -90,7 +90,7 @@ def _printed(size: Floats) -> Printed:
     half = np.maximum(_half(size, digits), decimal)
     rounded = size.astype(np.float32).astype(np.float64)
     if np.array_equal(rounded, size):
-        # single precision has a fixed number of digits; a smaller number is due to printing
+        # Single precision has a fixed number of digits. A smaller number is due to printing.
         half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
         return Printed(digits, decimal, True, np.maximum(half, full))
     near = np.abs(rounded - size) <= half + ROUNDED * _EPS * size  # some numbers lie half-way between two digits
@@ -360,7 +360,7 @@ def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
     least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.edge, least)
-    # a repeated row violates the law if the device moved before; the next row does if the device continues to move
+    # A repeated row violates the law if the device moved before. The next row does if the device continues to move.
     off = np.abs(log.residual) > log.rounding
     same = np.diff(log.command, prepend=np.nan) == 0
     by_law = log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))

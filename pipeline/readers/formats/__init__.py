@@ -81,7 +81,7 @@ FORMATS: dict[Format, FileFormat] = {
     "npz": FileFormat("archives", "a numpy archive", function="read_npz"),
     "sheet": FileFormat("archives", "a sheet (XLSX, ODS)", (), "sheets", "read_sheet", "python_calamine"),
 }
-"""Formats inside ZIP archives. All begin with the same bytes; the names of their parts differ (`format_of`)."""
+"""Formats inside ZIP archives. All begin with the same bytes, but the names of their parts differ (`format_of`)."""
 
 
 def packed_kind(data: bytes) -> Format | None:

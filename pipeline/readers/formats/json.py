@@ -1,4 +1,6 @@
-"""Reader of JSON: a list of records, alone or under a key next to a header; one record per line; or a list per column.
+"""Read JSON files.
+
+A file contains a list of records, alone or under a key next to a header, or one record per line, or a list per column.
 
 Each value inside the records is a column named by its path, such as ``state.q[3]``, or ``1``, ``2`` for plain lists.
 A null or missing value is NaN, or an empty text. True and false are 1 and 0.

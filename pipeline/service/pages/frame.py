@@ -134,7 +134,7 @@ def _sorting(state: Mapping[str, str], name: str) -> str:
 
 @lru_cache(maxsize=4096)  # each row of a list has two
 def segment(name: str) -> str:
-    """Return a name as a part of an address; a name with special characters is quoted twice."""
+    """Return a name as a part of an address. A name with special characters is quoted twice."""
     return quote(folder_name(name), safe="")
 
 
