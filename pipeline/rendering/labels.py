@@ -209,7 +209,7 @@ def cost_text(criterion: str, value: float) -> str:
 
 
 def cost_range_text(criterion: str, low: float, high: float) -> str:
-    """Return a range of costs as ``low to high unit`` with three digits each, or one number if both are printed alike.
+    """Return a range of costs as ``low to high unit`` with three digits each, or one number if both print the same.
 
     >>> cost_range_text("overshoot", 1.85e-16, 0.0212)
     '0 to 2.12 %'

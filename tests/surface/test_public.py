@@ -117,7 +117,7 @@ def test_other_names_are_no_attributes():
 
 def test_what_is_not_there_is_named(tmp_path, falcon):
     for ask in (pipeline.devices, pipeline.trials, lambda folder: pipeline.boundary(folder, "falcon")):
-        with pytest.raises(StoreError, match=r"nowhere: no such folder of stored tables\. Ingest logs first"):
+        with pytest.raises(StoreError, match=r"nowhere: does not exist\. Ingest logs first"):
             ask(tmp_path / "nowhere")
     assert pipeline.devices(tmp_path).empty
     assert list(pipeline.experiments(tmp_path).columns) == list(pipeline.experiments(falcon.processed).columns)

@@ -196,8 +196,8 @@ def reasons(
         )
     elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
         forces = (
-            "The gain of the drive differs by direction, so that one value per unit of command holds in neither. "
-            "The mass of each direction is given instead."
+            "The gain of the drive differs by direction, so that no single value per unit of command "
+            "describes it. The mass of each direction is given instead."
         )
     elif misfit:
         return dict.fromkeys(sorted(names), misfit)
