@@ -194,13 +194,13 @@ def reasons(
             f"The sampling period ({period:.3g} s) is longer than the time constant of the device, so the inertia is "
             "not visible. Record at a higher sampling rate."
         )
+    elif misfit:
+        return dict.fromkeys(sorted(names), misfit)
     elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
         forces = (
             "The gain of the drive differs by direction, so that no single value per unit of command "
             "describes it. The mass of each direction is given instead."
         )
-    elif misfit:
-        return dict.fromkeys(sorted(names), misfit)
     result = dict.fromkeys(sorted(names), forces)
     wide = {
         "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, use a "

@@ -103,7 +103,8 @@ class Identification:
         Names of all recordings.
     drive : dict of str to Interval
         "positive" and "negative": mass per unit of a positive and of a negative command. "asymmetry": half the
-        difference between both gains, divided by their mean. Empty if the gain does not depend on the direction.
+        difference between both gains, divided by their mean. Empty if the gain does not depend on the direction, or
+        if no device explains the logs.
     covariance : float64, shape (P, P)
         Covariance of the parameters, in the order of `parameters`.
     folds : list of dict of str to float
@@ -188,7 +189,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
     unknown = unidentifiable(parameters, choice)
-    alone = damping_without_inertia(recordings) if "mass" in unknown and not _is_slow(errors) else None
+    alone = damping_without_inertia(recordings) if "mass" in unknown and not _shows_inertia(errors) else None
     if alone is not None:
         parameters["damping"] = alone
         unknown.discard("damping")
@@ -222,7 +223,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         replay,
         units,
         [each.name for each in recordings],
-        _drive(errors, units),
+        {} if misfit else _drive(errors, units),
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         where,
@@ -230,8 +231,8 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     )
 
 
-def _is_slow(errors: Errors) -> bool:
-    """Return whether the logs show that the time constant of the device exceeds a row by `SLOW_ROWS`."""
+def _shows_inertia(errors: Errors) -> bool:
+    """Return whether the logs show a time constant of at least `SLOW_ROWS` rows, and thus an inertia."""
     rate = errors.interval(lambda n: n["delta"])
     return is_identifiable(rate) and 0 < SLOW_ROWS * rate.high < 1
 
