@@ -507,7 +507,8 @@ class Prediction(Record):
     ``percent_with_friction`` is the distance from the device with its friction, null if limits lie on both sides of it.
     Of ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than this interval.
     ``safe`` is true if all walls that are stable in theory are stable. ``reason`` states why the agreement is unknown,
-    if ``code`` is "unknown".
+    if ``code`` is "unknown". ``delay_samples`` is the delay of the theory to which the limits are compared, and
+    ``of_file`` is true if its parameters are those of the device file instead of estimates from the logs.
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
     twenty lies outside, and partly predicted if the regions nevertheless overlap well. Costs are predicted if their
@@ -528,6 +529,8 @@ class Prediction(Record):
     safe: bool = False
     costs: int = 0
     costs_percent: float | None = None
+    delay_samples: float | None = None
+    of_file: bool = False
     reason: str = ""
 
 

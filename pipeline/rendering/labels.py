@@ -26,6 +26,15 @@ BEYOND = 1000.0
 """Threshold of a deviation in percent. Above it, the two numbers are unrelated, so that the digits of the deviation are
 meaningless."""
 
+ANSWER_DIGITS = 4
+"""Largest number of digits on the first screen. Wider intervals than `TIGHT` do not need more."""
+
+TIGHT = 0.1
+"""Half width of an interval [% of its value]. Below it, both ends would have the same three digits."""
+
+NEAR_ZERO = 0.2
+"""Share of its upper bound below which a parameter that may be zero is reported as not found."""
+
 ALL_BUT_ROUNDING = 1e-9
 """Tolerance within which a share counts as 1 and a cost counts as 0. Sums of 1e4 terms have rounding errors of
 1e-12."""
@@ -260,10 +269,80 @@ def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
     return interval_texts(estimate.value, estimate.low, estimate.high)
 
 
-def interval_texts(value: float | None, low: float | None, high: float | None) -> tuple[str, str, str]:
+def answer_texts(estimate: AnswerEstimate) -> tuple[str, str]:
+    """Return the value of an estimate of the first screen with its unit, and its interval, as text.
+
+    A parameter that cannot be negative and is not distinguished from zero is ``none``, with its upper bound. An
+    interval narrower than `TIGHT` on both sides of its value is one relative number, because equal digits say nothing.
+
+    >>> answer_texts(AnswerEstimate(name="mass", value=0.1900002, low=0.1899991, high=0.1900013, unit="kg"))
+    ('0.1900 kg', '± < 0.001 %')
+    >>> answer_texts(AnswerEstimate(name="damping", value=4.5e-6, low=0.0, high=4.71e-5, unit="Ns/m"))
+    ('none', 'below 4.71e−05 Ns/m')
+    """
+    value, low, high = estimate.value, estimate.low, estimate.high
+    if estimate.reason:
+        return "not identifiable", estimate.reason.removeprefix("not identifiable: ")
+    unseen = estimate.name in ("damping", "friction") and not (low or 0.0) > 0 and high is not None
+    if value is None or (unseen and high is not None and value < NEAR_ZERO * high):
+        return "none", "" if high is None else f"below {at_most(high)} {estimate.unit}"
+    if low is not None and high is not None and (around := relative_text(value, low, high)):
+        return f"{fixed_digits(value, ANSWER_DIGITS)} {estimate.unit}", around
+    shown, first, last = _with_equal_decimals(interval_texts(value, low, high, ANSWER_DIGITS), (value, low, high))
+    if low is None and high is None:
+        interval = MISSING
+    elif low is None or high is None:
+        interval = f"at least {first}" if high is None else f"at most {last}"
+    elif shown in (first, last):
+        interval = "as shown" if first == last else f"up to {last}" if shown == first else f"from {first}"
+    else:
+        interval = f"{first} to {last}"
+    return f"{shown} {estimate.unit}", interval
+
+
+def _with_equal_decimals(
+    texts: tuple[str, str, str], numbers: tuple[float | None, float | None, float | None]
+) -> tuple[str, str, str]:
+    """Return the texts of an interval with the smallest number of decimals of its ends and its value.
+
+    >>> _with_equal_decimals(("1.0000", "0.9985", "1.001"), (1.00001, 0.99852, 1.0013))
+    ('1.000', '0.999', '1.001')
+    """
+    decimals = [len(text.partition(".")[2]) for text in texts if text and text != "0"]
+    if None in numbers or any("e" in text for text in texts) or len(set(decimals)) < 2 or not min(decimals):
+        return texts
+    first, second, third = (fixed(number, min(decimals)) if number else "0" for number in numbers)
+    return first, second, third
+
+
+def relative_text(value: float, low: float, high: float) -> str:
+    """Return the larger side of an interval in percent of its value, with one digit, or "" if it is not below `TIGHT`.
+
+    >>> relative_text(0.57984, 0.57948, 0.58019), relative_text(2.0, 1.9, 2.1)
+    ('± 0.07 %', '')
+    """
+    percent = 100 * max(high - value, value - low) / abs(value) if value else math.inf
+    if not 0 <= percent < TIGHT:
+        return ""
+    return "± < 0.001 %" if percent < 1e-3 else f"± {significant(_towards(percent, 1, math.ceil), 1)} %"
+
+
+def fixed_digits(value: float, digits: int) -> str:
+    """Return a number with significant digits, of which zeros after the decimal sign are kept.
+
+    >>> fixed_digits(2.00003, 4), fixed_digits(10845.2, 4)
+    ('2.000', '10845')
+    """
+    return _with_zeros(value, significant(value, digits), digits)
+
+
+def interval_texts(
+    value: float | None, low: float | None, high: float | None, most: int = MOST_DIGITS
+) -> tuple[str, str, str]:
     """Return a value and both ends of its interval, rounded to two digits of the half width. Missing numbers are empty.
 
-    A one-sided bound is rounded conservatively, so that a lower bound is rounded down and an upper bound is rounded up.
+    There are at most ``most`` digits. A one-sided bound is rounded conservatively, so that a lower bound is rounded
+    down and an upper bound is rounded up.
 
     >>> interval_texts(2.00003, 1.99995, 2.00011), interval_texts(-20.5, -41.8, 0.836)
     (('2.000030', '1.999950', '2.000110'), ('−20.5', '−41.8', '0.836'))
@@ -274,7 +353,7 @@ def interval_texts(value: float | None, low: float | None, high: float | None) -
     digits = DIGITS
     if 0 < half < largest:
         needed = math.floor(math.log10(largest)) - math.floor(math.log10(half)) + 2
-        digits = min(max(needed, DIGITS), MOST_DIGITS)
+        digits = min(max(needed, DIGITS), most)
     texts = ["" if x is None else significant(x, digits) for x in given]
     if low is None and high is not None:
         texts[2] = significant(_towards(high, digits, math.ceil), digits)

@@ -266,7 +266,7 @@ def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original
     change_stored_sample(desk)
     found = verify.verify(desk.report, desk.processed)
     assert [p.path for p in found.logs] == ["experiment 1"]
-    assert found.notes == ("72 trials: the stored samples count, not the log",)
+    assert found.notes == ("72 trials: stored samples were used, because the logs no longer exist",)
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def test_logs_that_came_later_are_left_out(original, desk, tmp_path):
     assert report.ingested == 1, report
     found = verify.verify(desk.report, desk.processed)
     assert found.equal
-    assert found.notes == ("experiment 1: 1 trials were stored later and are left out",)
+    assert found.notes == ("experiment 1: 1 trials were stored later and are not used",)
 
 
 @pytest.mark.slow

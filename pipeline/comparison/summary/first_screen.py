@@ -22,12 +22,13 @@ from pipeline.comparison.loops.recording_faults import unsafe_recording
 from pipeline.comparison.scene.scene import StoredData
 from pipeline.comparison.scores.agreement import FEWEST_COMPARISONS, boundary_distance
 from pipeline.comparison.summary.summary_warnings import NEEDED
+from pipeline.device.parameters import unit_of
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.planning.campaign import TRIALS, PlanOptions, campaign_of
+from pipeline.planning.campaign import TRIALS, Campaign, PlanOptions, campaign_of, forecast_of
 from pipeline.planning.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
@@ -68,6 +69,10 @@ OTHER_GAINS = "the command follows another wall than the headers state"
 WELL = 0.9
 """Smallest overlap of the regions for which theory predicts a boundary. It allows an error of 5 % in both K and B."""
 
+BEYOND = 0.15
+"""Distance of the next damping beyond the largest tested one, relative to it, before it is rounded up to a multiple of
+the tested spacing."""
+
 BY_CHANCE = 0.05
 """Expected share of limits that lie outside their 95 % intervals by chance."""
 
@@ -103,7 +108,7 @@ def answer(
     fault = stages.once(unsafe_recording)
     misled = fault is not None or (gains is not None and gains.most)
     first = f"Correct the recording first: {fault.remedy}".rstrip(".") if fault else "Correct the headers first"
-    told = [*result.causes, *_other_parameters(result, of_file, data.units)]
+    told = [*_with_delay_of_theory(result), *_other_parameters(result, of_file, data.units)]
     wall = result.use.point if result.use else None
     return Answer(
         experiment=result.experiment,
@@ -184,7 +189,7 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
                 unit=units.stiffness,
                 large_motion=point.stiffness_large_motion,
                 damping=point.damping,
-                at_last_damping=point.damping == max(each.damping for each in result.boundary),
+                at_last_damping=_ends_at_last_damping(result),
             )
         )
     replay = result.replay
@@ -260,6 +265,9 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
     costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
     percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
     apart: dict[str, Any] = {"costs": len(costs), "costs_percent": percent, "dampings": len(result.boundary)}
+    if result.scores:
+        apart["delay_samples"] = result.scores[0].parameters.loop.apparent().delay_samples
+        apart["of_file"] = result.scores[0].basis == "device file"
     apart["optimal_costs"] = None if percent is None else _graded(*(percent <= most for most in COSTS_WITHIN))
     if region is None and (rubbed := _with_friction(result)) is not None:
         of_friction = {"percent_with_friction": _percent(rubbed), "limits": rubbed.dampings}
@@ -297,10 +305,8 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     The prediction of the identified loop at one of them is included.
     """
     unknown = [point.damping for point in result.boundary if point.limit is None or point.censored]
-    if not unknown and len(result.boundary) > 1:
-        B = np.array([point.damping for point in result.boundary])
-        widest = int(np.argmax(np.diff(B)))
-        unknown = [float(0.5 * (B[widest] + B[widest + 1]))]
+    if not unknown and (damping := _untested_damping(result)) is not None:
+        unknown = [damping]
     at = f"; record more, for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
     text = f"{counted(distance.dampings, 'limit')} to compare, {FEWEST_COMPARISONS} are needed{at}"
     if distance.bounded:
@@ -309,6 +315,42 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     if best is None:
         return text
     return f"{text}. The identified loop predicts K = {significant(best.stiffness, 3)} at B = {best.damping:g}"
+
+
+def _untested_damping(result: ExperimentNumbers) -> float | None:
+    """Return the untested damping whose limit is most informative, or None if fewer than two dampings are tested.
+
+    If the largest limit is at the largest tested damping, it lies beyond it, since larger limits may exist there.
+    Otherwise it is in the middle of the widest gap.
+    """
+    B = np.array([point.damping for point in result.boundary])
+    if len(B) < 2:
+        return None
+    if _ends_at_last_damping(result):
+        spacing = B[-1] - B[-2]
+        return float(B[-1] + spacing * np.ceil(BEYOND * B[-1] / spacing))
+    widest = int(np.argmax(np.diff(B)))
+    return float(0.5 * (B[widest] + B[widest + 1]))
+
+
+def _ends_at_last_damping(result: ExperimentNumbers) -> bool:
+    """Return whether the largest limit is at the largest tested damping."""
+    return result.stiffest is not None and result.stiffest.damping == max(p.damping for p in result.boundary)
+
+
+def _with_delay_of_theory(result: ExperimentNumbers) -> list[Cause]:
+    """Return the causes. A cause in a jittering delay also states by how much theory's constant delay differs."""
+    theory, delay = result.scores[0].parameters.loop.apparent() if result.scores else None, result.delay
+    if theory is None or delay.low is None or delay.high is None or delay.low <= theory.delay_samples <= delay.high:
+        return list(result.causes)
+    constant = f"theory uses a constant d = {significant(theory.delay_samples, 3)}, the logs give "
+    constant += " to ".join(estimate_texts(delay)[1:])
+    return [
+        Cause(code=cause.code, sentence=cause.sentence, evidence=f"{cause.evidence}; {constant}")
+        if cause.code == "delay_jitter"
+        else cause
+        for cause in result.causes
+    ]
 
 
 def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
@@ -360,15 +402,20 @@ def _next(
     data: StoredData, result: ExperimentNumbers, of_file: Experiment | None, stages: ExperimentStages
 ) -> dict[str, Any]:
     """Return the next wall that the planner recommends given the verdicts so far, or why there is none."""
-    name, wish = result.experiment, PlanOptions()
+    command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(result.experiment)}"
+    wish = PlanOptions()
     try:
         # Limits alone need no device.
         found = stages.once(identified_device) if result.loop is not None else None
         if found is not None and found.may_have_friction:
             found = replace(found, directions=_directions(stages))
-        plan = plan_of(replace(campaign_of(stages, data.device, of_file, wish), found=found), wish)
+        campaign = replace(campaign_of(stages, data.device, of_file, wish), found=found)
+        plan = plan_of(campaign, wish)
+        beyond = _beyond_tested_dampings(result, campaign, command)
     except (DeviceError, UsageError) as error:
         return {"next_reason": str(error).rstrip(".")}
+    if beyond is not None:
+        return {"next": beyond}
     if not plan.next:
         unmeasured = [limit for limit in plan.boundary if limit.note and limit.note != NOTES["no stable wall"]]
         measured, wanted = len(plan.boundary) - len(unmeasured), len(plan.boundary)
@@ -378,8 +425,31 @@ def _next(
         reason = f"None: verdicts give the limits at {measured} of {counted(wanted, 'damping')}. {others}"
         return {"next_reason": reason, "limits_told": measured, "limits_wanted": wanted}
     wall = plan.next[0]
-    command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(name)}"
     return {"next": NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command)}
+
+
+def _beyond_tested_dampings(result: ExperimentNumbers, campaign: Campaign, command: str) -> NextWall | None:
+    """Return the wall beyond the largest tested damping if the largest limit is there, or None.
+
+    It is None also if no device is identified, or if it predicts no larger limit there.
+    """
+    damping, largest = _untested_damping(result), result.stiffest
+    if damping is None or campaign.found is None or largest is None or largest.limit is None:
+        return None
+    if not _ends_at_last_damping(result):
+        return None
+    plan, forecast = plan_of(campaign, PlanOptions(dampings=(damping,))), forecast_of(campaign, (damping,))
+    expected = 0.0 if forecast is None else float(forecast.limit[0])
+    if not plan.next or expected <= largest.limit.stiffness:
+        return None
+    unit = unit_of("stiffness", campaign.motion)
+    why = (
+        f"the largest limit is at the largest tested damping; beyond it, {significant(expected, 3)} {unit} is expected"
+    )
+    wall = plan.next[0]
+    return NextWall(
+        stiffness=wall.stiffness, damping=wall.damping, why=why, command=f"{command} --dampings {damping:g}"
+    )
 
 
 def _directions(stages: ExperimentStages) -> int:

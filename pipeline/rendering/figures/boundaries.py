@@ -155,11 +155,11 @@ def answer_figure(
         line = next(measured(other.boundary, label, None, intervals=True))
         series.append(Series(label, "others", line.x, line.y))
     title = f"Where experiment {result.experiment} is stable"
-    caption = "Every trial, and the limit of stability at each damping by the growth rates of the trials"
+    caption = "Every trial, and the limit of stability at each damping, estimated from the growth rates of the trials"
     if any(point.low for point in result.boundary):
-        caption += "; pale bars: its 95 % interval, in which the verdict of a single trial may be on either side"
+        caption += ". Within its interval, the verdict of a single trial may be on either side"
     if result.use is not None and result.use.trials > 1:
-        caption += ". Box: stable walls of low cost around the recommended one, far from the limit"
+        caption += ". Box: walls of low cost around the recommended one, all stable and far from the limit"
     return limits_figure(title, f"{caption}.", [limits_panel("", series, motion)], ANSWER)
 
 

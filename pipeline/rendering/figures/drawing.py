@@ -118,6 +118,13 @@ opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` th
 ``high``, ``span`` the opacity of a strip over the whole height. A series without a colour gets that of its number."""
 
 
+PALE_INTERVAL = "95 % interval"
+"""Name in the legend of the pale bars along a limit."""
+
+THIN_INTERVAL = 2.0
+"""Largest width of an interval [points] that is drawn as an opaque line. Wider ones are pale bars."""
+
+
 @dataclass(frozen=True, eq=False)
 class Series:
     """Series to draw, with x and y of shape (n,) and a kind in `LOOKS`.
@@ -364,11 +371,17 @@ def _drawings(figure: Figure) -> Iterator[tuple[Panel, Drawing]]:
 
 def _legend_lines(panel: Panel, width: float) -> tuple[int, int]:
     """Return the number of columns and lines of a panel's legend. They are zero if a single series needs no name."""
-    labels = [s.label for own in _both(panel) for s in own.series if not s.label.startswith("_")]
+    series = [s for own in _both(panel) for s in own.series if not s.label.startswith("_")]
+    labels = [s.label for s in series] + [PALE_INTERVAL for s in series if _has_pale_interval(s)]
     if not labels:
         return 0, 0
     columns = max(1, min(4, int((width - 60) / (36 + LARGER * 5.6 * min(max(map(len, labels)), 60)))))
     return columns, -(-len(labels) // columns)
+
+
+def _has_pale_interval(series: Series) -> bool:
+    """Return whether a series has intervals that are drawn as pale bars."""
+    return series.low is not None and LOOKS[series.kind].get("interval", 0.0) > THIN_INTERVAL
 
 
 def _named(axes: Axes) -> list[Any]:
@@ -424,10 +437,15 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         known = np.isfinite(series.low) & np.isfinite(series.high) & ((series.low > 0) | (series.along == "y"))
         lines = axes.hlines if series.along == "x" else axes.vlines
         at = y if series.along == "x" else x
-        alpha = 0.45 if interval > 2 else 1.0
+        alpha = 0.45 if interval > THIN_INTERVAL else 1.0
         lines(at[known], series.low[known], series.high[known], color=look["color"], alpha=alpha, lw=interval)
+        if _has_pale_interval(series):
+            axes.plot([], [], color=look["color"], alpha=alpha, lw=interval, label=PALE_INTERVAL, gid=place)
     if fill:
         axes.fill(x, y, color=look["color"], alpha=fill, lw=0, label="_")
+        axes.plot(x, y, **look)
+        axes.fill([], [], fc=(look["color"], fill), ec=look["color"], lw=look.get("lw", 0.0), **named)
+        return
     axes.plot(x, y, **look, **named)
 
 

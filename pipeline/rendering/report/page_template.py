@@ -31,6 +31,7 @@ FILTERS = {
     "size": labels.size_text,
     "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
     "rounded": labels.estimate_texts,
+    "answer": labels.answer_texts,
     "percent": labels.percent_text,
     "criterion": labels.criterion_name,
     "counted": counted,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -13,8 +13,10 @@ from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
+    MISSING,
     UNITS,
     Units,
+    answer_texts,
     at_least,
     condition_label,
     cost_text,
@@ -30,7 +32,6 @@ from pipeline.rendering.labels import (
     range_text,
     share_text,
     significant,
-    size_text,
     stiffness_text,
     table_label,
     unit_text,
@@ -289,7 +290,7 @@ def _overview(result: ComparisonResult) -> Table | None:
         row |= {"wall_stiffness": wall and wall.stiffness, "wall_damping": wall and wall.damping}
         row |= {"next_stiffness": step and step.stiffness, "next_damping": step and step.damping}
         for found in answer.estimates:
-            row |= {found.name: found.value, f"{found.name}_low": found.low, f"{found.name}_high": found.high}
+            row |= {found.name: found.value, f"{found.name}_answer": found}
         rows.append(row)
     mass = "inertia J" if result.motion.startswith("rotation") else "mass m"
     columns = (
@@ -298,17 +299,13 @@ def _overview(result: ComparisonResult) -> Table | None:
         Column("wall_damping", "B", units.damping, "wall to use", _damping, why="none is recommended"),
         Column("boundary", "boundary", group="theory predicts"),
         Column("costs", "costs", group="theory predicts"),
-        Column(
-            "stiffness_max",
-            "largest stable K",
-            units.stiffness,
-            show=_stiffness,
-            aside=_within("stiffness_max"),
-            why="no stable trial",
-        ),
         *(
-            Column(name, label, unit, show=digits(4), aside=_within(name), why="the logs do not determine it")
-            for name, label, unit in (("delay_samples", "delay d", "samples"), ("mass", mass, units.mass))
+            Column(name, label, unit, show=_answered(name), aside=_within(name), notes=_notes_on(name), why=why)
+            for name, label, unit, why in (
+                ("stiffness_max", "largest stable K", units.stiffness, "no stable trial"),
+                ("delay_samples", "delay d", "samples", "the logs do not determine it"),
+                ("mass", mass, units.mass, "the logs do not determine it"),
+            )
         ),
         Column("next_stiffness", "K", units.stiffness, "measure next", _stiffness, why="nothing is left to measure"),
         Column("next_damping", "B", units.damping, "measure next", _damping, why="nothing is left to measure"),
@@ -317,15 +314,28 @@ def _overview(result: ComparisonResult) -> Table | None:
     return table if len(rows) > 1 else None
 
 
+def _answered(name: str) -> Callable[[float, Row], str]:
+    """Return a function that formats the value of an answer without its unit."""
+    return lambda value, row: answer_texts(row[f"{name}_answer"])[0].partition(" ")[0]
+
+
+def _notes_on(name: str) -> Callable[[Row], Iterator[str]]:
+    """Return a function that yields the note on an answer: a largest limit may be exceeded beyond the tested range."""
+
+    def notes(row: Row) -> Iterator[str]:
+        found = row.get(f"{name}_answer")
+        if found is not None and found.at_last_damping:
+            yield "At the largest tested damping: beyond it, limits may be larger."
+
+    return notes
+
+
 def _within(name: str) -> Callable[[Row], str]:
-    """Return the larger side of an interval, relative to its value, as text. The text is empty if an end is missing."""
+    """Return a function that formats the interval of an answer as text. The text is empty if an end is missing."""
 
     def text(row: Row) -> str:
-        value, low, high = (row.get(key) for key in (name, *_ends(name)))
-        if not value or low is None or high is None:
-            return ""
-        percent = 100 * max(high - value, value - low) / abs(value)
-        return "± < 0.1 %" if percent < 0.1 else f"± {size_text(percent)}"
+        found = row.get(f"{name}_answer")
+        return "" if found is None or found.value is None else answer_texts(found)[1].replace(MISSING, "")
 
     return text
 
