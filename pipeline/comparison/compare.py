@@ -31,7 +31,7 @@ from pipeline.comparison.scene.scene import (
 )
 from pipeline.comparison.scene.scene_file import plan_parts
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.comparison.summary.first_screen import answer, told_most
+from pipeline.comparison.summary.first_screen import answer, most_informative
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.thesis_tables_d import TableBuilder
 from pipeline.device_data.published import published_bound, published_files
@@ -269,7 +269,7 @@ def write_report(finished: FinishedComparison) -> None:
 def _figures(finished: FinishedComparison) -> Iterator[Figure]:
     """Yield the requested figures of the scene, if their data are available."""
     data, result, theories = finished.plan.data, finished.document, finished.theories
-    shown, motion, headline = data.scene.shown, result.motion, result.told
+    shown, motion, headline = data.scene.shown, result.motion, result.featured
     if headline is not None and headline.boundary and shown.has_figure("boundaries"):
         number = data.scene.experiments.index(headline.experiment)
         theory = theories.get(headline.experiment) if shown.has_overlay("theory") else None
@@ -317,7 +317,7 @@ def _document(
     data, report, store = plan.data, plan.report, origin(plan.selection.processed)
     both = zip(data.experiments, numbers, strict=True)
     answers = [answer(data, stages, each, rows) for stages, each in both]
-    most = told_most(numbers)
+    most = most_informative(numbers)
     logs = tuple(log_list(stages) for stages in data.experiments)
     words = report.words if report is not None else ()
     return ComparisonResult(

@@ -97,9 +97,9 @@ def true_limits(truth: Truth | None, dampings: Sequence[float]) -> list[float | 
 
 def truth_held(estimates: Iterable[Estimate], boundary: Iterable[BoundaryPoint]) -> TruthHeld:
     """Return the number of intervals with a known truth, and the number of those that contain it."""
-    told = [held for held in map(_holds, estimates) if held is not None]
+    judged = [held for held in map(_holds, estimates) if held is not None]
     seen = [held for held in map(_holds, boundary) if held is not None]
-    return TruthHeld(estimates=len(told), estimates_held=sum(told), limits=len(seen), limits_held=sum(seen))
+    return TruthHeld(estimates=len(judged), estimates_held=sum(judged), limits=len(seen), limits_held=sum(seen))
 
 
 def _holds(found: Estimate | BoundaryPoint) -> bool | None:

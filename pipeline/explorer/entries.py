@@ -55,13 +55,13 @@ def measured_entries(result: ComparisonResult) -> list[Entry]:
     """
     if drive_of(result.motion):
         return []
-    told = result.answer.wall if result.answer else None
+    recommended = result.answer.wall if result.answer else None
     found = []
     for experiment in result.experiments:
         loop = _identified_loop(experiment, result.motion)
         if loop is None:
             continue
-        own = told if result.answer is not None and result.answer.experiment == experiment.experiment else None
+        own = recommended if result.answer is not None and result.answer.experiment == experiment.experiment else None
         wall = None if own is None else {"stiffness": own.stiffness, "damping": own.damping}
         label = f"{result.title}, {experiment.experiment}"
         found.append(

@@ -688,7 +688,7 @@ class ComparisonResult(Record):
     logs: tuple[LogList, ...] = ()
 
     @property
-    def told(self) -> ExperimentResult | None:
+    def featured(self) -> ExperimentResult | None:
         """Experiment to which the document's answer applies, and which a report shows unfolded."""
         name = self.answer.experiment if self.answer else None
         return next((each for each in self.experiments if each.experiment == name), None)

@@ -251,7 +251,7 @@ def differing_lines(results: Sequence[ExperimentNumbers]) -> tuple[str, ...]:
     for e in results:
         for line in e.header:
             values.setdefault(line.key, []).append(line_text(e, line.key))
-    keys = [key for key, told in sorted(values.items()) if len(told) > 1 and len(set(told)) > 1]
+    keys = [key for key, texts in sorted(values.items()) if len(texts) > 1 and len(set(texts)) > 1]
     return tuple(sorted(keys, key=lambda key: not all(_date(line_text(e, key)) for e in results)))
 
 

@@ -139,9 +139,9 @@ class Table:
 
     def mark(self, *notes: str | None) -> tuple[str, ...]:
         """Return the footnote marks (a, b, c ...) of notes. Equal notes share a mark."""
-        told = [note for note in notes if note]
-        self.notes += [note for note in dict.fromkeys(told) if note not in self.notes]
-        return tuple(footnote(self.notes.index(note)) for note in told)
+        given = [note for note in notes if note]
+        self.notes += [note for note in dict.fromkeys(given) if note not in self.notes]
+        return tuple(footnote(self.notes.index(note)) for note in given)
 
 
 def table_of(

@@ -139,9 +139,9 @@ def latex_text(table: Table, label: str) -> str:
         for n, note in enumerate(table.notes)
     ]
     body, end, rest = text.rpartition("\\end{longtable}\n" if long else "\\end{table}\n")
-    told = "\n".join(notes) + "\n" if notes else ""
+    notes_text = "\n".join(notes) + "\n" if notes else ""
     packages = f"% \\usepackage{{booktabs{',longtable' if long else ''}}}\n"
-    return f"{packages}{body}{end}{told}{rest}" if long else f"{packages}{body}{told}{end}{rest}"
+    return f"{packages}{body}{end}{notes_text}{rest}" if long else f"{packages}{body}{notes_text}{end}{rest}"
 
 
 def as_printed(table: Table, escape: Any, mark: str) -> pd.DataFrame:

@@ -483,12 +483,12 @@ def _departure_panel(
     classes = (np.sign(off) * step).astype(int)
     unit = "points" if differs else "%"
     middle = f"{percent_text(100 * float(np.median(frame['off'])))} {unit}"
-    told = Series("_measured against theory", "told", x, y, value=100 * off, value_name=f"departure [{unit}]")
+    departures = Series("_measured against theory", "hover", x, y, value=100 * off, value_name=f"departure [{unit}]")
     names = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
     above, below = int((classes > 0).sum()), int((classes < 0).sum())
     words = f"Measured against theory in {len(off)} cells: median {middle}; larger in {above}, smaller in {below}."
     title = f"experiment {name}: median {middle}"
-    return Panel(title, names, (told,), words, paint=partial(_marks, x, y, classes))
+    return Panel(title, names, (departures,), words, paint=partial(_marks, x, y, classes))
 
 
 def _marks(x: Floats, y: Floats, classes: np.ndarray, axes: Axes) -> None:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from statistics import median
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -43,7 +44,7 @@ from pipeline.records.results import (
     ReachableCost,
     TestedWall,
 )
-from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant
+from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant, unit_text
 from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.reachable import reachable
 
@@ -83,7 +84,17 @@ CLOSE = 0.05
 """Largest median distance of limits from those of the identified device with friction for which it predicts them."""
 
 
-def told_most(results: Sequence[ExperimentNumbers]) -> int:
+@dataclass(frozen=True)
+class NextStep:
+    """Next wall, or the reason why there is none, and at how many of the wanted dampings verdicts give the limit."""
+
+    wall: NextWall | None = None
+    reason: str = ""
+    limits_known: int = 0
+    limits_wanted: int = 0
+
+
+def most_informative(results: Sequence[ExperimentNumbers]) -> int:
     """Return the index of the experiment to unfold, which is the first one with the most answers."""
     return max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
 
@@ -108,7 +119,8 @@ def answer(
     fault = stages.once(unsafe_recording)
     misled = fault is not None or (gains is not None and gains.most)
     first = f"Correct the recording first: {fault.remedy}".rstrip(".") if fault else "Correct the headers first"
-    told = [*_with_delay_of_theory(result), *_other_parameters(result, of_file, data.units)]
+    step = NextStep(reason=first) if misled else _next(data, result, of_file, stages)
+    causes = [*_with_delay_of_theory(result), *_other_parameters(result, of_file, data.units)]
     wall = result.use.point if result.use else None
     return Answer(
         experiment=result.experiment,
@@ -120,8 +132,11 @@ def answer(
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, "" if not misled else WRONG_RECORDING if fault else OTHER_GAINS),
         reachable=None if misled else _reachable(result),
-        causes=tuple(told[:MOST_CAUSES]),
-        **({"next_reason": first} if misled else _next(data, result, of_file, stages)),
+        causes=tuple(causes[:MOST_CAUSES]),
+        next=step.wall,
+        next_reason=step.reason,
+        limits_told=step.limits_known,
+        limits_wanted=step.limits_wanted,
     )
 
 
@@ -174,9 +189,10 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
         bounded = name == "friction" and estimate.high is not None and not doubt
         if estimate.value is not None or bounded or unknown:
             ends = (None, None) if doubt else (estimate.low, estimate.high)
-            unit = estimate.unit.replace("^2", "²")
-            about = {"unit": unit, "reason": unknown if estimate.value is None and not bounded else None}
-            found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], **about))
+            reason = unknown if estimate.value is None and not bounded else None
+            unit = unit_text(estimate.unit)
+            low, high = ends
+            found.append(AnswerEstimate(name=name, value=estimate.value, low=low, high=high, unit=unit, reason=reason))
     point = result.stiffest
     if point is not None and limit:
         of = point.limit
@@ -264,27 +280,31 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         return Prediction(code="unknown", reason=misled.rstrip("."))
     costs = [abs(row.deviation.model) for row in rows if row.deviation and row.deviation.steady]
     percent = median(costs) if len(costs) >= FEWEST_COMPARISONS else None
-    apart: dict[str, Any] = {"costs": len(costs), "costs_percent": percent, "dampings": len(result.boundary)}
-    if result.scores:
-        apart["delay_samples"] = result.scores[0].parameters.loop.apparent().delay_samples
-        apart["of_file"] = result.scores[0].basis == "device file"
-    apart["optimal_costs"] = None if percent is None else _graded(*(percent <= most for most in COSTS_WITHIN))
+    theory = result.scores[0] if result.scores else None
+    judged = partial(
+        Prediction,
+        costs=len(costs),
+        costs_percent=percent,
+        optimal_costs=None if percent is None else _graded(*(percent <= most for most in COSTS_WITHIN)),
+        dampings=len(result.boundary),
+        delay_samples=None if theory is None else theory.parameters.loop.apparent().delay_samples,
+        of_file=theory is not None and theory.basis == "device file",
+    )
     if region is None and (rubbed := _with_friction(result)) is not None:
-        of_friction = {"percent_with_friction": _percent(rubbed), "limits": rubbed.dampings}
-        return Prediction(code="with_friction", **of_friction, **apart)
+        return judged(code="with_friction", percent_with_friction=_percent(rubbed), limits=rubbed.dampings)
     if region is None or distance is None:
-        return Prediction(code="unknown", reason="no theory to compare limits with", **apart)
+        return judged(code="unknown", reason="no theory to compare limits with")
     if not _known(result):
         why = (
             f"no trial was unstable at any of {counted(region.dampings, 'tested damping')}; according to theory, "
             f"{share_text(region.overlap, 0)} % of the tested region is stable"
         )
-        return Prediction(code="unknown", reason=why, **apart)
+        return judged(code="unknown", reason=why)
     if distance.dampings < FEWEST_COMPARISONS:
-        return Prediction(code="unknown", reason=_too_few_limits(result, distance), **apart)
+        return judged(code="unknown", reason=_too_few_limits(result, distance))
     outside = distance.bounded - distance.agreeing
     rubbed = None if region.overlap >= WELL else _with_friction(result)
-    return Prediction(
+    return judged(
         code="yes" if region.overlap >= WELL else "with_friction" if rubbed is not None else "no",
         percent=_percent(distance),
         percent_with_friction=_percent(rubbed),
@@ -295,7 +315,6 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         overlap_percent=100 * region.overlap,
         safe=distance.above > 0 and distance.agreeing + distance.above == distance.bounded,
         boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
-        **apart,
     )
 
 
@@ -400,7 +419,7 @@ def _percent(distance: DistanceScore | None) -> float | None:
 
 def _next(
     data: StoredData, result: ExperimentNumbers, of_file: Experiment | None, stages: ExperimentStages
-) -> dict[str, Any]:
+) -> NextStep:
     """Return the next wall that the planner recommends given the verdicts so far, or why there is none."""
     command = f"pipeline plan --device {shlex.quote(data.scene.device)} --experiment {shlex.quote(result.experiment)}"
     wish = PlanOptions()
@@ -413,19 +432,19 @@ def _next(
         plan = plan_of(campaign, wish)
         beyond = _beyond_tested_dampings(result, campaign, command)
     except (DeviceError, UsageError) as error:
-        return {"next_reason": str(error).rstrip(".")}
+        return NextStep(reason=str(error).rstrip("."))
     if beyond is not None:
-        return {"next": beyond}
+        return NextStep(beyond)
     if not plan.next:
         unmeasured = [limit for limit in plan.boundary if limit.note and limit.note != NOTES["no stable wall"]]
         measured, wanted = len(plan.boundary) - len(unmeasured), len(plan.boundary)
         if all(limit.note == NOTES["undecided"] for limit in unmeasured):
-            return {"limits_told": measured, "limits_wanted": wanted}
+            return NextStep(limits_known=measured, limits_wanted=wanted)
         others = "; ".join(f"B = {limit.damping:g}: {limit.note}" for limit in unmeasured)
         reason = f"None: verdicts give the limits at {measured} of {counted(wanted, 'damping')}. {others}"
-        return {"next_reason": reason, "limits_told": measured, "limits_wanted": wanted}
+        return NextStep(None, reason, measured, wanted)
     wall = plan.next[0]
-    return {"next": NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command)}
+    return NextStep(NextWall(stiffness=wall.stiffness, damping=wall.damping, why=wall.why, command=command))
 
 
 def _beyond_tested_dampings(result: ExperimentNumbers, campaign: Campaign, command: str) -> NextWall | None:

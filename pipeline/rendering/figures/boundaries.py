@@ -101,14 +101,14 @@ def limits_figure(title: str, caption: str, panels: Sequence[Panel], identifier:
 def limits_panel(title: str, series: Sequence[Series], motion: Motion, names: tuple[str, str] | None = None) -> Panel:
     """Return axes of stiffness and damping, with a description of their content."""
     units = UNITS[motion]
-    told = [
+    extents = [
         f"{s.label.lstrip('_')}: up to {stiffness_text(float(np.nanmax(s.x)))} {units.stiffness} and "
         f"{damping_text(float(np.nanmax(s.y)))} {units.damping}"
         for s in series
         if np.isfinite(s.x).any()
     ]
     own = (f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]")
-    return Panel(title, names or own, tuple(series), f"Stability limits. {'; '.join(told)}.")
+    return Panel(title, names or own, tuple(series), f"Stability limits. {'; '.join(extents)}.")
 
 
 def answer_figure(

@@ -97,7 +97,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "edge": {"color": INK, "lw": 1.2},
     "dots": {"color": GREEN, "dots": 2.6},
     "residual": {"dots": 3.4},
-    "told": {"color": INK},
+    "hover": {"color": INK},
     "course": {"lw": 1.6},
     "line": {"color": INK, "lw": 1.3},
     "best": {"color": BLUE, "lw": 1.1},
@@ -408,7 +408,7 @@ def _paint(axes: Axes, panel: Panel) -> None:
 
 
 def _paint_series(axes: Axes, series: Series, place: str) -> None:
-    if series.kind == "told":  # `Panel.paint` draws these series. They are needed here for hovering and for files.
+    if series.kind == "hover":  # `Panel.paint` draws these series. They are needed here for hovering and for files.
         return
     look = dict(LOOKS[series.kind])
     fill, dots_, interval, span = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span"))

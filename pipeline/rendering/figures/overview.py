@@ -48,9 +48,11 @@ def trend_figure(result: ComparisonResult) -> list[Figure]:
         x, y, lowest, highest = (each[~bound] for each in (place, value, low, high))
         series.insert(0, Series("value, 95 % interval", "estimate", x, y, lowest, highest, along="y"))
         ticks = tuple(f"{row['experiment']}\n{shortened(row['line'].partition(': ')[2], 12)}" for row in own)
-        told = "; ".join(f"experiment {row['experiment']}: {significant(row['value'], 3)}" for row in own)
+        values = "; ".join(f"experiment {row['experiment']}: {significant(row['value'], 3)}" for row in own)
         limits = (-0.5, len(own) - 0.5), around(value, low, high)
-        panels.append(Panel(name, ("", name), tuple(series), f"{name} over experiments: {told}.", limits, ticks=ticks))
+        panels.append(
+            Panel(name, ("", name), tuple(series), f"{name} over experiments: {values}.", limits, ticks=ticks)
+        )
     caption = f"Values with their 95 % intervals; below each its header line ({rows[0]['line'].partition(':')[0]})."
     title = "Limits and estimates over the experiments"
     return [Figure("trend", "trend", title, caption, tuple(panels), size=(350.0, 250.0))]
@@ -65,12 +67,12 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
         return []
     units, number = UNITS[result.motion], [e.experiment for e in result.experiments].index
     percent = np.array([value for of in residuals.values() for value in of.percent])
-    told = (
+    described = (
         f"experiment {name}: median {significant(float(np.median(of.percent)), 2)} %, "
         f"largest {significant(max(of.percent), 2)} %"
         for name, of in residuals.items()
     )
-    words, top = f"Residuals of the loop at the walls: {'; '.join(told)}.", 1.05 * float(percent.max()) or 1.0
+    words, top = f"Residuals of the loop at the walls: {'; '.join(described)}.", 1.05 * float(percent.max()) or 1.0
     panels = []
     for name, unit in (("stiffness", f"K [{units.stiffness}]"), ("damping", f"B [{units.damping}]")):
         walls = {e: np.array(getattr(of, name)) for e, of in residuals.items()}
@@ -107,11 +109,11 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
             for label, kind, points in (*_over_delay(of), ("theory, measured damping", "theory", with_damping)):
                 x, y = np.array(points, dtype=np.float64).T if points else (np.empty(0), np.empty(0))
                 series += [Series(label, kind, x, y * scale)] if points else []
-            told = "; ".join(
+            costs = "; ".join(
                 f"{s.label} {', '.join(f'd = {x:g}: {y:.3g}' for x, y in zip(s.x, s.y, strict=True))}" for s in series
             )
             top = 1.05 * max(float(s.y.max()) for s in series)
-            name, words = criterion_label(criterion), f"Optimal cost over delay: {told}."
+            name, words = criterion_label(criterion), f"Optimal cost over delay: {costs}."
             limits = None, (0.0, top or 1.0)
             panels.append(Panel(name, ("total delay d [samples]", name), tuple(series), words, limits))
         caption = (

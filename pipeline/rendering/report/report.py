@@ -141,7 +141,7 @@ def pack(content: Any) -> str:
 def answer_content(result: ComparisonResult) -> dict[str, Any]:
     """Return the units and the sampling period [s], which the templates of the answer need in addition to the
     result."""
-    return {"units": UNITS[result.motion], "period": result.told.sampling_period_s if result.told else None}
+    return {"units": UNITS[result.motion], "period": result.featured.sampling_period_s if result.featured else None}
 
 
 def answer_lines(answer: Answer | None, motion: Motion, period: float | None) -> tuple[str, ...]:

@@ -625,8 +625,8 @@ def _parts(row: Row) -> str:
     nothing, low, high = (percent_text(value) for value in (0.0, row["model_low"], row["model_high"]))
     interval = "" if low == high == nothing else f" ({low} to {high})"
     others = {name: percent_text(row[name]) for name in ("range", "grid", "selection")}
-    told = [f"{name} {text}" for name, text in others.items() if text != nothing]
-    return ", ".join([f"model {percent_text(row['model'])}{interval}", *told])
+    parts = [f"{name} {text}" for name, text in others.items() if text != nothing]
+    return ", ".join([f"model {percent_text(row['model'])}{interval}", *parts])
 
 
 def _has_parts(row: Row) -> list[str | None]:
@@ -727,10 +727,10 @@ def _loops(result: ComparisonResult) -> Table | None:
             row[name] = None if found is None else Estimate(**dict(found) | {"unit": ""})
         if e.replay is not None and e.replay.verdicts_same is not None:
             off = {"limits": e.replay.limits_off_percent, "settling times": e.replay.costs_off_percent}
-            told = [f"{name} within {percent:.2g} %" for name, percent in off.items() if percent is not None]
-            told += [] if e.replay.fit_percent is None else [f"motion to {e.replay.fit_percent:.3g} %"]
+            errors = [f"{name} within {percent:.2g} %" for name, percent in off.items() if percent is not None]
+            errors += [] if e.replay.fit_percent is None else [f"motion to {e.replay.fit_percent:.3g} %"]
             right = f"{100 * e.replay.verdicts_same:.3g} % of {e.replay.trials} verdicts right"
-            row["replay"] = ", ".join([right, *told])
+            row["replay"] = ", ".join([right, *errors])
         if e.passive:
             K, B = e.passive.stiffness, e.passive.damping
             row["passive"] = f"K = {stiffness_text(K)} {units.stiffness}, B = {damping_text(B)} {units.damping}"
@@ -927,10 +927,10 @@ def _header(result: ComparisonResult) -> Table | None:
     rows = []
     for e in result.experiments:
         for line in e.header:
-            told = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
-            told += [f"{line.different - len(told)} more"] if line.different > len(told) else []
+            texts = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
+            texts += [f"{line.different - len(texts)} more"] if line.different > len(texts) else []
             about = {"experiment": e.experiment, "line": line.key, "trials": line.trials}
-            rows.append(about | {"values": "; ".join(told)})
+            rows.append(about | {"values": "; ".join(texts)})
     columns = (Column("line"), Column("trials", show=_number), Column("values", "values (trials)"))
     caption = "Other header lines of the logs; no number uses them"
     return table_of("header", caption, columns, rows, _of_what("line"), _of_experiment)

@@ -24,7 +24,7 @@ def told(data, result, rows=None, **changes):
 
 def lines_of(result):
     """Lines of the first screen of a document."""
-    return answer_lines(result.answer, result.motion, result.told.sampling_period_s)
+    return answer_lines(result.answer, result.motion, result.featured.sampling_period_s)
 
 
 def scored(result, **changes):
