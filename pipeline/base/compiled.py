@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -26,6 +26,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 WAIT_S = 60.0
 """Longest wait for another process that compiles [s]. After this time, the function is compiled in memory."""
+
+KEPT_DAYS = 90.0
+"""Age at which machine code is removed [days], so that former versions do not fill the disk."""
 
 NOTICED_S = 1.0
 """Time after which the user is informed about a compilation [s]."""
@@ -171,11 +174,7 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
     """Return the machine code of a function without a return value, from an object file stored under its name."""
     from pipeline.base import machine_code
 
-    name, key = machine_code.object_name(function), machine_code.object_key(function, signature).encode()
-
-    def kept(folder: Path) -> bytes | None:
-        known, _, code = (read_result(folder, name, ".o") or b"").partition(b"\n")
-        return code if known == key else None
+    name = machine_code.object_name(function, signature)
 
     def made() -> bytes:
         _register_inlined()
@@ -183,14 +182,26 @@ def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., 
 
     try:
         folder = cache_folder()
-        code = kept(folder)
+        code = read_result(folder, name, ".o")
         if code is None:
             with _one_process(folder):
-                code = kept(folder) or made()
-                write_result(folder, name, ".o", key + b"\n" + code)
+                code = read_result(folder, name, ".o")
+                if code is None:
+                    code = made()
+                    write_result(folder, name, ".o", code)
+                    _remove_unused(folder)
     except (OSError, RuntimeError):  # the disk is full, or there is no usable folder
         code = made()
     return machine_code.loaded_object(code, signature)
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove object files that are older than `KEPT_DAYS`. A version that is still in use compiles them again."""
+    oldest = time.time() - 86400 * KEPT_DAYS
+    for file in folder.glob("*.o"):
+        with suppress(OSError):
+            if file.stat().st_mtime < oldest:
+                file.unlink()
 
 
 def cache_folder() -> Path:

@@ -22,6 +22,9 @@ from pipeline.base.provenance import digest, sha256
 
 Function = Callable[..., None]
 
+HASH_DIGITS = 32
+"""Number of hexadecimal digits of the hash in the name of an object file. Equal hashes by chance are excluded."""
+
 
 @dataclass(frozen=True)
 class Number:
@@ -115,20 +118,19 @@ def arguments_of(signature: str) -> Several:
     return arguments
 
 
-def object_name(function: Function) -> str:
-    """Return the name of the object file of a function."""
-    return f"{function.__module__}.{function.__qualname__}"
+def object_name(function: Function, signature: str) -> str:
+    """Return the name of the object file of a function. It ends with a hash of all inputs of the machine code.
 
-
-def object_key(function: Function, signature: str) -> str:
-    """Return a hash of all inputs that determine the machine code of a function."""
+    Several versions of the package, and several processors that share a home directory, thus have separate files.
+    """
     import llvmlite.binding as llvm
 
     file = Path(inspect.getsourcefile(function) or "")
     makers = [_folder(name) / "_version.py" for name in ("numba", "llvmlite")]
     sources = [sha256(each.read_bytes()) for each in (file, Path(__file__), *makers)]
     machine = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    return digest([object_name(function), signature, *sources, *machine])
+    name = f"{function.__module__}.{function.__qualname__}"
+    return f"{name}-{digest([name, signature, *sources, *machine])[:HASH_DIGITS]}"
 
 
 def _folder(package: str) -> Path:

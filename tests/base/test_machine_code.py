@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 from places import ROOT
 
+from pipeline.base.compiled import KEPT_DAYS
 from pipeline.base.machine_code import arguments_of
 
 MODULE = """
@@ -57,13 +59,29 @@ def test_numbers_are_those_of_plain_python_and_numba_is_imported_once(printed, p
     assert printed(plain) == f"{expected} False"
 
 
-def test_a_damaged_file_or_another_source_is_compiled_again(printed, tmp_path):
+def test_a_damaged_file_is_compiled_again(printed, tmp_path):
     first = printed()
     (file,) = (tmp_path / "kept").glob("*.o")
     file.write_bytes(file.read_bytes()[:-40])
     assert printed() == first
+    assert len([*(tmp_path / "kept").glob("*.o")]) == 1
+
+
+def test_each_version_of_a_function_keeps_its_machine_code(printed, tmp_path):
+    first = printed()
     (tmp_path / "sums.py").write_text(MODULE.replace("* factor", "* factor * 2"))
     assert printed() != first
+    (tmp_path / "sums.py").write_text(MODULE)
+    assert printed() == first.replace(" True", " False"), "without numba, because its machine code is still there"
+
+
+def test_machine_code_of_former_versions_is_removed_after_some_months(printed, tmp_path):
+    printed()
+    (old,) = (tmp_path / "kept").glob("*.o")
+    os.utime(old, (0, time.time() - 86400 * (KEPT_DAYS + 1)))
+    (tmp_path / "sums.py").write_text(MODULE.replace("* factor", "* factor * 2"))
+    printed()
+    assert not old.exists()
     assert len([*(tmp_path / "kept").glob("*.o")]) == 1
 
 
