@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -308,24 +309,27 @@ def _completed(raw: RawLog) -> RawLog:
     ]
     named = {line.lstrip("\ufeff# ").split(":")[0].strip() for line in head}
     more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
-    if "sampling_period_s" not in named and (period := _period(text)) is not None:
-        more["sampling_period_s"] = repr(period)
+    if "sampling_period_s" not in named:
+        more["sampling_period_s"] = repr(_period(text))
     # The lines are appended to the header, so that row numbers in messages about earlier lines match the file.
     lines = "".join(f"# {key}: {value}\n" for key, value in more.items()).encode()
     start = text.find(b"time_s")
     return replace(raw, data=(text[:start] + lines + text[start:],)) if more and start >= 0 else raw
 
 
-def _period(text: bytes) -> float | None:
-    """Return the median time between the first rows of a log [s], or None if the times are not numbers."""
-    rows = [
-        line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
-    ]
-    try:
-        steps = np.diff([float(cell) for cell in rows[:2000]])
-    except ValueError:
-        return None
-    return float(f"{np.median(steps):.9g}") if len(steps) else None
+def _period(text: bytes) -> float:
+    """Return the median time between the first rows of a log [s].
+
+    Unreadable times are left out, and without two times the result is 1. The reader then refuses the log with the row.
+    """
+    rows = [line.split(b",")[0] for line in text[:200_000].splitlines() if line[:1].isdigit() or line[:1] in b"-+."]
+    times = []
+    for cell in rows[:2000]:
+        with suppress(ValueError):
+            times.append(float(cell))
+    steps = np.diff(times)
+    period = float(np.median(steps)) if len(steps) else 1.0
+    return float(f"{period:.9g}") if 0 < period < np.inf else 1.0
 
 
 def _document(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,22 @@ def test_a_refused_log_is_named(tmp_path):
     )
     with pytest.raises(LogError, match=r"bad\.csv, row 4: .*number"):
         pipeline.identify(log)
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({9: "abc,1,0"}, "row 11: time_s must be a number, found 'abc'"),
+        ({9: "0.009,1,oops"}, "row 11: position must be a number, found 'oops'"),
+        ({row: f"x{row},0,0" for row in range(50)}, "row 2: time_s must be a number, found 'x0'"),
+    ],
+)
+def test_an_unreadable_number_of_a_log_without_header_is_named_with_its_row(tmp_path, changed, expected):
+    rows = [changed.get(row, f"{row * 1e-3:g},1,{1e-6 * row**2:g}") for row in range(50)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time_s,command,position", *rows]) + "\n")
+    with pytest.raises(LogError, match=re.escape(expected)):
+        pipeline.identify([path])
 
 
 def test_identify_and_compare_give_equal_numbers_from_the_same_logs(noisy, monkeypatch):
