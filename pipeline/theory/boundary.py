@@ -387,8 +387,12 @@ def is_inside(loop: NormalisedLoop, alpha: object, beta: object) -> Booleans:
     return np.asarray(_margins(loop, *as_points(alpha, beta)) > 0)
 
 
+MARGIN = 1e-9
+"""Threshold for the distance from the boundary, as a share of alpha + gamma. Below it, rounding dominates costs."""
+
+
 def is_well_inside(
-    loop: NormalisedLoop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True
+    loop: NormalisedLoop, alpha: Floats, beta: Floats, share: float = MARGIN, *, islands: bool = True
 ) -> Booleans:
     """Return whether each point stays stable if alpha changes by a share of alpha + gamma in either direction, (n,).
 
@@ -407,11 +411,16 @@ def stiffness_limit(loop: NormalisedLoop, beta: object) -> Floats:
     Source: Hulin 2017, sec. 3.4.
     """
     _, b = as_points(0.0, beta)
-    found = stable_intervals(loop, b)
+    return soft_interval(loop, b)[1]
+
+
+def soft_interval(loop: NormalisedLoop, beta: Floats) -> tuple[Floats, Floats]:
+    """Return both ends of the stable interval at each beta that begins at or below alpha = 0, or nan and -inf."""
+    found = stable_intervals(loop, beta)
     kept = np.flatnonzero(found.low <= 0)
-    result = np.full(len(b), -np.inf)
-    np.maximum.at(result, found.index[kept], found.high[kept])
-    return result
+    low, high = np.full(len(beta), np.nan), np.full(len(beta), -np.inf)
+    low[found.index[kept]], high[found.index[kept]] = found.low[kept], found.high[kept]  # the last one is the highest
+    return low, high
 
 
 def _margins(loop: NormalisedLoop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:

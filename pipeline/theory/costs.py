@@ -43,9 +43,6 @@ BLOCK = 1 << 16
 """Number of grid points of a block (at least one row). A block takes about 100 MB during computation. A map of 251 x
 251 points is one block."""
 
-MARGIN = 1e-9
-"""Threshold for the distance from the boundary, as a share of alpha + gamma. Below it, rounding dominates costs."""
-
 _FEWEST = 8
 """Number of points of a boundary that is computed only for its extremes."""
 
@@ -133,10 +130,10 @@ def costs_inside(
 ) -> dict[str, Floats]:
     """Return costs of points, shape (n,) each, in the order of the names.
 
-    A cost is NaN if the point is unstable or within `MARGIN` of the boundary, or if its response still moves after
+    A cost is NaN if the point is unstable or within `boundary.MARGIN` of the boundary, or if its response still moves after
     ``longest`` samples.
     """
-    inside = np.flatnonzero(is_well_inside(loop, alpha, beta, MARGIN))
+    inside = np.flatnonzero(is_well_inside(loop, alpha, beta))
     found = point_costs_by_name(loop, alpha[inside], beta[inside], names, longest)
     result = {name: np.full(len(alpha), np.nan) for name in names}
     for name, values in result.items():

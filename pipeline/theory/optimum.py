@@ -25,6 +25,7 @@ from pipeline.theory.search import (
     JUMPING,
     SMOOTH,
     Cost,
+    Landscape,
     OptimalPoint,
     bounding_box,
     box,
@@ -191,10 +192,10 @@ def settling(loop: NormalisedLoop, criterion: str, longest: int) -> Cost:
 
 def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
     """Return the smallest pole modulus, in closed form if three real poles coincide there."""
-    (low, high), place = region(inset=0.0), chart(loop).wall
-    radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
-    *at, cost = search_plane(lambda a, b, best: radius(*place(a, b), best), low, high, levels=_KINK_LEVELS)
-    alpha, beta = (float(values[0]) for values in place(*(np.array([value]) for value in at)))
+    (low, high), walls = region(inset=0.0), chart(loop)
+    radius = Landscape(walls, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
+    *at, cost = search_plane(radius, low, high, levels=_KINK_LEVELS)
+    alpha, beta, _ = (float(values[0]) for values in walls.wall(*(np.array([value]) for value in at)))
     exact = threefold_pole(loop, cost)
     if exact is not None and abs(exact[2] - cost) <= _CORNER * 10:
         away = max(abs(exact[0] - alpha) / (high[0] - low[0]), abs(exact[1] - beta) / (high[1] - low[1]))
@@ -294,8 +295,9 @@ def _settling_region(loop: NormalisedLoop, band: float, criterion: str) -> Optim
         return late_deviation(loop, alpha, beta, first, longest)
 
     # start with a number that is certainly possible, and then try smaller numbers in turn
-    alpha, beta = chart(loop).wall(*grid(*region(), JUMPING.coarse))
-    tried = where_stable(loop, settling(loop, criterion, longest))(alpha, beta, longest)
+    landscape, places = Landscape(chart(loop), settling(loop, criterion, longest)), grid(*region(), JUMPING.coarse)
+    alpha, beta, _ = landscape.chart.wall(*places)
+    tried = landscape(*places, longest)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):
         raise ParameterError(f"no response settles into a band of {band} within {longest} samples.")

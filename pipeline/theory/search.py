@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.records.trials import Floats, Integers
-from pipeline.theory.boundary import boundary, is_well_inside, limits
+from pipeline.records.trials import Booleans, Floats, Integers
+from pipeline.theory.boundary import MARGIN, boundary, is_well_inside, limits, soft_interval
 from pipeline.theory.crossings import bisect
 
 Cost = Callable[[Floats, Floats, float], Floats]
@@ -104,14 +104,20 @@ def where_stable(loop: NormalisedLoop, cost: Callable[..., Floats]) -> Callable[
     """
 
     def guarded(alpha: Floats, beta: Floats, best: float, *more: Floats) -> Floats:
-        result = np.full(len(alpha), np.inf)
-        usable = np.flatnonzero(is_well_inside(loop, alpha, beta, islands=False))
-        if len(usable):
-            values = cost(alpha[usable], beta[usable], best, *(each[usable] for each in more))
-            result[usable] = np.where(np.isnan(values), np.inf, values)
-        return result
+        return _cost_where(is_well_inside(loop, alpha, beta, islands=False), cost, alpha, beta, best, *more)
 
     return guarded
+
+
+def _cost_where(
+    is_usable: Booleans, cost: Callable[..., Floats], alpha: Floats, beta: Floats, best: float, *more: Floats
+) -> Floats:
+    """Return the cost of usable points. It is infinite for other points, and where it is not defined."""
+    result, usable = np.full(len(alpha), np.inf), np.flatnonzero(is_usable)
+    if len(usable):
+        values = cost(alpha[usable], beta[usable], best, *(each[usable] for each in more))
+        result[usable] = np.where(np.isnan(values), np.inf, values)
+    return result
 
 
 def grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
@@ -155,12 +161,14 @@ class Chart:
     beta: Floats
     way: Floats
 
-    def wall(self, root: Floats, way: Floats) -> tuple[Floats, Floats]:
-        """Return alpha and beta for coordinates, shape (n,) each."""
+    def wall(self, root: Floats, way: Floats) -> tuple[Floats, Floats, Booleans]:
+        """Return alpha and beta for coordinates, and whether a wall is well inside of its interval, shape (n,) each."""
         rows, of = np.unique(way, return_inverse=True)
         beta = np.interp(rows, self.way, self.beta)
-        edge = limits(self.loop, beta, exact=False)
-        return edge.low[of] + np.square(root) * (edge.alpha - edge.low)[of], beta[of]
+        low, high = (end[of] for end in soft_interval(self.loop, beta))
+        alpha = np.where(high > 0, low + np.square(root) * (high - low), np.nan)
+        away = MARGIN * (alpha + self.loop.gamma)
+        return alpha, beta[of], (away > 0) & (np.minimum(alpha - low, high - alpha) > away)
 
 
 def chart(loop: NormalisedLoop) -> Chart:
@@ -179,11 +187,12 @@ class Landscape:
     """Cost over the coordinates of a chart. It is infinite outside the chart and for unstable loops."""
 
     chart: Chart
-    cost: Callable[..., Floats]
+    cost: Cost
 
     def __call__(self, root: Floats, way: Floats, best: float) -> Floats:
         """Return the cost of points in these coordinates."""
-        return np.where((way >= 0) & (way <= 1), self.cost(*self.chart.wall(root, way), best), np.inf)
+        alpha, beta, inside = self.chart.wall(root, way)
+        return _cost_where(inside & (way >= 0) & (way <= 1), self.cost, alpha, beta, best)
 
     def along(self, way: Floats, line: Integers, root: Floats, best: float) -> Floats:
         """Return the cost at positions along lines. All points of a line have the same position along the outline."""
@@ -220,7 +229,7 @@ def search(
     ParameterError
         If no stable point of the first grid has this cost.
     """
-    landscape, corners = Landscape(chart(loop), where_stable(loop, cost)), bounds or region(_SOFTEST)
+    landscape, corners = Landscape(chart(loop), cost), bounds or region(_SOFTEST)
     cell = (corners[1] - corners[0]) / (grids.coarse - 1)
     starts = _first_look(landscape, grids, corners, cell)
     for _ in range(grids.closer):
@@ -241,7 +250,7 @@ def search(
         ),
         key=lambda point: point.cost,
     )
-    alpha, beta = landscape.chart.wall(np.array([best.alpha]), np.array([best.beta]))
+    alpha, beta, _ = landscape.chart.wall(np.array([best.alpha]), np.array([best.beta]))
     return OptimalPoint(float(alpha[0]), float(beta[0]), best.cost)
 
 
@@ -389,6 +398,10 @@ _SHRINK = 0.35
 LEVELS = 20
 """Number of levels of a line search, 0.35^20 = 1e-9 of a first step."""
 
+_AHEAD = 3
+"""Number of levels by which the inner search of a plane is ahead of the outer one. Its steps are then 0.35^3 = 4 % of
+those between the lines that are compared."""
+
 
 @dataclass(frozen=True, eq=False)
 class LineOptima:
@@ -422,7 +435,21 @@ def search_lines(
         Cost above which the minimum of a line is not needed, relative to the lowest cost of all lines and ``known``.
     known : float
     """
-    lines = len(low)
+    return _search_lines(lambda _: cost, low, high, coarse, starts, levels, dear, known)
+
+
+def _search_lines(
+    at_level: Callable[[int], LineCost],
+    low: Floats,
+    high: Floats,
+    coarse: int,
+    starts: int,
+    levels: int,
+    dear: float | None = None,
+    known: float = np.inf,
+) -> LineOptima:
+    """Return the smallest cost of each line, from a cost for each level. The centre of a level is evaluated again."""
+    lines, cost = len(low), at_level(0)
     share = np.linspace(0.0, 1.0, coarse)
     places = low[:, None] + share * (high - low)[:, None]
     first = np.inf if dear is None else dear * known
@@ -439,12 +466,12 @@ def search_lines(
     half = 2 * (high - low)[line] / (coarse - 1)
     offsets = np.linspace(-1.0, 1.0, _FINE)
     row = np.arange(len(line))
-    for _ in range(levels):
+    for level in range(levels):
         if not len(line):
             break
         around = centre[:, None] + half[:, None] * offsets
         enough = np.inf if dear is None else dear * min(known, best.min())
-        found = cost(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
+        found = at_level(level)(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
         index = found.argmin(axis=1)
         better = found[row, index] < best
         centre = np.where(better, around[row, index], centre)
@@ -495,22 +522,22 @@ def search_plane(
         Number of refinements.
     """
 
-    def best_of(first: Floats) -> LineOptima:
+    def best_of(first: Floats, depth: int) -> LineOptima:
         count = len(first)
         return search_lines(
             lambda line, place, best: cost(first[line], place, best),
             np.full(count, low[1]),
             np.full(count, high[1]),
             coarse=coarse[1],
-            levels=levels,
+            levels=min(depth, levels),
         )
 
-    def outer(_: Integers, first: Floats, __: float) -> Floats:
-        return best_of(first).cost
+    def at_level(level: int) -> LineCost:
+        return lambda _, first, __: best_of(first, level + _AHEAD).cost
 
-    found = search_lines(outer, low[:1], high[:1], coarse=coarse[0], starts=2, levels=levels)
-    inner = best_of(found.place)
-    return float(found.place[0]), float(inner.place[0]), float(found.cost[0])
+    found = _search_lines(at_level, low[:1], high[:1], coarse=coarse[0], starts=2, levels=levels)
+    inner = best_of(found.place, levels)
+    return float(found.place[0]), float(inner.place[0]), float(inner.cost[0])
 
 
 def extents(
