@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from timing import fastest, run
 
+from pipeline.loop import normalised_loop
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.theory import crossings
 from pipeline.theory.boundary import boundary, stiffness_limit
@@ -30,10 +31,12 @@ ENDED = 64
 
 
 CACHES = [
-    getattr(crossings, name)
-    for name in ("circle_condition", "ends", "rounded", "branches", "level_passings", "first_branch")
+    cached
+    for module in (normalised_loop, crossings)
+    for cached in vars(module).values()
+    if hasattr(cached, "cache_clear") and cached.__name__ not in ("binomial", "_bernstein")
 ]
-"""What the boundary of a loop is computed from, once for each loop."""
+"""What the boundary of a loop is computed from, without constants that do not depend on a loop."""
 
 
 @dataclass(frozen=True)

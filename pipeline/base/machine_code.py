@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Array:
             )
         try:
             # `numpy.ndarray.ctypes` would take three times as long
-            address = _address_of(_first_byte(value))
+            address = _address_of(_first_byte(cast(Any, value)))
         except (TypeError, ValueError):  # read-only, or empty
             address = value.ctypes.data
         values += (0, 0, value.size, value.itemsize, address, *shape, *value.strides)

@@ -28,7 +28,12 @@ exact = np.frompyfunc(Decimal, 1, 1)
 
 def many_digits(digits: int) -> AbstractContextManager[Context]:
     """Return a Decimal context with the given number of digits and an unlimited exponent range."""
-    return localcontext(Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN))
+    return localcontext(_context(digits))
+
+
+@lru_cache(maxsize=64)
+def _context(digits: int) -> Context:
+    return Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN)
 
 
 def as_exact(values: Any) -> Digits:
@@ -106,13 +111,10 @@ def product(*factors: Digits) -> Digits:
     return result
 
 
-def power(base: Digits, exponent: int) -> Digits:
-    """Return a power of a polynomial."""
-    result = as_exact([1])
-    for bit in bin(exponent)[2:]:
-        result = np.convolve(result, result)
-        result = np.convolve(result, base) if bit == "1" else result
-    return result
+@lru_cache(maxsize=256)
+def binomial(exponent: int, sign: int = 1) -> Digits:
+    """Return (1 + sign x)^exponent as a polynomial in x."""
+    return as_exact([sign**k * comb(exponent, k) for k in range(exponent + 1)])
 
 
 def total(first: Digits, second: Digits) -> Digits:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -49,6 +49,9 @@ _DIGITS = 100
 """Number of digits of quantities that are computed once per loop. Each order adds one digit for the binomial
 coefficients. Boundaries need 16 digits at angles of 1e-6, where products of ten factors of 1e-6 are added to terms of
 size 1."""
+
+_DIGIT_STEP = 32
+"""Step of the number of digits, so that loops with similar delays share what does not depend on the whole samples."""
 
 
 @dataclass(frozen=True)
@@ -98,15 +101,14 @@ class Segment:
     age: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sampled:
-    """Delayed device and filter as ratios of polynomials in w with Decimal coefficients, lowest power first.
+    """Device and filter as ratios of polynomials in w with Decimal coefficients, lowest power first.
 
-    The polynomials of a ratio have equal degree. The ratio of position to wall force is z^-delay force/motion. The
-    ratio of filtered velocity to position is 2 w/(1 + w) velocity/filter.
+    The polynomials of a ratio have equal degree. The ratio of position to wall force is z^-delay force/motion, with the
+    delay of the oldest force. The ratio of filtered velocity to position is 2 w/(1 + w) velocity/filter.
     """
 
-    delay: int
     force: Digits
     motion: Digits
     velocity: Digits
@@ -255,40 +257,19 @@ class NormalisedLoop:
     @property
     def digits(self) -> int:
         """Number of digits of quantities that are computed once per loop."""
-        return _DIGITS + int(self.delay) + filter_order(self.velocity)
-
-    def moved(self, duration: float) -> tuple[Digits, Digits]:
-        """Return the exact transition (n, n) and input gain (n,) over a time [T] with constant input."""
-        matrix, push = self.device.matrix, self.device.command
-        n = len(matrix)
-        both = as_exact(np.zeros((n + 1, n + 1)))
-        both[:n, :n], both[:n, n] = as_exact(matrix), as_exact(push)
-        with many_digits(self.digits):
-            result = exponential(both * Decimal(duration), self.digits)
-        return result[:n, :n], result[:n, n]
+        needed = _DIGITS + int(self.delay) + filter_order(self.velocity)
+        return -(-needed // _DIGIT_STEP) * _DIGIT_STEP
 
     @cached_property
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
         """Transition over a sampling interval, and input gain of the force in each segment."""
-        with many_digits(self.digits):
-            whole = as_exact(np.eye(len(self.device.sensor)))
-            gains: list[Digits] = []
-            for transition, gain in (self.moved(segment.duration) for segment in self.segments):
-                whole = transition @ whole
-                gains = [transition @ earlier for earlier in gains] + [gain]
-        return whole, tuple(gains)
+        return pushes(self.plant, tuple(segment.duration for segment in self.segments), self.digits)
 
     @cached_property
     def sampled(self) -> Sampled:
         """Exact transfer functions in w."""
-        with many_digits(self.digits):
-            whole, gains = self.pushes
-            bottom, adjugate = resolvent(whole)
-            tops = [as_exact(self.device.sensor) @ adjugate @ gain for gain in gains]
-            # the newer force was computed one sample later, so its polynomial is multiplied by z
-            top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
-            n = len(bottom) - 1
-            return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *filter_in_w(self.velocity))
+        durations = tuple(segment.duration for segment in self.segments)
+        return sampled(self.plant, durations, self.velocity, self.digits)
 
     @cached_property
     def filter_in_z(self) -> tuple[Floats, Floats]:
@@ -386,6 +367,42 @@ class NormalisedLoop:
         z[:, 0] = z[:, p] = -1.0
         z[:, self.states - self.oldest_force :] = np.asarray(alpha)[:, None]
         return z
+
+
+def moved(plant: Plant, duration: float, digits: int) -> tuple[Digits, Digits]:
+    """Return the exact transition (n, n) and input gain (n,) of a plant over a time [T] with constant input."""
+    device = state_space(plant)
+    n = device.states
+    both = as_exact(np.zeros((n + 1, n + 1)))
+    both[:n, :n], both[:n, n] = as_exact(device.matrix), as_exact(device.command)
+    with many_digits(digits):
+        result = exponential(both * Decimal(duration), digits)
+    return result[:n, :n], result[:n, n]
+
+
+@lru_cache(maxsize=64)
+def pushes(plant: Plant, durations: tuple[float, ...], digits: int) -> tuple[Digits, tuple[Digits, ...]]:
+    """Return the transition over segments of an interval, and the input gain of the force in each segment."""
+    with many_digits(digits):
+        whole = as_exact(np.eye(state_space(plant).states))
+        gains: list[Digits] = []
+        for transition, gain in (moved(plant, duration, digits) for duration in durations):
+            whole = transition @ whole
+            gains = [transition @ earlier for earlier in gains] + [gain]
+    return whole, tuple(gains)
+
+
+@lru_cache(maxsize=64)
+def sampled(plant: Plant, durations: tuple[float, ...], velocity: LinearFilter | None, digits: int) -> Sampled:
+    """Return the exact transfer functions, which all delays with the same segments share."""
+    with many_digits(digits):
+        whole, gains = pushes(plant, durations, digits)
+        bottom, adjugate = resolvent(whole)
+        tops = [as_exact(state_space(plant).sensor) @ adjugate @ gain for gain in gains]
+        # the newer force was computed one sample later, so its polynomial is multiplied by z
+        top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
+        n = len(bottom) - 1
+        return Sampled(bilinear(top, n), bilinear(bottom, n), *filter_in_w(velocity))
 
 
 def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:

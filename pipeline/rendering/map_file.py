@@ -12,7 +12,8 @@ from pipeline.base.disk import replacing
 from pipeline.base.errors import PipelineError
 from pipeline.base.provenance import stamp
 from pipeline.records.trials import Booleans, Floats
-from pipeline.theory.costs import AXES, BLOCK, MARGIN, CostMap, MapBlock
+from pipeline.theory.boundary import MARGIN
+from pipeline.theory.costs import AXES, BLOCK, CostMap, MapBlock
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -130,8 +130,8 @@ def costs_inside(
 ) -> dict[str, Floats]:
     """Return costs of points, shape (n,) each, in the order of the names.
 
-    A cost is NaN if the point is unstable or within `boundary.MARGIN` of the boundary, or if its response still moves after
-    ``longest`` samples.
+    A cost is NaN if the point is unstable or within `boundary.MARGIN` of the boundary, or if its response still moves
+    after ``longest`` samples.
     """
     inside = np.flatnonzero(is_well_inside(loop, alpha, beta))
     found = point_costs_by_name(loop, alpha[inside], beta[inside], names, longest)

@@ -19,11 +19,12 @@ isolation using Descartes' rule of signs. Lane and Riesenfeld 1981, for the Bern
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
-from functools import lru_cache
-from itertools import accumulate, pairwise
+from functools import cached_property, lru_cache
+from itertools import accumulate, pairwise, zip_longest
 from typing import Any
 
 import numpy as np
@@ -35,14 +36,14 @@ from pipeline.loop.many_digits import (
     Digits,
     as_exact,
     as_floats,
+    binomial,
     derivative,
     many_digits,
-    power,
     product,
     total,
     value_at,
 )
-from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.loop.normalised_loop import NormalisedLoop, Sampled
 from pipeline.loop.state_space import LEAST_RATIO
 from pipeline.records.trials import Booleans, Floats, Integers
 
@@ -210,14 +211,14 @@ class Roots:
     multiplicity: Integers
     first_sign: float
 
-    def sign_at(self, place: Floats) -> Floats:
-        """Return the sign of the polynomial at points that are not roots."""
-        return np.where(np.searchsorted(self.passed, place) % 2, -self.first_sign, self.first_sign)
+    def sign_at(self, place: float) -> float:
+        """Return the sign of the polynomial at a point that is not a root."""
+        return -self.first_sign if bisect_left(self.passed, place) % 2 else self.first_sign
 
-    @property
-    def passed(self) -> Floats:
+    @cached_property
+    def passed(self) -> list[float]:
         """Roots at which the polynomial changes its sign."""
-        return np.asarray(self.value[self.multiplicity % 2 == 1])
+        return [root for root, m in zip(self.value.tolist(), self.multiplicity.tolist(), strict=True) if m % 2]
 
 
 def positive_roots(polynomial: Digits, digits: int, *, sharp: bool = True) -> Roots:
@@ -426,7 +427,7 @@ def angle_of(place: Floats) -> Floats:
 def inverse_and_rate(loop: NormalisedLoop, place: Floats) -> Complexes:
     """Return -1/G and N on the unit circle and their derivatives along the place, shape (2, 2, n): [value, slope]."""
     values = np.empty((4, len(place)), np.complex128)
-    values_on_circle(rounded(loop), loop.oldest_force, np.ascontiguousarray(place), values)
+    values_on_circle(rounded(loop.sampled), loop.oldest_force, np.ascontiguousarray(place), values)
     return values.reshape(2, 2, len(place))
 
 
@@ -441,12 +442,11 @@ def circle_points(loop: NormalisedLoop, place: Floats) -> CirclePoints:
 
 
 @lru_cache(maxsize=512)
-def rounded(loop: NormalisedLoop) -> Floats:
+def rounded(g: Sampled) -> Floats:
     """Return the four polynomials of a loop and w times their derivatives, in doubles, shape (2, 8, degree + 1).
 
     The first axis is for ascending and descending order.
     """
-    g = loop.sampled
     result = np.zeros((2, 8, max(len(part) for part in (g.motion, g.velocity))))
     for i, part in enumerate((g.motion, g.force, g.velocity, g.filter)):
         upwards, order = as_floats(part), np.arange(len(part))
@@ -496,7 +496,7 @@ def _start(loop: NormalisedLoop) -> float:
     g = loop.sampled
     if not g.velocity[0]:
         return float("nan")
-    turn = 2 * g.delay * g.motion[0] / g.force[0] + _slope(g.motion, g.force)
+    turn = 2 * loop.oldest_force * g.motion[0] / g.force[0] + _slope(g.motion, g.force)
     return float(-turn * g.filter[0] / (2 * g.velocity[0]))
 
 
@@ -505,13 +505,13 @@ def _at_minus_one(loop: NormalisedLoop) -> tuple[float, float, tuple[float, floa
 
     With u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 means u > 0.
     """
-    g = loop.sampled
+    g, delay = loop.sampled, loop.oldest_force
     motion, force, velocity, bottom = (part[::-1] for part in (g.motion, g.force, g.velocity, g.filter))
     if abs(force[0]) <= Decimal(10) ** (30 - loop.digits) * np.abs(force).max():
         return np.inf, 0.0, (1.0, 0.0)  # the device does not respond at half the sampling rate
-    value_at = [-((-1) ** g.delay) * motion[0] / force[0], 2 * velocity[0] / bottom[0]]
+    value_at = [-((-1) ** delay) * motion[0] / force[0], 2 * velocity[0] / bottom[0]]
     change = [
-        -((-1) ** g.delay) * (_slope(motion, force) + 2 * g.delay * motion[0] / force[0]),
+        -((-1) ** delay) * (_slope(motion, force) + 2 * delay * motion[0] / force[0]),
         2 * (_slope(velocity, bottom) - velocity[0] / bottom[0]),
     ]
     return float(value_at[0]), float(value_at[1]), (float(change[0]), -float(change[1]))
@@ -526,20 +526,20 @@ def _slope(top: Digits, bottom: Digits) -> Decimal:
 
 def _unstable_when_stiff(loop: NormalisedLoop) -> int:
     """Return the number of unstable poles (right half plane of w) for an infinitely stiff wall without damping."""
-    g = loop.sampled
-    up, down = as_exact([1, 1]), as_exact([1, -1])
-    whole = total(product(power(up, g.delay), g.motion), _STIFF * product(power(down, g.delay), g.force))
-    return right_half(whole)
+    g, delay = loop.sampled, loop.oldest_force
+    stiff = _STIFF * product(binomial(delay, -1), g.force)
+    return right_half(total(product(binomial(delay), g.motion), stiff))
 
 
 def right_half(polynomial: Digits) -> int:
     """Return the number of roots with a positive real part, from the sign changes of Routh's array."""
-    upper, lower = polynomial[::-1][::2], polynomial[::-1][1::2]
+    upper, lower = polynomial[::-1][::2].tolist(), polynomial[::-1][1::2].tolist()
     first = [upper[0]]
-    while len(lower):  # each step removes a coefficient
+    while lower:  # each step removes a coefficient
         first.append(lower[0])
-        rest = np.append(lower[1:], as_exact([0] * (len(upper) - len(lower))))
-        upper, lower = lower, upper[1:] - upper[0] / lower[0] * rest
+        ratio = upper[0] / lower[0]
+        rest = zip_longest(upper[1:], lower[1:], fillvalue=Decimal(0))
+        upper, lower = lower, [high - ratio * low for high, low in rest]
     signs = [entry > 0 for entry in first]
     return sum(a != b for a, b in pairwise(signs))
 
@@ -588,7 +588,7 @@ class CircleCondition:
     def bend(self, over: Digits) -> Digits:
         """Return the derivative of over/((1 + s)^delay turn), without its positive factors."""
         plain = total(product(derivative(over), self.turn), -product(over, derivative(self.turn)))
-        return total(product(as_exact([1, 1]), plain), -self.delay * product(over, self.turn))
+        return total(product(binomial(1), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
         """Return beta at a place. It is infinite at a pole of beta."""
@@ -604,18 +604,23 @@ class CircleCondition:
 @lru_cache(maxsize=64)
 def circle_condition(loop: NormalisedLoop) -> CircleCondition:
     """Return the condition of a loop on the unit circle."""
-    g = loop.sampled
+    g, delay = loop.sampled, loop.oldest_force
     with many_digits(loop.digits):
-        one_more, two_w = as_exact([1, 1]), as_exact([0, 2])
-        inverse = product(power(one_more, 2 * g.delay), g.motion, _mirrored(g.force))
-        top, bottom = product(two_w, g.velocity), product(one_more, g.filter)
-        rate = product(top, _mirrored(bottom))
-        size, square = squared(g.force), squared(bottom)
-        stretch, level = _even(inverse), _even(rate)
-        free, inverse, rate = _without_shared(_odd(inverse), _odd(rate), loop.digits)
+        opposite, rate, level, size, square = _undelayed(g)
+        inverse = product(binomial(2 * delay), opposite)
+        stretch = _even(inverse)
+        free, inverse, rate = _without_shared(_odd(inverse), rate, loop.digits)
         rise = total(product(inverse, level), -product(stretch, rate))
         twist, turn = product(inverse, square), product(rate, size)
-        return CircleCondition(free, g.delay, twist, rate, turn, rise, stretch, size, level, square)
+        return CircleCondition(free, delay, twist, rate, turn, rise, stretch, size, level, square)
+
+
+@lru_cache(maxsize=64)
+def _undelayed(g: Sampled) -> tuple[Digits, ...]:
+    """Return motion times mirrored force, both parts of N, and both squared denominators."""
+    bottom = product(binomial(1), g.filter)
+    rate = product(as_exact([0, 2]), g.velocity, _mirrored(bottom))
+    return product(g.motion, _mirrored(g.force)), _odd(rate), _even(rate), squared(g.force), squared(bottom)
 
 
 def _without_shared(first: Digits, second: Digits, digits: int) -> tuple[list[Decimal], Digits, Digits]:
@@ -663,47 +668,50 @@ class Branches:
 
     Parameters
     ----------
-    cells : tuple of float64, shape (cells,)
+    cells : float64, shape (5, cells)
         Intervals of places with monotone beta: both ends, beta at both ends (infinite at its poles), and the change of
         the number of unstable poles (2 or -2) as alpha rises through the branch.
-    lines : tuple of float64, shape (lines,)
-        Walls alpha - beta slope with poles at one place of the circle, at z = -1 first. The arrays are alpha, slope,
+    lines : float64, shape (6, lines)
+        Walls alpha - beta slope with poles at one place of the circle, at z = -1 first. The rows are alpha, slope,
         both parts of a bend, a number of poles, and the place (nan for z = -1). As alpha rises, this number of unstable
         poles is gained if bend_0 + beta bend_1 > 0 and lost otherwise. It is 0 if the pole only touches the circle.
     unstable : int
         Number of unstable poles of an infinitely stiff wall.
     """
 
-    cells: tuple[Floats, ...]
-    lines: tuple[Floats, ...]
+    cells: Floats
+    lines: Floats
     unstable: int
 
 
 @lru_cache(maxsize=64)
 def branches(loop: NormalisedLoop) -> Branches:
     """Return all crossings of a loop."""
-    c, known = circle_condition(loop), ends(loop)
+    c, known, cells = circle_condition(loop), ends(loop), []
     with many_digits(loop.digits):
-        poles, turning = positive_roots(c.rate, loop.digits), positive_roots(c.bend(c.twist), loop.digits, sharp=False)
-        free = np.array([float(root) for root in dict.fromkeys(c.free)])
-        inner = np.concatenate([_no_poles(np.append(turning.passed, free), poles), poles.value])
-        inner = distinct(inner[(inner > _END) & (inner < 1 / _END)])
-        edges = np.concatenate([[_END], inner, [1 / _END]])
-        middle = np.sqrt(edges[:-1] * edges[1:])
-        rises = turning.sign_at(middle) < 0
-        hidden, exact = np.array([float(root) for root in c.free]), {float(root): root for root in c.free}
-        beta = _dampings(c, [exact.get(s, Decimal(s)) for s in edges.tolist()])
-        side = np.where((hidden > middle[:, None]).sum(axis=1) % 2, -1, 1)
-        gain = np.where(rises == (side * poles.sign_at(middle) > 0), 2.0, -2.0)
+        poles, turning = _rate_roots(loop), positive_roots(c.bend(c.twist), loop.digits, sharp=False)
+        endless, exact = poles.value.tolist(), {float(root): root for root in c.free}
+        edges = _inside([*_no_poles([*turning.passed, *exact], endless), *endless])
+        beta = _dampings(c, (exact.get(s) or Decimal(s) for s in (_END, *edges, 1 / _END)))
         lines = [_line(c, root) for root in dict.fromkeys(c.free)]
     if not math.isnan(known.start):
         beta[0] = known.start
-    far, endless = np.where(rises, np.inf, -np.inf), np.isin(edges, poles.value)
-    low, high = np.where(endless[:-1], -far, beta[:-1]), np.where(endless[1:], far, beta[1:])
-    place = np.log(edges)
-    last = (known.last, known.slope, *known.bend, 1.0, np.nan)
-    columns = np.ascontiguousarray(np.array([last, *lines]).T)
-    return Branches((place[:-1].copy(), place[1:].copy(), low, high, gain), tuple(columns), known.unstable)
+    for (left, low), (right, high) in pairwise(zip((_END, *edges, 1 / _END), beta, strict=True)):
+        middle = math.sqrt(left * right)
+        rises = turning.sign_at(middle) < 0
+        side = -1 if sum(root > middle for root in c.free) % 2 else 1
+        gain = 2.0 if rises == (side * poles.sign_at(middle) > 0) else -2.0
+        far = math.inf if rises else -math.inf
+        ends_at = -far if left in endless else low, far if right in endless else high
+        cells.append((math.log(left), math.log(right), *ends_at, gain))
+    last = (known.last, known.slope, *known.bend, 1.0, math.nan)
+    of_cells, of_lines = (np.ascontiguousarray(np.transpose(rows)) for rows in (cells, [last, *lines]))
+    return Branches(of_cells, of_lines, known.unstable)
+
+
+def _inside(roots: Iterable[float]) -> list[float]:
+    """Return the sorted distinct roots between both ends of the circle."""
+    return sorted({root for root in roots if _END < root < 1 / _END})
 
 
 def distinct(values: Floats) -> Floats:
@@ -712,9 +720,15 @@ def distinct(values: Floats) -> Floats:
     return np.asarray(ordered[np.append(True, np.diff(ordered) > 0)[: len(ordered)]])
 
 
-def _no_poles(roots: Floats, poles: Roots) -> Floats:
+def _no_poles(roots: Iterable[float], poles: Sequence[float]) -> list[float]:
     """Return the roots that are not poles of beta."""
-    return roots[(np.abs(roots[:, None] - poles.value) > _TOGETHER * poles.value).all(axis=1)]
+    return [root for root in roots if all(abs(root - pole) > _TOGETHER * pole for pole in poles)]
+
+
+@lru_cache(maxsize=64)
+def _rate_roots(loop: NormalisedLoop) -> Roots:
+    """Return the s at which N is real, except those at which -1/G is also real. beta is infinite there."""
+    return positive_roots(circle_condition(loop).rate, loop.digits)
 
 
 def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
@@ -726,9 +740,9 @@ def _line(c: CircleCondition, root: Decimal) -> tuple[float, ...]:
     return float(c.alpha(root, Decimal(0))), float(slope), first, *rest, turn, float(root.ln())
 
 
-def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> Floats:
+def _dampings(c: CircleCondition, roots: Iterable[Decimal]) -> list[float]:
     """Return beta at the given s, to the last digit of a double."""
-    return np.array([float(c.beta(s)) for s in roots])
+    return [float(c.beta(s)) for s in roots]
 
 
 @lru_cache(maxsize=64)
@@ -744,15 +758,14 @@ def level_passings(loop: NormalisedLoop, level: float) -> Floats:
     """Return the sorted s at which alpha passes a level along a branch."""
     c = circle_condition(loop)
     with many_digits(loop.digits):
-        whole = product(power(as_exact([1, 1]), c.delay), c.turn)
-        return _passed(loop, total(c.rise, -Decimal(level) * whole))
+        passing = total(c.rise, -Decimal(level) * product(binomial(c.delay), c.turn)) if level else c.rise
+        return _passed(loop, passing)
 
 
 def _passed(loop: NormalisedLoop, polynomial: Digits) -> Floats:
     """Return the roots at which a polynomial changes its sign, without poles of beta."""
-    found, poles = (positive_roots(part, loop.digits) for part in (polynomial, circle_condition(loop).turn))
-    roots = _no_poles(found.passed, poles)
-    return roots[(roots > _END) & (roots < 1 / _END)]
+    poles = [*_rate_roots(loop).value, *positive_roots(circle_condition(loop).size, loop.digits).value]
+    return np.array(_inside(_no_poles(positive_roots(polynomial, loop.digits).passed, poles)))
 
 
 @lru_cache(maxsize=64)
@@ -811,12 +824,9 @@ def solved(
     return place, alpha, slope
 
 
-CELLS, LINES = "UniTuple(f8[::1],5)", "UniTuple(f8[::1],6)"
-
-
-@compiled(f"void(f8[:,:,::1],Tuple((i8,i8,f8,b1)),{CELLS},{LINES},f8[::1],UniTuple(f8[:,::1],3),i8[::1])")
+@compiled("void(f8[:,:,::1],Tuple((i8,i8,f8,b1)),f8[:,::1],f8[:,::1],f8[::1],UniTuple(f8[:,::1],3),i8[::1])")
 def count_intervals(
-    polynomials: Floats, about: Arrays, cells: Arrays, lines: Arrays, betas: Floats, out: Arrays, count: Integers
+    polynomials: Floats, about: Arrays, cells: Floats, lines: Floats, betas: Floats, out: Arrays, count: Integers
 ) -> None:
     """Find the stable intervals of alpha at each beta by counting unstable poles, from a stiff wall downwards.
 
@@ -830,18 +840,18 @@ def count_intervals(
     for n in range(len(betas)):
         beta, number, total_gain = betas[n], 1, 0.0
         events[0, 0], events[1, 0], events[2, 0], events[3, 0] = line, 0.0, math.nan, 0.0
-        for i in range(len(lines[0]) + len(cells[0])):
-            c = i - len(lines[0])
+        for i in range(lines.shape[1] + cells.shape[1]):
+            c = i - lines.shape[1]
             if c < 0:
-                alpha, place = lines[0][i] - beta * lines[1][i], lines[5][i]
-                gain = lines[4][i] if lines[2][i] + beta * lines[3][i] > 0 else -lines[4][i]
+                alpha, place = lines[0, i] - beta * lines[1, i], lines[5, i]
+                gain = lines[4, i] if lines[2, i] + beta * lines[3, i] > 0 else -lines[4, i]
             else:
-                if (cells[2][c] < beta) == (cells[3][c] < beta):
+                if (cells[2, c] < beta) == (cells[3, c] < beta):
                     continue
-                cell = (cells[0][c], cells[1][c], cells[2][c], cells[3][c])
+                cell = (cells[0, c], cells[1, c], cells[2, c], cells[3, c])
                 first = known[0, c] + (beta - known[1, c]) / known[2, c]
                 place, alpha, slope = solved(polynomials, delay, cell, beta, first)
-                gain = cells[4][c]
+                gain = cells[4, c]
                 known[0, c], known[1, c], known[2, c] = place, beta, slope
             if not (math.isfinite(alpha) and alpha >= line):
                 continue
@@ -866,7 +876,7 @@ def count_intervals(
                     events[2, e],
                     events[2, e + 1],
                 )
-                row[5] = events[3, e] * (len(lines[0]) + len(cells[0]) + 1) + events[3, e + 1]
+                row[5] = events[3, e] * (lines.shape[1] + cells.shape[1] + 1) + events[3, e + 1]
                 count[0] += 1
 
 
@@ -885,9 +895,9 @@ class StableIntervals:
     bounds: Integers
 
 
-_MANY = 400
-"""Threshold for the number of crossings. Above it, it is first tested whether the first branch alone encloses the
-stable region."""
+_MANY = 2500
+"""Threshold for the number of crossings. Above it, a test whether the first branch alone encloses the stable region
+takes less time than all crossings."""
 
 
 def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
@@ -901,18 +911,18 @@ def stable_intervals(loop: NormalisedLoop, beta: Floats) -> StableIntervals:
         Finite dampings.
     """
     known = branches(loop)
-    many = len(beta) * (len(known.cells[0]) - 1) > _MANY
-    if many and first_branch(loop) is not None:  # the branch is the limit of the stable walls
-        known = Branches(tuple(column[:1] for column in known.cells), tuple(column[:0] for column in known.lines), 2)
+    if len(beta) * known.cells.shape[1] > _MANY and first_branch(loop) is not None:
+        # the branch is the limit of the stable walls
+        known = Branches(known.cells[:, :1].copy(), known.lines[:, :0].copy(), 2)
     return _counted_intervals(loop, known, beta)
 
 
 def _counted_intervals(loop: NormalisedLoop, b: Branches, beta: Floats) -> StableIntervals:
-    cells = len(b.cells[0])
-    most = cells + len(b.lines[0]) + 1
+    cells = b.cells.shape[1]
+    most = cells + b.lines.shape[1] + 1
     out = np.full((3, cells), np.nan), np.empty((4, most)), np.empty((len(beta) * most, 6))
     count, about = np.zeros(1, np.int64), (loop.oldest_force, b.unstable, -loop.gamma, _has_no_loss(loop))
-    count_intervals(rounded(loop), about, b.cells, b.lines, np.ascontiguousarray(beta), out, count)
+    count_intervals(rounded(loop.sampled), about, b.cells, b.lines, np.ascontiguousarray(beta), out, count)
     index, low, high, low_at, high_at, bounds = out[2][: count[0]].T.copy()
     return StableIntervals(index.astype(np.intp), low, high, low_at, high_at, bounds.astype(np.intp))
 
@@ -942,7 +952,7 @@ def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
     """Return the first branch of a mass with damper and spring if it alone encloses the stable region, otherwise
     None."""
     b, ends = branches(loop), level_passings(loop, -loop.gamma)
-    _, high, start, top, gain = (column[0] for column in b.cells)
+    _, high, start, top, gain = b.cells[:, 0]
     plain = len(loop.sampled.motion) <= 3 and len(loop.sampled.filter) == 1
     if not (plain and start < top and gain > 0 and len(ends) and math.log(ends[0]) < high):
         return None
@@ -953,7 +963,7 @@ def first_branch(loop: NormalisedLoop) -> FirstBranch | None:
     nodes = (turning[:-1, None] + np.diff(turning)[:, None] * _SIDES).ravel()
     intervals = _counted_intervals(loop, b, nodes)
     alone = np.array_equal(intervals.index, np.flatnonzero((nodes > start) & (nodes < passings[0])))
-    alone = alone and bool((intervals.bounds == len(b.lines[0]) + 1).all())
+    alone = alone and bool((intervals.bounds == b.lines.shape[1] + 1).all())
     return FirstBranch(float(start), math.log(ends[0])) if alone else None
 
 

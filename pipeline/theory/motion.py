@@ -15,7 +15,7 @@ from numpy.polynomial.legendre import leggauss
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
-from pipeline.loop.normalised_loop import NormalisedLoop
+from pipeline.loop.normalised_loop import NormalisedLoop, moved
 from pipeline.records.trials import Floats
 
 DEGREE = 12
@@ -152,7 +152,7 @@ def _edges(loop: NormalisedLoop, duration: float) -> Floats:
 def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floats]:
     """Return the transition, the gain, and the coefficients of the polynomial through exact points."""
     with many_digits(loop.digits):
-        transition, gain = loop.moved(duration / DEGREE)
+        transition, gain = moved(loop.plant, duration / DEGREE, loop.digits)
         sensor = as_exact(loop.device.sensor)
         n = len(gain)
         whole, push, rows = as_exact(np.eye(n)), as_exact(np.zeros(n)), [np.append(sensor, as_exact([0]))]

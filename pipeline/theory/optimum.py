@@ -197,7 +197,7 @@ def _smallest_radius(loop: NormalisedLoop) -> OptimalPoint:
     *at, cost = search_plane(radius, low, high, levels=_KINK_LEVELS)
     alpha, beta, _ = (float(values[0]) for values in walls.wall(*(np.array([value]) for value in at)))
     exact = threefold_pole(loop, cost)
-    if exact is not None and abs(exact[2] - cost) <= _CORNER * 10:
+    if exact is not None and abs(exact[2] - cost) <= _CORNER * 10 and exact[2] < 1:
         away = max(abs(exact[0] - alpha) / (high[0] - low[0]), abs(exact[1] - beta) / (high[1] - low[1]))
         if away <= 100 * _CORNER:
             return OptimalPoint(*exact)

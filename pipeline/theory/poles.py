@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.many_digits import Digits, as_exact, many_digits, power, product, total
+from pipeline.loop.many_digits import Digits, as_exact, binomial, many_digits, product, total
 from pipeline.loop.normalised_loop import NormalisedLoop, as_points
 from pipeline.records.trials import Booleans, Floats
 from pipeline.theory import march, modes
@@ -209,11 +209,10 @@ def threefold_pole(loop: NormalisedLoop, near: float) -> tuple[float, float, flo
 
 def characteristic_parts(loop: NormalisedLoop) -> tuple[Digits, Digits, Digits]:
     """Return the characteristic polynomial without a wall, and its factors of alpha and of beta."""
-    g = loop.sampled
-    up, down, two_w = as_exact([1, 1]), as_exact([1, -1]), as_exact([0, 2])
-    bottom, force = product(up, g.filter), product(power(down, g.delay), g.force)
-    free = product(power(up, g.delay), g.motion, bottom)
-    return free, product(force, bottom), product(force, two_w, g.velocity)
+    g, delay = loop.sampled, loop.oldest_force
+    bottom, force = product(binomial(1), g.filter), product(binomial(delay, -1), g.force)
+    free = product(binomial(delay), g.motion, bottom)
+    return free, product(force, bottom), product(force, as_exact([0, 2]), g.velocity)
 
 
 _HALF_RATE = 82.0
@@ -309,17 +308,17 @@ def _margin_roots(loop: NormalisedLoop, alpha: float, beta: float) -> Iterator[F
     """Yield the s at which the loop response is real, the s at which its size is 1, and the s of the bandwidth."""
     c, g = circle_condition(loop), loop.sampled
     with many_digits(loop.digits):
-        a, b, one_more = Decimal(alpha), Decimal(beta), as_exact([1, 1])
+        a, b = Decimal(alpha), Decimal(beta)
         crossing = positive_roots(total(a * c.twist, b * c.rise), loop.digits)
         yield np.append(crossing.passed, [float(root) for root in c.free])
-        wall = total(a * product(one_more, g.filter), b * product(as_exact([0, 2]), g.velocity))
+        wall = total(a * product(binomial(1), g.filter), b * product(as_exact([0, 2]), g.velocity))
         unit = total(product(squared(wall), c.size), -product(squared(g.motion), c.filter))
-        yield positive_roots(unit, loop.digits).passed
+        yield np.array(positive_roots(unit, loop.digits).passed)
         free, stiff, damped = characteristic_parts(loop)
         closed = squared(total(total(free, a * stiff), b * damped))
-        rest = product(power(one_more, c.delay), c.size, c.filter)
+        rest = product(binomial(c.delay), c.size, c.filter)
         level = 2 * (a + Decimal(loop.gamma)) ** 2
-        yield positive_roots(total(closed, -level * rest), loop.digits).passed
+        yield np.array(positive_roots(total(closed, -level * rest), loop.digits).passed)
 
 
 def _added_delay(loop: NormalisedLoop, alpha: float, beta: float, expected: Floats) -> float | None:

@@ -471,7 +471,9 @@ def _search_lines(
             break
         around = centre[:, None] + half[:, None] * offsets
         enough = np.inf if dear is None else dear * min(known, best.min())
-        found = at_level(level)(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
+        found = at_level(level)(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(
+            around.shape
+        )
         index = found.argmin(axis=1)
         better = found[row, index] < best
         centre = np.where(better, around[row, index], centre)
