@@ -9,16 +9,18 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations, count, product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.parameters import Motion, unit_of
 from pipeline.rig.quantities import Quantity, present
-from pipeline.rig.wish import DesignTarget, RigWall, best_wall, decay, quickest
+from pipeline.rig.wish import DesignTarget, RigWall, best_wall, costs_of, decay, quickest, stiffness_max
 from pipeline.surface.physical_loop import Loop
+
+if TYPE_CHECKING:  # loading it takes longer than computing a design
+    import pandas as pd
 
 _LOOKS = 8
 """Number of points between the rig and the largest change at which the margin is evaluated before bisection."""
@@ -34,8 +36,8 @@ _TOP_LOOKS = 8
 """Largest number of evaluations in the search for a maximum between three points, of which the middle point is the
 best."""
 
-_NO_RIG = -1e3
-"""Margin of an invalid rig in the search for a maximum. It is finite and below all other margins."""
+_GOLDEN = 0.5 * (3 - math.sqrt(5))
+"""Share of the larger part of an interval at which the search for a maximum divides it (golden section)."""
 
 _HALVINGS = 9
 """Number of times that the interval between two points is halved. The resulting change is accurate to 1e-3 in ln."""
@@ -72,7 +74,56 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Design:
+class Answer:
+    """Result of `design`, with sensitivities as rows."""
+
+    wish: DesignTarget
+    reached: bool
+    wall: dict[str, float | None]
+    stiffness_reached: float | None
+    changes: tuple[Change, ...]
+    out_of_reach: dict[str, str]
+    sensitivities: Any
+    left_out: tuple[str, ...] = ()
+    motion: Motion = "translation"
+
+    def __str__(self) -> str:
+        """Return a summary in lines of text, which state whether the rig suffices, the wall, and the changes."""
+        k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
+        lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
+        largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
+        lines.append(f"Reached: {'yes' if reached else 'no'}." + (largest if wanted is not None else ""))
+        lines.append(f"{'Wall' if reached else 'Nearest wall'}: {_text(self.wall, self.motion)}")
+        lines += ["", "Changes that reach it, smallest first:"] if self.changes else []
+        for change in self.changes[:_SHOWN]:
+            after = change.after.items()
+            parts = (f"{name} {change.before[name]:.4g} -> {new:.4g} {change.units[name]}" for name, new in after)
+            lines.append(f"  {' and '.join(parts)}: {_text(change.wall, self.motion)}")
+        if len(self.changes) > _SHOWN:
+            lines.append(f"  ({len(self.changes) - _SHOWN} more: --json)")
+        if any("sampling_period_s" in change.after for change in self.changes[:_SHOWN]):
+            lines.append(
+                "  (the delay counts in samples: it is shorter in time with a shorter sampling period. One of a"
+            )
+            lines.append(
+                "  fixed time makes another rig: `identify --period` writes its file, or keep sampling_period_s)"
+            )
+        lines += [f"  {name} alone: {why}" for name, why in self.out_of_reach.items()]
+        if not reached and not self.changes:
+            lines.append("No single change reaches it, and no pair of changes was found that does.")
+        return "\n".join(lines)
+
+    def document(self) -> dict[str, Any]:
+        """Return the result as a JSON document."""
+        rows = [{name: None if value != value else value for name, value in row.items()} for row in self._rows()]
+        return asdict(replace(self, sensitivities=())) | {"sensitivities": rows}
+
+    def _rows(self) -> list[dict[str, Any]]:
+        return list(self.sensitivities)
+
+
+@dataclass(frozen=True)
+class Design(Answer):
     """Result of `design`.
 
     Parameters
@@ -105,46 +156,11 @@ class Design:
         Type of motion, which determines the units of K and B.
     """
 
-    wish: DesignTarget
-    reached: bool
-    wall: dict[str, float | None]
-    stiffness_reached: float | None
-    changes: tuple[Change, ...]
-    out_of_reach: dict[str, str]
     sensitivities: pd.DataFrame
-    left_out: tuple[str, ...] = ()
-    motion: Motion = "translation"
 
-    def __str__(self) -> str:
-        """Return a summary in lines of text, which state whether the rig suffices, the wall, and the changes."""
-        k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
-        lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
-        largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
-        lines.append(f"Reached: {'yes' if reached else 'no'}." + (largest if wanted is not None else ""))
-        lines.append(f"{'Wall' if reached else 'Nearest wall'}: {_text(self.wall, self.motion)}")
-        lines += ["", "Changes that reach it, smallest first:"] if self.changes else []
-        for change in self.changes[:_SHOWN]:
-            after = change.after.items()
-            parts = (f"{name} {change.before[name]:.4g} -> {new:.4g} {change.units[name]}" for name, new in after)
-            lines.append(f"  {' and '.join(parts)}: {_text(change.wall, self.motion)}")
-        if len(self.changes) > _SHOWN:
-            lines.append(f"  ({len(self.changes) - _SHOWN} more: --json)")
-        if any("sampling_period_s" in change.after for change in self.changes[:_SHOWN]):
-            lines.append(
-                "  (the delay counts in samples: it is shorter in time with a shorter sampling period. One of a"
-            )
-            lines.append(
-                "  fixed time makes another rig: `identify --period` writes its file, or keep sampling_period_s)"
-            )
-        lines += [f"  {name} alone: {why}" for name, why in self.out_of_reach.items()]
-        if not reached and not self.changes:
-            lines.append("No single change reaches it, and no pair of changes was found that does.")
-        return "\n".join(lines)
-
-    def document(self) -> dict[str, Any]:
-        """Return the result as a JSON document."""
-        rows = self.sensitivities.astype(object).where(self.sensitivities.notna(), None)
-        return asdict(self) | {"sensitivities": rows.to_dict("records")}
+    def _rows(self) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = self.sensitivities.to_dict("records")
+        return rows
 
 
 def design(
@@ -180,7 +196,15 @@ def design(
     >>> answer.reached, [list(change.after) for change in answer.changes][0]
     (False, ['sampling_period_s', 'delay_samples'])
     """
-    wish = DesignTarget(stiffness, settling_s, overshoot, margin, tolerance)
+    import pandas as pd
+
+    found = answer(loop, DesignTarget(stiffness, settling_s, overshoot, margin, tolerance), keep)
+    return Design(**vars(found) | {"sensitivities": pd.DataFrame(found.sensitivities)})
+
+
+def answer(loop: Loop, wish: DesignTarget, keep: Sequence[str] = ()) -> Answer:
+    """Determine what `design` returns, with sensitivities as rows."""
+    stiffness = wish.stiffness
     quantities = present(loop, tuple(keep))
     best = best_wall(loop, wish)
     changes: list[Change] = []
@@ -190,9 +214,9 @@ def design(
     reached = _stiffness_reached(loop, wish, best)
     if best.room < 0 and reached is not None:
         best = best_wall(loop, replace(wish, stiffness=reached))
-    elif best.room >= 0 and settling_s is None and overshoot is not None:
+    elif best.room >= 0 and wish.settling_s is None and wish.overshoot is not None:
         best = quickest(loop, wish, best)
-    return Design(
+    return Answer(
         wish=wish,
         reached=reached is not None and (stiffness is None or reached >= stiffness),
         wall=_wall(loop, best),
@@ -220,10 +244,10 @@ def _text(wall: dict[str, float | None], motion: Motion) -> str:
 def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
     """Compute the properties of a wall, which is the one closest to the requirements."""
     K, B = best.stiffness, best.damping
-    limit = float(loop.limits(B)["stiffness"].iloc[0])
-    (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
+    limit = float(loop.linear_limits(np.array([B]))[0])
+    costs = costs_of(loop, [[K, B]], "settle_2pct", "overshoot").values()
     wall = {"stiffness": K, "damping": B, "stiffness_limit": None if math.isnan(limit) else limit}
-    samples, overshoot = (row[name] if math.isfinite(row[name]) else None for name in ("settle_2pct", "overshoot"))
+    samples, overshoot = (float(cost[0]) if math.isfinite(cost[0]) else None for cost in costs)
     settling = None if samples is None else samples * loop.sampling_period_s
     return wall | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
 
@@ -266,19 +290,34 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
             else:
                 trail.append((middle, found))
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
-            from scipy.optimize import minimize_scalar
-
             # because margins jump, they may become positive and negative again between two points
-            ends = sorted((trail[-2][0], behind))
-            options = {"maxiter": _TOP_LOOKS}
-            top = minimize_scalar(lambda x: -max(room(x), _NO_RIG), bounds=ends, method="bounded", options=options)
-            if top.fun <= 0:
+            top = _top(room, trail[-2][0], trail[-1], behind)
+            if top[1] >= 0:
                 trail.pop()
-                behind, over = float(top.x), -float(top.fun)
+                behind, over = top
         if over >= 0:
             return _narrowed(room, trail[-1], (behind, over))
         trail.append((behind, over))
     return None
+
+
+def _top(
+    room: Callable[[float], float], before: float, best: tuple[float, float], behind: float
+) -> tuple[float, float]:
+    """Return the best point between two ends and its margin, by golden sections. Stop if the margin is not negative."""
+    x, highest = best
+    for _ in range(_TOP_LOOKS):
+        ahead = abs(behind - x) > abs(x - before)
+        trial = x + _GOLDEN * ((behind if ahead else before) - x)
+        found = room(trial)
+        if found > highest:
+            before, behind = (x, behind) if ahead else (before, x)
+            x, highest = trial, found
+        else:
+            before, behind = (before, trial) if ahead else (trial, behind)
+        if highest >= 0:
+            break
+    return x, highest
 
 
 def _narrowed(
@@ -415,22 +454,19 @@ def _change(loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: S
     )
 
 
-def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) -> pd.DataFrame:
+def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) -> tuple[dict[str, float | str], ...]:
     """Compute the sensitivities of the largest stable stiffness and of the settling time of the nearest wall."""
     rows = []
-    largest = float(loop.boundary(16).attrs["stiffness_max"])
+    largest, wall = stiffness_max(loop), [[best.stiffness, best.damping]]
     for quantity in quantities:
         ends = -_DIFFERENCE if quantity.read(loop) else 0.0, _DIFFERENCE  # a quantity that is 0 cannot decrease
         sides = [quantity.changed(loop, end) for end in ends]
-        limits = [float(side.boundary(16).attrs["stiffness_max"]) for side in sides]
-        settling = [
-            float(side.points(best.stiffness, best.damping, ("settle_2pct",))["settle_2pct"].iloc[0])
-            * side.sampling_period_s
-            for side in sides
-        ]
+        limits = [stiffness_max(side) for side in sides]
+        samples = [float(costs_of(side, wall, "settle_2pct")["settle_2pct"][0]) for side in sides]
+        settling = [count * side.sampling_period_s for count, side in zip(samples, sides, strict=True)]
         values = [quantity.read(side) or 0.0 for side in sides]
         rise = math.log(limits[1] / limits[0]) / (ends[1] - ends[0])
-        row = {
+        row: dict[str, float | str] = {
             "quantity": quantity.name,
             "value": quantity.read(loop) or 0.0,
             "unit": quantity.unit(loop),
@@ -440,4 +476,4 @@ def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: RigWall) ->
             "stiffness_max": largest,
         }
         rows.append(row)
-    return pd.DataFrame(rows)
+    return tuple(rows)

@@ -15,6 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.device.parameters import is_rotation
 from pipeline.device.parts import Operator
 from pipeline.device_data.published import HumanArm, human_arms
+from pipeline.rig.wish import stiffness_max
 from pipeline.surface.physical_loop import Loop
 
 RANGES = {"gamma": 1e-3, "delta": 20e-3}
@@ -116,7 +117,7 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
     """
     known = {arm.source: arm for arm in human_arms()} if arms is None else arms
     free = replace(loop, operator=None)
-    most = _largest(free)
+    most = stiffness_max(free)
     given = loop.operator or Operator(**known[USUAL_ARM].model_dump(include={"mass", "damping", "stiffness"}))
     usual = loop.operator is None
     hand = () if usual and is_rotation(loop.motion) else _hand(free, given, most)
@@ -126,9 +127,9 @@ def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidel
     faster = replace(free, jitter_samples=(), delay_samples=2 * samples, sampling_period_s=0.5 * free.sampling_period_s)
     undamped = replace(free, damping=free.mode.load_damping if free.mode is not None else 0.0)
     return Guidelines(
-        delay_percent=None if shorter is None else _percent(_largest(shorter), most),
-        sampling_percent=_percent(_largest(faster), most),
-        damping_percent=_percent(_largest(undamped), most),
+        delay_percent=None if shorter is None else _percent(stiffness_max(shorter), most),
+        sampling_percent=_percent(stiffness_max(faster), most),
+        damping_percent=_percent(stiffness_max(undamped), most),
         hand=hand,
         arm=USUAL_ARM if usual else "the operator of the device file",
         gamma=held.gamma,
@@ -143,15 +144,11 @@ def _hand(free: Loop, given: Operator, most: float) -> tuple[Influence, ...]:
         value = float(getattr(given, name))
         numbers = {"mass": _NO_MASS, "damping": 0.0, "stiffness": 0.0} | {name: value}
         try:
-            largest = _largest(replace(free, operator=Operator(**numbers)))
+            largest = stiffness_max(replace(free, operator=Operator(**numbers)))
         except ParameterError:
             largest = math.nan
         found.append(Influence(name, value, _percent(largest, most)))
     return tuple(found)
-
-
-def _largest(loop: Loop) -> float:
-    return float(loop.boundary(100).attrs["stiffness_max"])
 
 
 def _percent(value: float, of: float) -> float:

@@ -10,22 +10,23 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.device.parameters import unit_of
 from pipeline.records.trials import Floats
-from pipeline.rig.design import Design
+from pipeline.rig.design import Answer
 from pipeline.rig.quantities import QUANTITIES, Quantity
+from pipeline.rig.wish import stiffness_max
 from pipeline.surface.physical_loop import Loop
 
 _PLACES, _REACH = 15, np.log(4.0)
 """Number of points along each axis, and ln of the factor by which the axis extends to either side."""
 
 
-def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None:
+def picture(loop: Loop, answer: Answer, over: Sequence[str], path: Path) -> None:
     """Draw the largest stable stiffness over two quantities. All other quantities are unchanged.
 
     Parameters
     ----------
     loop : Loop
         Unchanged rig.
-    answer : Design
+    answer : Answer
         Design of the rig. Its changes of these two quantities are marked.
     over : sequence of str
         Names of the quantities on the horizontal and the vertical axis, from `quantities.QUANTITIES`.
@@ -62,7 +63,7 @@ def picture(loop: Loop, answer: Design, over: Sequence[str], path: Path) -> None
         if (answer.changes or answer.reached) and wanted is not None:
             limits = [change.wall["stiffness_limit"] or np.nan for change in answer.changes]
             if answer.reached and answer.stiffness_reached:
-                share = answer.stiffness_reached * answer.wish.margin / loop.boundary(16).attrs["stiffness_max"]
+                share = answer.stiffness_reached * answer.wish.margin / stiffness_max(loop)
                 limits = [wanted / share]
             beyond = float(np.median(limits))
             if np.nanmin(stiffest) < beyond < np.nanmax(stiffest) and beyond > 1.02 * wanted:
@@ -109,7 +110,7 @@ def _stiffest(loop: Loop, across: Quantity, up: Quantity) -> Floats:
     for i, j in np.ndindex(*result.shape):
         try:
             rig = up.changed(across.changed(loop, float(parts[j])), float(parts[i]))
-            result[i, j] = rig.boundary(16).attrs["stiffness_max"]
+            result[i, j] = stiffness_max(rig)
         except ParameterError:  # invalid rig, or a rig without a stable wall
             continue
     return result

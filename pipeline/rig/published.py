@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
@@ -15,6 +14,9 @@ from pipeline.records.trials import Floats
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import quantum_limit
 from pipeline.theory.passivity import passive_stiffness
+
+if TYPE_CHECKING:  # loading it takes longer than computing the limits
+    import pandas as pd
 
 _ANGLES = 4000
 """Number of angles at which (4.6) is evaluated. Between the angles, the limit is at most 1e-7 lower."""
@@ -68,7 +70,7 @@ def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:
 
 
 def _salcudean(loop: Loop, _: Sensor, B: Floats) -> Floats:
-    return np.asarray(Loop(loop.apparent().mass, 0.0, loop.sampling_period_s, 1.0).limits(B)["stiffness"])
+    return Loop(loop.apparent().mass, 0.0, loop.sampling_period_s, 1.0).linear_limits(B)
 
 
 def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
@@ -195,18 +197,29 @@ def published_limits(
     >>> float(table["Colgate and Schenkel 1997"]), float(table["Abbott and Okamura 2005, Diolaiti et al. 2006"])
     (8000.0, 8000.0)
     """
+    import pandas as pd
+
+    return pd.DataFrame(published_rows(loop, damping, coulomb=coulomb, quantum=quantum))
+
+
+def published_rows(
+    loop: Loop, damping: object, *, coulomb: float | None = None, quantum: float | None = None
+) -> list[dict[str, Any]]:
+    """Compute the rows of `published_limits`."""
     coulomb = loop.value("friction.coulomb") or 0.0 if coulomb is None else coulomb
     quantum = loop.sensor.quantum if quantum is None else quantum
     for name, value in (("coulomb", coulomb), ("quantum", quantum)):
         if not 0 <= value < np.inf:
             raise ParameterError(f"{name} = {value}: expected a finite nonnegative number.")
     B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-    sensor, frames, without = Sensor(coulomb, quantum), [], _without(loop)
+    sensor, without = Sensor(coulomb, quantum), _without(loop)
+    rows: list[dict[str, Any]] = []
     exact = Condition("exact", "this package", "stability", _exact_assumes(loop), lambda *_: K)
-    K = np.asarray(loop.limits(B)["stiffness"])
+    K = loop.linear_limits(B)
     for condition in (*CONDITIONS, exact):
         stiffness = np.maximum(condition.stiffness(loop, sensor, B), 0.0)
         assumes = condition.assumes if condition is exact else condition.assumes + without
         words = {"promises": condition.promises, "assumes": assumes, "source": condition.source}
-        frames.append(pd.DataFrame({"condition": condition.name, **words, "damping": B, "stiffness": stiffness}))
-    return pd.concat(frames, ignore_index=True)
+        walls = zip(B.tolist(), stiffness.tolist(), strict=True)
+        rows += [{"condition": condition.name, **words, "damping": b, "stiffness": k} for b, k in walls]
+    return rows

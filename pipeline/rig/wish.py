@@ -14,7 +14,8 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
 from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
-from pipeline.theory.boundary import stiffness_limit
+from pipeline.theory.boundary import boundary, stiffness_limit
+from pipeline.theory.cases import Case, costs_of_walls
 from pipeline.theory.crossings import first_branch
 from pipeline.theory.poles import spectral_radius
 from pipeline.theory.settling_overshoot import transient_costs
@@ -132,10 +133,21 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
     B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
     walls = np.column_stack([np.full(len(B), best.stiffness), B])
     room = _room(_corners(loop, wish.tolerance), wish, walls, -math.inf)
-    settling = loop.points(walls[:, 0], B, ("settle_2pct",))["settle_2pct"].to_numpy(float)
+    settling = costs_of(loop, walls, "settle_2pct")["settle_2pct"]
     settling = np.where((room >= 0) & np.isfinite(settling), settling, np.inf)
     at = int(np.argmin(settling))
     return RigWall(best.stiffness, float(B[at]), float(room[at])) if settling[at] < np.inf else best
+
+
+def costs_of(loop: Loop, walls: object, *criteria: str) -> dict[str, Floats]:
+    """Compute the costs of walls, rows of stiffness and damping. A missing cost is NaN."""
+    case = Case(loop.normalised_loop, loop.units)
+    return costs_of_walls(case, np.asarray(walls, dtype=np.float64), criteria).costs
+
+
+def stiffness_max(loop: Loop) -> float:
+    """Compute the largest stable stiffness."""
+    return boundary(loop.normalised_loop, 16).alpha_max * loop.units.stiffness
 
 
 def decay(loop: Loop, wish: DesignTarget) -> float:
@@ -157,7 +169,7 @@ def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
     B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
     if wish.stiffness is not None:
         return np.array([wish.stiffness]), B
-    stiffest = loop.boundary(16).attrs["stiffness_max"]
+    stiffest = stiffness_max(loop)
     return np.geomspace(1e-2 * stiffest, stiffest, _STIFFNESSES), B
 
 

@@ -10,15 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import pandas as pd
 
 from pipeline.base.errors import ParameterError
 from pipeline.device import loop as device_loop
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.trials import Floats
-from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
-from pipeline.rendering.figures.drawing import Series, write_picture
-from pipeline.rendering.frames import units_of
 from pipeline.rendering.labels import UNITS
 from pipeline.theory.boundary import boundary, robust_outline, stiffness_limit
 from pipeline.theory.cases import POINT_COSTS, Case, best_wall, check_robust, costs_of_walls, named_islands
@@ -29,7 +25,8 @@ from pipeline.theory.passivity import passive_outline, stiffest_passive
 from pipeline.theory.poles import Margins, margins
 from pipeline.theory.reachable import Reachable, reachable
 
-if TYPE_CHECKING:  # loading it takes longer than computing most results
+if TYPE_CHECKING:  # loading them takes longer than computing most results
+    import pandas as pd
     from matplotlib.axes import Axes
     from scipy.signal import StateSpace
 
@@ -282,10 +279,7 @@ class Loop(device_loop.Loop):
         True
         """
         B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-        loop = self.normalised_loop
-        alpha = stiffness_limit(loop, B / self.units.damping)
-        some = alpha > _ROUNDING * loop.gamma
-        columns = {"damping": B, "stiffness": np.where(some, alpha * self.units.stiffness, np.nan)}
+        columns = {"damping": B, "stiffness": self.linear_limits(B)}
         if step is not None:
             if not 0 < step < np.inf or samples < _FEWEST_SAMPLES:
                 raise ParameterError(
@@ -301,6 +295,12 @@ class Loop(device_loop.Loop):
             limits, undecided = step_limits(self, B, trial, np.zeros(len(B)))
             columns |= {"stiffness_step": limits, "stiffness_step_open": undecided}
         return self._frame(columns)
+
+    def linear_limits(self, damping: Floats) -> Floats:
+        """Return the column ``stiffness`` of `limits`."""
+        alpha = stiffness_limit(self.normalised_loop, damping / self.units.damping)
+        some = alpha > _ROUNDING * self.normalised_loop.gamma
+        return np.where(some, alpha * self.units.stiffness, np.nan)
 
     def picture(self, path: str | os.PathLike[str], *, step: float | None = None, samples: int = 400) -> None:
         """Draw the limit of stability over damping, the passive walls, and the limit with friction for a step.
@@ -319,6 +319,9 @@ class Loop(device_loop.Loop):
         ParameterError
             As in `limits`, or if no wall is stable.
         """
+        from pipeline.rendering.figures.boundaries import limits_figure, limits_panel
+        from pipeline.rendering.figures.drawing import Series, write_picture
+
         unit = UNITS[self.motion]
         border = self.boundary()
         name = f"limit without {', '.join(self.left_out)}" if self.left_out else "limit of stability"
@@ -500,6 +503,10 @@ class Loop(device_loop.Loop):
         # An impact acts on the mass directly. A command passes the force gain first.
         unit = self.units.stiffness if signal == "step" else self.units.damping * self.force_gain
         time = np.arange(len(chi)) * self.sampling_period_s / per_sample
+        import pandas as pd
+
+        from pipeline.rendering.frames import units_of
+
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
         frame.attrs["units"] = units_of(("time_s", "position"), {self.motion})
         return frame
@@ -601,6 +608,10 @@ class Loop(device_loop.Loop):
         return self._frame({**columns, f"{best}_low": found.low * unit, f"{best}_high": found.high * unit})
 
     def _frame(self, columns: dict[str, np.ndarray]) -> pd.DataFrame:
+        import pandas as pd
+
+        from pipeline.rendering.frames import units_of
+
         frame = pd.DataFrame(columns)
         physical = units_of(("stiffness", "damping"), {self.motion})
         settling = {name: "samples" for name in columns if name.startswith("settle")}

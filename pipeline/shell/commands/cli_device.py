@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from math import inf
+from math import inf, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -241,10 +241,11 @@ def design(
     from dataclasses import asdict
 
     from pipeline.device_data.devices import find_experiment
-    from pipeline.rig.design import design as answer_of
+    from pipeline.rig.design import answer as answer_of
     from pipeline.rig.guidelines import guidelines
     from pipeline.rig.picture import picture as draw
-    from pipeline.rig.published import published_limits
+    from pipeline.rig.published import published_rows
+    from pipeline.rig.wish import DesignTarget
     from pipeline.theory.reachable import reachable
 
     if picture is not None:
@@ -261,11 +262,11 @@ def design(
         "margin": margin,
     }
     with console.progress("design"):
-        answer = answer_of(loop, wanted, keep=keep or (), **wish)  # type: ignore[arg-type]
+        answer = answer_of(loop, DesignTarget(wanted, **wish), keep or ())  # type: ignore[arg-type]
         if picture is not None:
             draw(loop, answer, ("sampling_period_s", "delay_samples"), picture)
     coulomb, quantum = loop.value("friction.coulomb") or 0.0, loop.sensor.quantum
-    rows = published_limits(loop, answer.wall["damping"] or 0.0)
+    rows = published_rows(loop, answer.wall["damping"] or 0.0)
     document = {"device": known.name, "experiment": conditions.name, "hand": hand, **answer.document()}
     low, high = loop.delay_range
     document |= {"delay_samples": conditions.delay_samples, "delay_samples_low": low, "delay_samples_high": high}
@@ -274,7 +275,7 @@ def design(
     document["quantum"] = _quantum(coulomb / loop.force_gain, quantum, wanted)
     document["guidelines"] = guidelines(loop).document()
     document["reachable"] = asdict(reachable("settle_2pct", loop.delay_samples))
-    document["published"] = rows.astype(object).where(rows.notna(), None).to_dict("records")
+    document["published"] = [row | {"stiffness": None if isnan(row["stiffness"]) else row["stiffness"]} for row in rows]
     console.show(document, [*str(answer).splitlines(), *_design_lines(document, loop)])
 
 
