@@ -27,7 +27,7 @@ from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stage_needs import cost_column
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import REPORTED
-from pipeline.records.findings import stored_findings
+from pipeline.records.findings import Motion, Record, stored_findings
 from pipeline.records.tables import LOCATION
 from pipeline.service.database import Database, connected
 from pipeline.store.names import name_of_folder
@@ -104,6 +104,73 @@ GROUP BY device, experiment
 _DONE = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
 
 Kept = TypeVar("Kept")
+
+
+class Device(Record):
+    """A device that has trials."""
+
+    device: str
+    experiments: int
+    trials: int
+
+
+class Experiment(Record):
+    """An experiment, with numbers of its trials by verdict, and the time of its last log."""
+
+    device: str
+    experiment: str
+    motion: Motion
+    trials: int
+    verdicts: dict[str, int]
+    last: float
+
+
+class Cost(Record):
+    """A cost with its 95 % interval."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+class RecordingFinding(Record):
+    """A fault of the recording of a trial: kind, place, evidence, remedy, and the sentence shown on pages."""
+
+    code: str
+    first_row: int | None
+    rows: int
+    evidence: str
+    remedy: str
+    severity: str
+    sentence: str
+
+
+class Trial(Record):
+    """A trial; stiffness and damping in SI. A trial ``excluded`` by hand (with the reason) has that word as verdict."""
+
+    id: str
+    device: str
+    experiment: str
+    verdict: str | None
+    outcome: str | None
+    motion: Motion
+    grip: str | None
+    excluded: str | None
+    stiffness: float | None
+    damping: float | None
+    costs: dict[str, Cost]
+    source: str
+    recorded: float
+    uploader: str | None
+    findings: list[RecordingFinding]
+    tags: list[str]
+
+    def number_or_word(self, name: str) -> float | str | None:
+        """Return the value of one of `SORTS` in SI, or None if it is missing."""
+        if name in REPORTED:
+            return self.costs[name].value if name in self.costs else None
+        value: float | str | None = getattr(self, name)
+        return value
 
 
 @dataclass(frozen=True)
@@ -217,24 +284,24 @@ class Catalogue:
         return {f"{row['device']}/{row['experiment']}": row["damaged"] for row in rows}
 
     @property
-    def experiments(self) -> list[dict[str, Any]]:
+    def experiments(self) -> list[Experiment]:
         """All experiments, with numbers of trials by verdict and the time of the last log, in natural order."""
 
-        def made() -> list[dict[str, Any]]:
-            rows = [dict(row) for row in self._run(_EXPERIMENTS)]
-            found = [{**row, "verdicts": json.loads(row["verdicts"])} for row in rows]
-            return sorted(found, key=lambda e: (natural_key(e["device"]), natural_key(e["experiment"])))
+        def made() -> list[Experiment]:
+            rows = self._run(_EXPERIMENTS)
+            found = [Experiment.model_validate({**row, "verdicts": json.loads(row["verdicts"])}) for row in rows]
+            return sorted(found, key=lambda e: (natural_key(e.device), natural_key(e.experiment)))
 
         return self.once("experiments", made)
 
     @property
-    def devices(self) -> list[dict[str, Any]]:
+    def devices(self) -> list[Device]:
         """All devices, with numbers of experiments and trials."""
-        own = groupby(self.experiments, key=lambda e: e["device"])
+        own = groupby(self.experiments, key=lambda e: e.device)
         found = ((device, list(each)) for device, each in own)
-        return [{"device": d, "experiments": len(e), "trials": sum(one["trials"] for one in e)} for d, e in found]
+        return [Device(device=d, experiments=len(e), trials=sum(one.trials for one in e)) for d, e in found]
 
-    def trial(self, trial: str) -> dict[str, Any] | None:
+    def trial(self, trial: str) -> Trial | None:
         """Return a trial as the API shows it, or None if it does not exist."""
         rows = self._shown(self.run("SELECT * FROM trials WHERE id = ?", (trial,)))
         return rows[0] if rows else None
@@ -260,9 +327,7 @@ class Catalogue:
 
         return self.once(f"selected {chosen}", made)
 
-    def page(
-        self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None
-    ) -> tuple[list[dict[str, Any]], bool]:
+    def page(self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None) -> tuple[list[Trial], bool]:
         """Return trials in order, starting after a value and trial, and whether more follow.
 
         A page depends only on this value and trial, so that trials added in the meantime do not shift it. Missing
@@ -284,16 +349,16 @@ class Catalogue:
         rows = self.run(f"SELECT * FROM trials WHERE {where} ORDER BY {order} LIMIT ?", [*values, limit + 1])
         return self._shown(rows[:limit]), len(rows) > limit
 
-    def _shown(self, rows: Sequence[sqlite3.Row]) -> list[dict[str, Any]]:
+    def _shown(self, rows: Sequence[sqlite3.Row]) -> list[Trial]:
         """Return trials as the API shows them."""
         tags = {of[1]: tags for kind, of, tags in self.database.all_words() if (kind, of[0]) == ("tags", "trial")}
         found = []
         for row in rows:
             ends = {c: (row[c], row[f"{c}_low"], row[f"{c}_high"]) for c in REPORTED if row[c] is not None}
-            costs = {c: dict(zip(("value", "low", "high"), own, strict=True)) for c, own in ends.items()}
-            plain = {name: row[name] for name in _PLAIN}
-            plain["findings"] = json.loads(plain["findings"])
-            found.append({**plain, "tags": tags.get(row["id"], []), "costs": costs})
+            costs = {c: Cost(value=value, low=low, high=high) for c, (value, low, high) in ends.items()}
+            columns = {name: row[name] for name in _PLAIN}
+            columns["findings"] = json.loads(columns["findings"])
+            found.append(Trial(**columns, costs=costs, tags=tags.get(row["id"], [])))
         return found
 
     def _refresh(self) -> None:

@@ -20,8 +20,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import BaseModel, ConfigDict
+
 from pipeline.base.disk import make_folder
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import path_of_text
+from pipeline.records.findings import Record
 
 Role = Literal["viewer", "contributor", "admin"]
 ROLES: tuple[Role, ...] = ("viewer", "contributor", "admin")
@@ -76,6 +80,67 @@ CREATE TABLE IF NOT EXISTS audit (number INTEGER PRIMARY KEY AUTOINCREMENT, time
   did TEXT NOT NULL, what TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
 """
+
+
+class ProblemDocument(BaseModel):
+    """Reason why a request failed (RFC 9457)."""
+
+    model_config = ConfigDict(extra="allow")
+    title: str
+    status: int
+    detail: str
+    type: str = "about:blank"
+    where: str | None = None
+    expected: Any = None
+    found: Any = None
+
+
+class Job(Record):
+    """A job; `result` is null until it is done, `problem` until it failed."""
+
+    id: str
+    number: int
+    kind: str
+    author: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    created: float
+    changed: float
+    request: JsonObject
+    progress: Any
+    result: Any
+    problem: ProblemDocument | None
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the job is done, failed or cancelled."""
+        return self.state in ENDED
+
+
+class Deed(Record):
+    """A manual action, with its time and user."""
+
+    number: int
+    time: float
+    who: str
+    did: str
+    what: JsonObject
+
+
+class Token(Record):
+    """A token without its secret: id, role, name of the user, and day of expiry."""
+
+    id: str
+    role: Role
+    name: str
+    ends: str | None
+
+
+class Words(Record):
+    """Notes (a text) or tags (a list) of a trial or experiment, with author and time of the last change [s]."""
+
+    value: Any
+    author: str | None = None
+    changed: float | None = None
 
 
 def hashed(secret: str) -> str:
@@ -147,7 +212,7 @@ class Database:
     # jobs
 
     def add_job(
-        self, kind: str, request: dict[str, Any], key: str = "", job: str | None = None, author: str = "", late: int = 0
+        self, kind: str, request: JsonObject, key: str = "", job: str | None = None, author: str = "", late: int = 0
     ) -> str:
         """Queue a job, or return the waiting or running job with the same kind and key. An empty key always queues a
         new job.
@@ -175,7 +240,7 @@ class Database:
         rows = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
         return str(rows[0]["id"])
 
-    def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> dict[str, Any] | None:
+    def claim(self, owner: str, kinds: str = " ".join(WORKS)) -> Job | None:
         """Take a waiting job of these kinds, or one whose worker has no heartbeat.
 
         Return None if there is no such job.
@@ -187,7 +252,7 @@ class Database:
             "AND instr(?, kind) ORDER BY late, instr(?, kind), number LIMIT 1) RETURNING *",
             *(owner, now + LEASE_S, now, now, kinds, kinds),
         )
-        return _shown(rows[0]) if rows else None
+        return _job_of(rows[0]) if rows else None
 
     def heartbeat(self, job: str, owner: str, progress: object) -> bool:
         """Renew the lease of a job, and return whether the job still belongs to this worker."""
@@ -216,10 +281,10 @@ class Database:
             *(time.time(), job),
         )
 
-    def job(self, job: str) -> dict[str, Any] | None:
+    def job(self, job: str) -> Job | None:
         """Return a job as it is shown to users, or None if it does not exist."""
         rows = self.run("SELECT * FROM jobs WHERE id = ?", job)
-        return _shown(rows[0]) if rows else None
+        return _job_of(rows[0]) if rows else None
 
     def failed_job(self, kind: str, key: str, within_s: float) -> str | None:
         """Return the job of a kind and key that failed recently."""
@@ -227,10 +292,10 @@ class Database:
         rows = self.run(f"SELECT id FROM jobs WHERE {which}", kind, key, time.time() - within_s)
         return rows[0]["id"] if rows else None
 
-    def jobs(self, before: int, limit: int, which: str = "1") -> tuple[list[dict[str, Any]], int | None]:
+    def jobs(self, before: int, limit: int, which: str = "1") -> tuple[list[Job], int | None]:
         """Return jobs (``which``, a condition) as `latest` does."""
         rows, last = self.latest("jobs", before, limit, which)
-        return [_shown(row) for row in rows], last
+        return [_job_of(row) for row in rows], last
 
     def latest(self, table: str, before: int, limit: int, which: str = "1") -> tuple[list[sqlite3.Row], int | None]:
         """Return the rows below a number, the newest first.
@@ -241,15 +306,12 @@ class Database:
         rows = self.run(f"SELECT * FROM {table} WHERE {which} AND number < ? ORDER BY number DESC LIMIT ?", *given)
         return rows[:limit], rows[limit - 1]["number"] if len(rows) > limit else None
 
-    def reports(self, most: int) -> list[dict[str, Any]]:
-        """Return the jobs that made comparisons, the newest first.
-
-        A job is ``earlier`` if a newer job made the same comparison.
-        """
-        found, seen = self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0], set[str]()
-        for job in found:
-            asked = json.dumps(job["request"].get("asked", job["id"]))
-            job["earlier"] = asked in seen
+    def reports(self, most: int) -> list[tuple[Job, bool]]:
+        """Return the jobs that made comparisons, the newest first, and whether a newer job made the same comparison."""
+        found, seen = list[tuple[Job, bool]](), set[str]()
+        for job in self.jobs(NEWEST, most, "kind = 'comparison' AND state = 'done'")[0]:
+            asked = json.dumps(job.request.get("asked", job.id))
+            found.append((job, asked in seen))
             seen.add(asked)
         return found
 
@@ -290,10 +352,10 @@ class Database:
         self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
         return token
 
-    def tokens(self) -> list[dict[str, Any]]:
+    def tokens(self) -> list[Token]:
         """Return the id, the role, the name and the day of expiry of all tokens."""
         columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
-        return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
+        return [Token(**row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
 
     def revoke_token(self, identifier: str) -> bool:
         """Remove a token by its id, and return whether it existed."""
@@ -344,19 +406,20 @@ class Database:
         """Return whether an action with these details is in the audit, by any user."""
         return bool(self.run("SELECT 1 FROM audit WHERE did = ? AND what = ? LIMIT 1", did, json.dumps(what)))
 
-    def audit(self, before: int, limit: int) -> tuple[list[dict[str, Any]], int | None]:
+    def audit(self, before: int, limit: int) -> tuple[list[Deed], int | None]:
         """Return the audit, like `latest`."""
         rows, last = self.latest("audit", before, limit)
-        return [{**dict(row), "what": json.loads(row["what"])} for row in rows], last
+        return [Deed.model_validate({**row, "what": json.loads(row["what"])}) for row in rows], last
 
     # notes and tags
 
-    def words(self, kind: str, of: Sequence[str]) -> dict[str, Any]:
-        """Return the notes or tags of a trial or experiment: `value` (a text, or a list), `author` and `changed`."""
+    def words(self, kind: str, of: Sequence[str]) -> Words:
+        """Return the notes or tags of a trial or experiment."""
         rows = self.run("SELECT value, author, changed FROM words WHERE kind = ? AND of = ?", kind, json.dumps(of))
         if not rows:
-            return {"value": "" if kind == "notes" else [], "author": None, "changed": None}
-        return {**dict(rows[0]), "value": json.loads(rows[0]["value"])}
+            return Words(value="" if kind == "notes" else [])
+        value, author, changed = rows[0]
+        return Words(value=json.loads(value), author=author, changed=changed)
 
     def all_words(self) -> list[tuple[str, list[str], Any]]:
         """Return all notes and tags that are not empty, with the trials or experiments to which they belong."""
@@ -377,7 +440,8 @@ class Database:
 _KILLED = f"The process that worked at it ended {ATTEMPTS} times; it may need more memory than there is."
 
 
-def _shown(row: sqlite3.Row) -> dict[str, Any]:
-    loaded = {name: None if row[name] is None else json.loads(row[name]) for name in ("progress", "result", "problem")}
-    plain = {name: row[name] for name in ("id", "kind", "state", "created", "changed", "number", "author")}
-    return {**plain, **loaded, "request": json.loads(row["request"])}
+def _job_of(row: sqlite3.Row) -> Job:
+    columns = {name: row[name] for name in Job.model_fields}
+    for name in ("request", "progress", "result", "problem"):
+        columns[name] = None if row[name] is None else json.loads(row[name])
+    return Job.model_validate(columns)

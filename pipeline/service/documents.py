@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.device_data.devices import known_devices
 from pipeline.device_data.published import published_files
@@ -27,7 +27,7 @@ def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
     return digest([[[file.name, *file.stat()[6:9:2]] for file in files], corrected])
 
 
-def key_of(settings: Settings, request: dict[str, Any]) -> str:
+def key_of(settings: Settings, request: JsonObject) -> str:
     """Return the key of a document. The key is a hash of the request, the logs, the device files and the code."""
     sides = [(place[0], [place[1]]) for place in request.get("places", ())]
     if "device" in request:
@@ -41,7 +41,7 @@ def key_of(settings: Settings, request: dict[str, Any]) -> str:
     return digest([request, states, devices, code])
 
 
-def whole(device: str, experiment: str) -> dict[str, Any]:
+def whole(device: str, experiment: str) -> JsonObject:
     """Return the request for all results of an experiment."""
     return {"device": device, "experiments": [experiment], "criteria": None}
 
@@ -52,10 +52,10 @@ def document_file(settings: Settings, key: str, report: bool = False) -> Path:
     return folder / f"{key}.json"
 
 
-def read_document(settings: Settings, key: str) -> dict[str, Any] | None:
+def read_document(settings: Settings, key: str) -> JsonObject | None:
     """Return the stored document of an experiment, a plan or a drawing."""
     try:
-        document: dict[str, Any] = json.loads(document_file(settings, key).read_bytes())
+        document: JsonObject = json.loads(document_file(settings, key).read_bytes())
     except FileNotFoundError:
         return None
     return document

@@ -24,6 +24,7 @@ from pipeline.base.errors import ProfileError
 from pipeline.base.provenance import schema_folder
 from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_questions, read_profile, shipped_profiles
+from pipeline.records.findings import Record
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 
@@ -203,10 +204,19 @@ def samples_folder(settings: Settings, sample: str) -> Path:
     return folder / sample / "1"
 
 
-def draft(folder: Path) -> dict[str, Any]:
-    """Return the text of a draft profile for samples, and its open questions with line and key."""
-    found = _asked("draft", *map(str, sorted(file for file in folder.rglob("*") if file.is_file())))
-    return {"profile": found["profile"], "questions": questions(found["profile"])}
+class Question(Record):
+    """Open question of a draft, with its line, its key, and the proposal (TOML) that follows it."""
+
+    line: int
+    key: str
+    question: str
+    proposal: str
+
+
+def draft(folder: Path) -> str:
+    """Return the text of a draft profile for samples."""
+    text: str = _asked("draft", *map(str, sorted(file for file in folder.rglob("*") if file.is_file())))["profile"]
+    return text
 
 
 def preview(folder: Path, text: str) -> list[Any]:
@@ -219,16 +229,16 @@ def preview(folder: Path, text: str) -> list[Any]:
     return [{**sample, "path": Path(sample["path"]).relative_to(folder).as_posix()} for sample in found]
 
 
-def questions(text: str) -> list[dict[str, Any]]:
-    """Return the open questions of a draft. Each has a line, a key, a text, and the proposal (TOML) that follows it."""
+def questions(text: str) -> list[Question]:
+    """Return the open questions of a draft."""
     lines = [*text.splitlines(), ""]
     return [
-        {
-            "line": q.line,
-            "key": ".".join(map(str, q.place)),
-            "question": q.text.partition("open question: ")[2].removesuffix(" Set the key below it."),
-            "proposal": lines[q.line].partition("=")[2].strip() if lines[q.line].startswith("# ") else "",
-        }
+        Question(
+            line=q.line,
+            key=".".join(map(str, q.place)),
+            question=q.text.partition("open question: ")[2].removesuffix(" Set the key below it."),
+            proposal=lines[q.line].partition("=")[2].strip() if lines[q.line].startswith("# ") else "",
+        )
         for q in find_questions(text)
     ]
 

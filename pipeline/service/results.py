@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 
 from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import path_of_text
 from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.against import against_experiments
@@ -33,7 +34,7 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.campaign import PlanOptions
 from pipeline.planning.planner import plan
 from pipeline.records.criteria import REPORTED, criterion_of
-from pipeline.records.findings import Note
+from pipeline.records.findings import Note, Record
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
@@ -57,11 +58,29 @@ from pipeline.theory.predictions import Theory
 
 Progress = Callable[[object], None]
 
-Run = Callable[[Settings, Database, dict[str, Any], Progress], Any]
+Run = Callable[[Settings, Database, JsonObject, Progress], JsonObject]
 """Function that executes a job given its request. Its return value is the result of the job."""
 
-Drawn = dict[str, Any]
-"""Panels as SVG, the numbers that they show, a title and a caption."""
+
+class Drawing(Record):
+    """Panels as SVG, the numbers that they show, a title and a caption.
+
+    A drawing of one trial also has the ``evidence`` for its verdict and outcome, and the reason for each ``missing``
+    cost.
+    """
+
+    panels: tuple[str, ...]
+    shown: tuple[JsonObject, ...]
+    title: str
+    caption: str
+    evidence: dict[str, str] | None = None
+    missing: dict[str, str] | None = None
+
+    @property
+    def document(self) -> JsonObject:
+        """Drawing as JSON values."""
+        return self.model_dump(mode="json", exclude_unset=True)
+
 
 LONGEST_S = 3600.0
 """Longest wait for another process that writes or computes the same result [s]."""
@@ -70,10 +89,11 @@ OPTIMUM_S = 300.0
 """Time limit for the computation of an optimum [s]. With a delay of 64 samples, it takes 20 s of processor time."""
 
 
-def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
+def run_upload(settings: Settings, database: Database, request: JsonObject, progress: Progress) -> JsonObject:
     """Ingest uploaded logs, and compute verdicts. Return the output of ``ingest --json`` with the uploaded names."""
     begun = time.time() - 1.0  # clocks of files are coarse
-    skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
+    skipped = request["skipped"]
+    result: JsonObject = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / (request["folder"] or "none")
     places = [path for path in (folder, *map(path_of_text, request.get("again", ()))) if os.path.exists(path)]
     if places:
@@ -99,7 +119,7 @@ READ_AGAIN = "read logs again by a changed profile"
 """Words of the audit entry of an upload."""
 
 
-def _note_versions(settings: Settings, database: Database, request: dict[str, Any]) -> None:
+def _note_versions(settings: Settings, database: Database, request: JsonObject) -> None:
     """Record in the audit how many logs of an upload were read before by another version of their profile.
 
     This is recorded once per job.
@@ -130,7 +150,7 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
     return Path(value).name if value.startswith(str(folder)) else value
 
 
-def run_stages(settings: Settings, database: Database, _request: dict[str, Any], progress: Progress) -> Any:
+def run_stages(settings: Settings, database: Database, _request: JsonObject, progress: Progress) -> JsonObject:
     """Compute verdicts and costs of all experiments that lack them. Experiments that cannot be computed are named."""
     failed, computed = dict[str, str](), 0
     for place in _newest_first(settings.processed):
@@ -173,26 +193,28 @@ def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str]
     return True
 
 
-def experiment(settings: Settings, asked: dict[str, Any], progress: Progress) -> dict[str, Any]:
+def experiment(settings: Settings, asked: JsonObject, progress: Progress) -> JsonObject:
     """Compare one experiment with theory, and return its numbers and the first figures of the report."""
     result = _compared(settings, asked, None, progress)
     found = result.model_dump(mode="json")
     causes = {each["experiment"]: each["causes"] for each in found["experiments"]}
-    return {**found, "causes": causes, "figures": figures_of(settings.processed, result)}
+    figures = figures_of(settings.processed, result)
+    return {**found, "causes": causes, "figures": {name: each.document for name, each in figures.items()}}
 
 
-def next_walls(settings: Settings, asked: dict[str, Any], _progress: Progress) -> dict[str, Any]:
+def next_walls(settings: Settings, asked: JsonObject, _progress: Progress) -> JsonObject:
     """Return the walls that the planner proposes next."""
     found = plan(asked["device"], settings.processed, asked["experiments"][0], PlanOptions(goal=asked["goal"]))
     return found.model_dump(mode="json")
 
 
-def optimum(_settings: Settings, asked: dict[str, Any], _progress: Progress) -> Any:
+def optimum(_settings: Settings, asked: JsonObject, _progress: Progress) -> JsonObject:
     """Find the point with the lowest cost in theory. The computation is stopped if a malicious loop takes too long."""
-    return TheoryProcess(OPTIMUM_S).compute(*asked["theory"])
+    found: JsonObject = TheoryProcess(OPTIMUM_S).compute(*asked["theory"])
+    return found
 
 
-def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Drawn:
+def drawing(settings: Settings, asked: JsonObject, progress: Progress) -> JsonObject:
     """Draw trials or experiments. Experiments are compared first if needed."""
     results = []
     for device, name in dict.fromkeys((place[0], place[1]) for place in asked["places"]):
@@ -201,25 +223,25 @@ def drawing(settings: Settings, asked: dict[str, Any], progress: Progress) -> Dr
         document = read_document(settings, key) or _keep(settings, key, experiment(settings, of, progress))
         plain = {part: value for part, value in document.items() if part not in ("causes", "figures")}
         results.append(ComparisonResult.model_validate(plain))
-    return DRAWINGS[asked["what"]](settings.processed, asked, results)
+    return DRAWINGS[asked["what"]](settings.processed, asked, results).document
 
 
-def _keep(settings: Settings, key: str, document: dict[str, Any]) -> dict[str, Any]:
+def _keep(settings: Settings, key: str, document: JsonObject) -> JsonObject:
     write_text(document_file(settings, key), json.dumps(document))
     return document
 
 
-def kept(make: Callable[[Settings, dict[str, Any], Progress], dict[str, Any]]) -> Run:
+def kept(make: Callable[[Settings, JsonObject, Progress], JsonObject]) -> Run:
     """Return the function of a job that stores a document under its key."""
 
-    def run(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
+    def run(settings: Settings, _database: Database, request: JsonObject, progress: Progress) -> JsonObject:
         _keep(settings, request["key"], make(settings, request["request"], progress))
         return {"key": request["key"]}
 
     return run
 
 
-def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
+def run_comparison(settings: Settings, _database: Database, request: JsonObject, progress: Progress) -> JsonObject:
     """Write a report on a device or on the comparison of two experiments. Its document is written next to it."""
     key, asked = request["key"], request["request"]
     report = document_file(settings, key, report=True).with_suffix(".html")
@@ -235,11 +257,11 @@ def run_comparison(settings: Settings, _database: Database, request: dict[str, A
     return {"key": key}
 
 
-def _notes(asked: dict[str, Any]) -> list[Note]:
+def _notes(asked: JsonObject) -> list[Note]:
     return [Note.model_validate(one) for one in asked.get("notes", ())]
 
 
-def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
+def _compared(settings: Settings, asked: JsonObject, report: Path | None, progress: Progress) -> ComparisonResult:
     for name in asked["experiments"]:
         _computed(settings, (asked["device"], name), {})
     with heard_by(Names(progress)):
@@ -255,7 +277,7 @@ def _compared(settings: Settings, asked: dict[str, Any], report: Path | None, pr
     return finished.document
 
 
-def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
+def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawing]:
     """Return the first figures of an experiment's report by name. They show the limits with theory, and a response."""
     (found,) = result.experiments
     data = open_scene(result.device, processed, [found.experiment], None)
@@ -266,14 +288,13 @@ def figures_of(processed: Path, result: ComparisonResult) -> dict[str, Drawn]:
     return {name: _drawn(figure, [result]) for name, figure in figures.items()}
 
 
-def _drawn(figure: Figure, results: Sequence[ComparisonResult]) -> Drawn:
+def _drawn(figure: Figure, results: Sequence[ComparisonResult], **of_trial: dict[str, str]) -> Drawing:
     """Return a drawn figure. It is marked if the logs of any result are simulated."""
     drawn = draw(replace(figure, simulated=any(each.simulated for each in results)))
-    words = {"title": figure.title, "caption": figure.caption}
-    return {"panels": list(drawn.panels), "shown": list(drawn.shown), **words}
+    return Drawing(panels=drawn.panels, shown=drawn.shown, title=figure.title, caption=figure.caption, **of_trial)
 
 
-def limits(_processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
+def limits(_processed: Path, asked: JsonObject, results: Sequence[ComparisonResult]) -> Drawing:
     """Draw the limits of several experiments with theory in the plane of K and B, or (`plane`) of alpha and beta."""
     runs = [(f"{r.device}, {r.experiments[0].experiment}", r.experiments[0]) for r in results]
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
@@ -287,7 +308,7 @@ def limits(_processed: Path, asked: dict[str, Any], results: Sequence[Comparison
     return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 
 
-def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonResult]) -> Drawn:
+def trials(processed: Path, asked: JsonObject, results: Sequence[ComparisonResult]) -> Drawing:
     """Draw a trial with theory and fitted loops, or several trials in one figure, each with theory."""
     of = {(result.device, result.experiments[0].experiment): result for result in results}
     figures, labels = [], []
@@ -304,10 +325,10 @@ def trials(processed: Path, asked: dict[str, Any], results: Sequence[ComparisonR
         labels.append(f"K {k} {units.stiffness}, B {b} {units.damping} ({device}, {experiment})")
     if len(figures) > 1:
         return _drawn(overlaid_figure(figures, labels), results)
-    return {**_drawn(figures[0], results), **_told_of(stages, trial)}
+    return _drawn(figures[0], results, **_told_of(stages, trial))
 
 
-def _told_of(stages: ExperimentStages, trial: str) -> dict[str, Any]:
+def _told_of(stages: ExperimentStages, trial: str) -> dict[str, dict[str, str]]:
     """Return the evidence for the verdict and the outcome of a trial, and the reason for each missing cost."""
     ids = stages.texts("response", "trial_id")
     if trial not in ids:
@@ -324,7 +345,7 @@ def _told_of(stages: ExperimentStages, trial: str) -> dict[str, Any]:
     return {"evidence": {name: text for name, text in evidence.items() if text}, "missing": missing}
 
 
-DRAWINGS: dict[str, Callable[[Path, dict[str, Any], Sequence[ComparisonResult]], Drawn]] = {
+DRAWINGS: dict[str, Callable[[Path, JsonObject, Sequence[ComparisonResult]], Drawing]] = {
     "limits": limits,
     "trials": trials,
 }

@@ -13,11 +13,12 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
+from pipeline.base.json_object import JsonObject
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
-from pipeline.records.trials import Trial
+from pipeline.records.trials import Floats
 from pipeline.service import documents
-from pipeline.service.catalogue import Catalogue
+from pipeline.service.catalogue import Catalogue, Trial
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
@@ -33,7 +34,7 @@ RETRY_S = 60.0
 MOST_REPORTS = 1000
 """Largest number of reports that are listed and renewed."""
 
-Kept = tuple[dict[str, Any] | None, str | None]
+Kept = tuple[JsonObject | None, str | None]
 """A document, or the job that computes it."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
@@ -71,7 +72,7 @@ class Service:
     workers: Workers
     theory: Theory
 
-    def job(self, kind: str, request: dict[str, Any], key: str = "", author: str = "", late: int = 0) -> str:
+    def job(self, kind: str, request: JsonObject, key: str = "", author: str = "", late: int = 0) -> str:
         """Queue a job and wake a worker."""
         job = self.database.add_job(kind, request, key, None, author, late)
         self.workers.wake()
@@ -106,7 +107,7 @@ class Service:
     def comparison(self, asked: ComparisonRequest, who: str = "", late: int = 0) -> tuple[str, str | None]:
         """Return the key of a comparison, and the job that computes it. There is no job if the comparison is stored."""
         names = self.used(asked.device, asked.experiments)
-        request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
+        request: JsonObject = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
         if asked.against:
             self.used(asked.against.device, [asked.against.experiment])
             if len(names) != 1:
@@ -126,13 +127,13 @@ class Service:
         """Request again all experiments and reports of which logs were added or excluded."""
         for e in self.catalogue.experiments:
             with suppress(Problem, PipelineError):
-                self.experiment(e["device"], e["experiment"], late=1)
-        for job in self.database.reports(MOST_REPORTS):
+                self.experiment(e.device, e.experiment, late=1)
+        for job, earlier in self.database.reports(MOST_REPORTS):
             with suppress(Problem, PipelineError):  # its inputs no longer exist; the last report is kept
-                if not job["earlier"]:
-                    self.comparison(ComparisonRequest.model_validate(job["request"]["asked"]), late=1)
+                if not earlier:
+                    self.comparison(ComparisonRequest.model_validate(job.request["asked"]), late=1)
 
-    def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
+    def _add_notes(self, request: JsonObject, device: str, experiments: list[str]) -> None:
         """Add the notes on experiments and their trials to a request.
 
         Notes are part of a report, so that new notes cause a new report.
@@ -143,7 +144,7 @@ class Service:
 
     def notes(self, device: str, experiment: str) -> list[Note]:
         """Return the notes on an experiment and its trials. Those on the experiment come first."""
-        found = dict[str | None, dict[str, Any]]()
+        texts, tags = dict[str | None, str](), dict[str | None, list[str]]()
         for kind, of, value in self.database.all_words():
             if of == ["experiment", device, experiment]:
                 trial = None
@@ -151,9 +152,13 @@ class Service:
                 trial = of[1]
             else:
                 continue
-            found.setdefault(trial, {})["text" if kind == "notes" else "tags"] = value
-        order = sorted(found, key=lambda trial: trial or "")
-        return [Note(experiment=experiment, trial_id=trial, **found[trial]) for trial in order]
+            if kind == "notes":
+                texts[trial] = value
+            else:
+                tags[trial] = value
+        order = sorted(texts.keys() | tags.keys(), key=lambda trial: trial or "")
+        words = ((trial, tuple(tags.get(trial, ())), texts.get(trial, "")) for trial in order)
+        return [Note(experiment=experiment, trial_id=trial, tags=own, text=text) for trial, own, text in words]
 
     def excluded(self, of: Sequence[str]) -> dict[str, str]:
         """Return which trials of a trial or experiment are excluded by hand, and why."""
@@ -183,12 +188,12 @@ class Service:
         device = {"device": of[0], "experiments": []} if len(of) == 2 else {}
         return self._kept("optimum", {**device, "theory": ["optimum", of, *asked]})
 
-    def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
+    def peek(self, device: str, experiment: str) -> JsonObject | None:
         """Return the document of an experiment if it is stored."""
         key = documents.key_of(self.settings, documents.whole(device, experiment))
         return documents.read_document(self.settings, key)
 
-    def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> Kept:
+    def _kept(self, kind: str, request: JsonObject, late: int = 0) -> Kept:
         """Return a stored document, or the job of the given kind that computes it."""
         key = documents.key_of(self.settings, request)
         if (document := documents.read_document(self.settings, key)) is not None:
@@ -203,25 +208,25 @@ class Service:
         if self.settings.read_only:
             raise Problem(503, "This was not computed yet, and the server is read-only.", where="server")
 
-    def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
+    def samples(self, trial: str) -> tuple[Trial, pa.Table]:
         """Return the conditions and the samples of a trial."""
         shown = self.found(trial)
-        samples = self._loaded(trial, shown).samples
+        samples = self._loaded(shown)
         columns = {"time_s": samples.pop("time"), **samples}
         return shown, pa.table({name: values for name, values in columns.items() if not np.isnan(values).all()})
 
-    def _loaded(self, trial: str, shown: dict[str, Any]) -> Trial:
-        """Return a trial from its last known file. If this file was merged since, search for the trial."""
+    def _loaded(self, shown: Trial) -> dict[str, Floats]:
+        """Return the samples of a trial from its last known file. If this file was merged since, search for it."""
         processed = self.settings.processed
-        if (found := load_trial(processed, trial, *self.catalogue.stored_at(trial))) is not None:
-            return found[1]
-        stored = read_trials(processed, shown["device"], shown["experiment"])
-        own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
+        if (found := load_trial(processed, shown.id, *self.catalogue.stored_at(shown.id))) is not None:
+            return found[1].samples
+        stored = read_trials(processed, shown.device, shown.experiment)
+        own = stored.take(np.flatnonzero([name == shown.id for name in stored.column("trial_id").to_pylist()]))
         if not own.num_rows:
-            raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
-        return load_trials(processed, own.slice(0, 1))[0]
+            raise Problem(404, "The trial was removed a moment ago.", found=shown.id, where="trial")
+        return load_trials(processed, own.slice(0, 1))[0].samples
 
-    def found(self, trial: str) -> dict[str, Any]:
+    def found(self, trial: str) -> Trial:
         """Return a trial as the API shows it."""
         found = self.catalogue.trial(trial)
         if found is None:
@@ -230,7 +235,7 @@ class Service:
 
     def _place(self, trial: str) -> tuple[str, str] | None:
         found = self.catalogue.trial(trial)
-        return (found["device"], found["experiment"]) if found else None
+        return (found.device, found.experiment) if found else None
 
 
 def run_of(*names: str) -> str:

@@ -16,7 +16,7 @@ from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
@@ -29,6 +29,7 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import Source, content_hash, find_sources
 from pipeline.intake.stored_sources import StoredSource, StoredSources, trial_id
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.records.findings import Record
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.service.profiles import profile_path
@@ -52,6 +53,22 @@ END_BYTES = 256
 Check = Callable[[dict[str, str]], object]
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+
+
+class UploadedFile(Record):
+    """Outcome for a file of an upload."""
+
+    name: str
+    size: int
+    sha256: str
+    state: Literal["queued", "skipped"]
+
+
+class Accepted(Record):
+    """An upload that is stored, and the job that ingests it."""
+
+    job: str
+    files: list[UploadedFile]
 
 
 @dataclass(frozen=True)
@@ -157,20 +174,20 @@ class Upload:
         with path.open("rb") as stream:
             return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
-    def accept(self, database: Database, author: str) -> dict[str, Any]:
+    def accept(self, database: Database, author: str) -> Accepted:
         """Sync all new files and queue their job. Files that were uploaded before are skipped."""
         profile = self.fields.get("profile", "")
         own = profile_path(self.settings, profile)
         earlier = self._earlier(database, profile, own)
         queued = set[Path]().union(*earlier.again.values())
-        listed, new = [], []
+        listed, new = list[UploadedFile](), []
         for part in self.files:
             if part.path in earlier.files:
                 part.path.unlink()
             else:
                 new.append(part)
-            state = "skipped" if part.path in earlier.files - queued else "queued"
-            listed.append({"name": part.name, "size": part.size, "sha256": part.sha256, "state": state})
+            state: Literal["queued", "skipped"] = "skipped" if part.path in earlier.files - queued else "queued"
+            listed.append(UploadedFile(name=part.name, size=part.size, sha256=part.sha256, state=state))
         self._sync([part.path for part in new])
         with database.transaction():
             for path in earlier.again:  # a refused log belongs to this profile from now on
@@ -178,11 +195,11 @@ class Upload:
             for part in new:
                 place = (self.name, str(part.path), part.name)
                 database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256, profile, *place)
-            skipped = sum(file["state"] == "skipped" for file in listed)
+            skipped = sum(file.state == "skipped" for file in listed)
             request = {"folder": self.name, "profile": profile, "skipped": skipped, "again": sorted(earlier.again)}
             request |= {"versions": earlier.versions, "author": author}
             job = database.add_job("upload", request, job=self.name, author=author)
-        return {"job": job, "files": listed}
+        return Accepted(job=job, files=listed)
 
     def _earlier(self, database: Database, profile: str, own: str | Path | None) -> _Earlier:
         """Return the files of this request that the service already has, and the logs that an ingest has to read again.

@@ -142,9 +142,9 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
     from pipeline.service.results import KINDS
 
     result, problem, begun = None, None, time.time()
-    with _beating(database, job["id"], owner) as say:
+    with _beating(database, job.id, owner) as say:
         try:
-            result = KINDS[job["kind"]](settings, database, job["request"], say)
+            result = KINDS[job.kind](settings, database, job.request, say)
         except (PipelineError, Problem) as error:
             problem = problem_of(error).document
         except OSError as error:
@@ -152,13 +152,13 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
         except Exception:
             # A defect ends this process and leaves a traceback in the server's log. Another process executes the
             # waiting jobs.
-            detail = f"A defect of the program; the server's log has the details of job {job['id']}."
-            database.finish(job["id"], owner, problem={"title": "The job failed", "status": 500, "detail": detail})
+            detail = f"A defect of the program; the server's log has the details of job {job.id}."
+            database.finish(job.id, owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
-    if job["kind"] != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
+    if job.kind != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):
         # it may have overwritten current stages with those of earlier trials
         database.add_job("stages", {}, "stages")
-    database.finish(job["id"], owner, result, problem)
+    database.finish(job.id, owner, result, problem)
     return True
 
 

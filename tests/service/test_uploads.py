@@ -93,21 +93,21 @@ def database(lab):
 def test_a_waiting_job_is_cancelled(database):
     job = database.add_job("stages", {})
     database.cancel(job)
-    assert database.job(job)["state"] == "cancelled"
+    assert database.job(job).state == "cancelled"
     assert database.claim("worker") is None
 
 
 def test_a_job_of_a_dead_worker_is_taken_again(database):
     job = database.add_job("stages", {})
     for worker in ("first", "second"):
-        assert database.claim(worker)["id"] == job
+        assert database.claim(worker).id == job
         assert database.claim("other") is None
         database.free(worker)
     assert not database.heartbeat(job, "first", None)
-    assert database.claim("third")["id"] == job
+    assert database.claim("third").id == job
     database.free("third")
     found = database.job(job)
-    assert (found["state"], found["problem"]["status"]) == ("failed", 500)
+    assert (found.state, found.problem.status) == ("failed", 500)
 
 
 def test_what_a_former_worker_finishes_late_does_not_count(database):
@@ -116,9 +116,9 @@ def test_what_a_former_worker_finishes_late_does_not_count(database):
     database.free("first")
     database.claim("second")
     database.finish(job, "first", {"result": 1})
-    assert database.job(job)["state"] == "running"
+    assert database.job(job).state == "running"
     database.finish(job, "second", {"result": 2})
-    assert database.job(job)["result"] == {"result": 2}
+    assert database.job(job).result == {"result": 2}
 
 
 def test_a_job_that_cannot_be_done_says_why(lab):
@@ -127,8 +127,8 @@ def test_a_job_that_cannot_be_done_says_why(lab):
     job = database.add_job("experiment", {"key": "0", "request": asked})
     assert work(settings, database, "worker")
     found = database.job(job)
-    assert found["state"] == "failed"
-    assert "nobody" in found["problem"]["detail"]
+    assert found.state == "failed"
+    assert "nobody" in found.problem.detail
 
 
 def test_a_defect_fails_its_job_and_ends_the_worker(lab, monkeypatch):
@@ -138,7 +138,7 @@ def test_a_defect_fails_its_job_and_ends_the_worker(lab, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         work(settings, database, "worker")
     found = database.job(job)
-    assert (found["state"], found["problem"]["status"]) == ("failed", 500)
+    assert (found.state, found.problem.status) == ("failed", 500)
     assert not work(settings, database, "worker"), "it is not tried again"
 
 
@@ -237,8 +237,8 @@ def test_logs_and_verdicts_come_before_what_is_looked_at(database):
     kinds = ("comparison", "drawing", "experiment", "stages", "upload")
     for kind in kinds:
         database.add_job(kind, {}, kind)
-    assert database.claim("other", WORKS[-1])["kind"] == "experiment"
-    taken = [database.claim("one")["kind"] for _ in range(8)]
+    assert database.claim("other", WORKS[-1]).kind == "experiment"
+    taken = [database.claim("one").kind for _ in range(8)]
     assert taken == ["upload", "stages", "comparison", *["drawing"] * 4, "comparison"]
     for number in range(150):
         database.add_job("drawing", {}, f"left {number}")
@@ -253,7 +253,7 @@ def test_an_upload_has_its_verdicts_while_costs_of_others_are_computed(lab, logs
     database.claim("busy", "stages")
     database.add_job("upload", {"folder": "a", "profile": "", "skipped": 0}, job="a")
     assert work(settings, database, "one", WORKS[0])
-    assert database.job("a")["result"]["ingested"] == 1
+    assert database.job("a").result["ingested"] == 1
     assert stage_file(settings.processed, "falcon", "1", "outcome") is not None
     assert database.job_counts("kind = 'stages'") == {"queued": 1, "running": 1}
 
@@ -273,6 +273,6 @@ def test_verdicts_are_asked_for_once_and_come_after_logs(database):
     stages = database.add_job("stages", {}, "stages")
     assert database.add_job("stages", {}, "stages") == stages
     upload = database.add_job("upload", {})
-    assert [database.claim(worker)["id"] for worker in "ab"] == [upload, stages]
+    assert [database.claim(worker).id for worker in "ab"] == [upload, stages]
     # a running one may have passed what is new
     assert database.add_job("stages", {}, "stages") != stages

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Request
@@ -15,9 +15,9 @@ from pipeline.records.models import Motion
 from pipeline.records.results import PairDifference, Side, SourcedLoop
 from pipeline.rendering.labels import UNITS
 from pipeline.service.catalogue import Selection
-from pipeline.service.pages.frame import busy, kept, page_of
+from pipeline.service.pages.frame import Waited, busy, kept, page_of
 from pipeline.service.problems import Problem
-from pipeline.service.shared import Service, Shared, run_of
+from pipeline.service.shared import Shared, run_of
 from pipeline.store.names import name_of_folder
 from pipeline.theory.predictions import Theory
 
@@ -34,8 +34,30 @@ Plane = Annotated[Literal["", "physical", "normalised"], Query()]
 
 @comparing.get("/compare")
 def compare(service: Shared, request: Request, runs: Runs = [], plane: Plane = "") -> Response:  # noqa: B006
-    """Compare up to six experiments."""
-    return page_of(service, request, "compare.html.j2", **_content(service, runs, plane))
+    """Compare up to six experiments, whose names are those of `frame.run_of`."""
+    names = [word for part in runs for word in part.split(",") if word]
+    chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
+    if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
+        raise Problem(
+            422, "Compare up to six experiments.", where="runs", expected="device/experiment, ...", found=names
+        )
+    found = [(device, experiment, *service.experiment(device, experiment)) for device, experiment in chosen]
+    compared = [(d, e, document) for d, e, document, _ in found if document]
+    waiting = [(d, e, service.database.job(job)) for d, e, _, job in found if job]
+    possible = planes(compared)
+    shown = plane if plane in possible else next(iter(possible), "")
+    drawn, job = None, None
+    if shown and not waiting:
+        drawn, job = service.drawn("limits", [(d, e) for d, e, _ in compared], plane=shown)
+    waiting += [("limits", "", service.database.job(job))] if job else []
+    query = [("runs", run_of(d, e)) for d, e in chosen]
+    return page_of(
+        service, request, "compare.html.j2", runs=compared, waiting=waiting, busy=any(busy(job) for *_, job in waiting),
+        planes=possible, plane=shown, plot=drawn,
+        pairs=[(d, e, *differences(compared[0], (d, e, document))) for d, e, document in compared[1:]],
+        criteria=REPORTED, all=service.catalogue.experiments, chosen={run_of(*run) for run in chosen},
+        switch={name: urlencode([*query, ("plane", name)]) for name in possible},
+    )  # fmt: skip
 
 
 @comparing.get("/plan")
@@ -43,54 +65,22 @@ def plan(
     service: Shared, request: Request, run: str = "", goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
     """Show the next walls of an experiment, their purpose, and the accuracy of its limits so far."""
-    known = [run_of(e["device"], e["experiment"]) for e in service.catalogue.experiments]
+    known = [run_of(e.device, e.experiment) for e in service.catalogue.experiments]
     chosen = run or next(iter(known), "")
     if run and run not in known:
         raise Problem(404, "There are no trials of this experiment.", where="run", expected=known, found=run)
-    shown: dict[str, Any] = {"drawn": None, "job": None, "problem": None}
-    device, experiment, motion = "", "", "translation"
+    shown, device, experiment = Waited(), "", ""
+    motion: Motion = "translation"
     if chosen:
         device, experiment = map(name_of_folder, chosen.split("/"))
         shown = kept(service, lambda: service.plan(device, experiment, goal))
         own = Selection({"device": device, "experiment": experiment}, {})
         trials, _ = service.catalogue.page(own, "stiffness", 1, None)
-        motion = trials[0]["motion"] if trials else motion
-    about: dict[str, Any] = {"known": known, "chosen": chosen, "goal": goal, "units": UNITS[cast(Motion, motion)]}
-    about |= {"device": device, "experiment": experiment, "plan": shown["drawn"]}
-    return page_of(service, request, "plan.html.j2", **about, job=shown["job"], problem=shown["problem"])
-
-
-def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
-    """Return the content of the template for experiments, whose names are those of `frame.run_of`."""
-    names = [word for part in asked for word in part.split(",") if word]
-    chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
-    if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
-        raise Problem(
-            422, "Compare up to six experiments.", where="runs", expected="device/experiment, ...", found=names
-        )
-    found = [(device, experiment, *service.experiment(device, experiment)) for device, experiment in chosen]
-    runs = [(d, e, document) for d, e, document, _ in found if document]
-    waiting = [(d, e, service.database.job(job)) for d, e, _, job in found if job]
-    possible = planes(runs)
-    shown = plane if plane in possible else next(iter(possible), "")
-    drawn, job = None, None
-    if shown and not waiting:
-        drawn, job = service.drawn("limits", [(d, e) for d, e, _ in runs], plane=shown)
-    waiting += [("limits", "", service.database.job(job))] if job else []
-    query = [("runs", run_of(d, e)) for d, e in chosen]
-    return {
-        "runs": runs,
-        "waiting": waiting,
-        "busy": any(busy(job) for *_, job in waiting),
-        "planes": possible,
-        "plane": shown,
-        "plot": drawn,
-        "pairs": [(d, e, *differences(runs[0], (d, e, document))) for d, e, document in runs[1:]],
-        "criteria": REPORTED,
-        "all": service.catalogue.experiments,
-        "chosen": {run_of(*run) for run in chosen},
-        "switch": {name: urlencode([*query, ("plane", name)]) for name in possible},
-    }
+        motion = trials[0].motion if trials else motion
+    return page_of(
+        service, request, "plan.html.j2", known=known, chosen=chosen, goal=goal, units=UNITS[motion], device=device,
+        experiment=experiment, plan=shown.drawn, job=shown.job, problem=shown.problem,
+    )  # fmt: skip
 
 
 def planes(runs: Sequence[Run]) -> dict[str, str]:

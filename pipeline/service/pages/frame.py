@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 from urllib.parse import quote, urlencode
 
 from fastapi import Depends, Request
@@ -16,16 +16,17 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
 from pipeline.records.findings import Estimate
 from pipeline.rendering import labels
 from pipeline.rendering.report.page_template import FILTERS, TEMPLATES
 from pipeline.rendering.report.report_against import value_name
-from pipeline.service.database import ENDED
+from pipeline.service.database import Job
 from pipeline.service.problems import Problem
 from pipeline.service.rest.remarks import tag_of
 from pipeline.service.security import FORM, form_token, is_form
-from pipeline.service.shared import Service, run_of, service_of
+from pipeline.service.shared import Kept, Service, run_of, service_of
 from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
@@ -81,17 +82,17 @@ def _when(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
 
 
-def _did(job: Mapping[str, Any]) -> str:
+def _did(job: Job) -> str:
     """Return the outcome of a job in a few words. The text is empty until the job has ended."""
-    result = job["result"] or {}
-    if job["state"] == "failed":
-        return str((job["problem"] or {}).get("detail", ""))
-    if job["kind"] == "upload" and result:
+    result = job.result or {}
+    if job.state == "failed":
+        return job.problem.detail if job.problem else ""
+    if job.kind == "upload" and result:
         parts = [f"{result[name]} {name}" for name in ("ingested", "skipped") if result[name]]
         reasons = Counter(each["reason"] for each in result["quarantined"])
         parts += [f"{n} refused: {labels.shortened(reason, LONGEST_REASON)}" for reason, n in reasons.most_common(2)]
         return "; ".join(parts) or "no logs"
-    if job["kind"] == "stages" and result:
+    if job.kind == "stages" and result:
         failed = f", {len(result['failed'])} failed" if result["failed"] else ""
         return f"{counted(result['computed'], 'experiment')} computed{failed}"
     return ""
@@ -115,13 +116,13 @@ _WORDS = {
 }  # fmt: skip
 
 
-def _about(job: Mapping[str, Any]) -> str:
+def _about(job: Job) -> str:
     """Return a description of a job."""
-    asked = job["request"].get("request", {})
+    asked = job.request.get("request", {})
     places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
     places += [list(asked["against"].values())] if asked.get("against") else []
     where = "; ".join(", ".join([", experiment ".join(place[:2]), *place[2:]]) for place in places if place[0])
-    return f"{_WORDS[job['kind']]}{' of ' if where else ''}{where}"
+    return f"{_WORDS[job.kind]}{' of ' if where else ''}{where}"
 
 
 def _sorting(state: Mapping[str, str], name: str) -> str:
@@ -189,11 +190,16 @@ async def fields_of(request: Request) -> dict[str, list[str]]:
 Fields = Annotated[dict[str, list[str]], Depends(fields_of)]
 
 
-def kept(service: Service, ask: Callable[[], Any], wait_s: float = 0.0) -> dict[str, Any]:
-    """Return a stored document (``drawn``), or the job that makes it, or the problem if there is neither.
+class Waited(NamedTuple):
+    """A stored document (``drawn``), or the job that makes it, or the problem if there is neither."""
 
-    Wait for up to `wait_s` for the job.
-    """
+    drawn: JsonObject | None = None
+    job: str | None = None
+    problem: str | None = None
+
+
+def kept(service: Service, ask: Callable[[], Kept], wait_s: float = 0.0) -> Waited:
+    """Return a stored document, or the job that makes it. Wait for up to `wait_s` for the job."""
     until = time.monotonic() + wait_s
     try:
         document, job = ask()
@@ -204,11 +210,11 @@ def kept(service: Service, ask: Callable[[], Any], wait_s: float = 0.0) -> dict[
     except Problem as error:
         if error.status == 404:
             raise
-        return {"drawn": None, "job": None, "problem": str(error)}
-    found = (service.database.job(job) if job else None) or {}
-    return {"drawn": document, "job": job, "problem": (found.get("problem") or {}).get("detail")}
+        return Waited(problem=str(error))
+    found = service.database.job(job) if job else None
+    return Waited(document, job, found.problem.detail if found and found.problem else None)
 
 
-def busy(job: Mapping[str, Any] | None) -> bool:
+def busy(job: Job | None) -> bool:
     """Return whether a job has not ended."""
-    return job is not None and job["state"] not in ENDED
+    return job is not None and not job.has_ended

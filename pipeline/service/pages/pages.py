@@ -22,6 +22,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.types import Message
 
+from pipeline.base.json_object import JsonObject
 from pipeline.device_data.devices import known_devices
 from pipeline.explorer import page as explorer
 from pipeline.explorer.entries import device_entries
@@ -32,8 +33,8 @@ from pipeline.records.results import Answer, ComparisonResult
 from pipeline.rendering.labels import UNITS, printed_scale
 from pipeline.rendering.report.page_template import PLOT, PLOT_STYLE, TEMPLATES
 from pipeline.service import device_files, profiles
-from pipeline.service.catalogue import SORTED, WORDS, Selection
-from pipeline.service.database import NEWEST
+from pipeline.service.catalogue import SORTED, WORDS, Experiment, Selection, Trial
+from pipeline.service.database import NEWEST, Words
 from pipeline.service.pages.frame import HERE, Fields, busy, check, kept, page_of, part_of, segment, style_sheet
 from pipeline.service.problems import Problem
 from pipeline.service.profiles import LONGEST
@@ -84,6 +85,14 @@ def static(name: str) -> Response:
     return FileResponse(HERE / "static" / name, media_type=_STATIC[name])
 
 
+class Card(Experiment):
+    """An experiment on the start page: whether it has a picture, the verdict of theory, and its tags."""
+
+    picture: bool
+    answer: Answer | None
+    tags: list[str]
+
+
 @pages.get("/")
 def home(service: Shared, request: Request) -> Response:
     """Show the devices and their experiments. Each experiment has its picture, the verdict of theory and its tags."""
@@ -91,13 +100,13 @@ def home(service: Shared, request: Request) -> Response:
 
     def cards() -> Markup:
         tags = {tuple(of): value for kind, of, value in service.database.all_words() if kind == "tags"}
-        by_device: dict[str, list[dict[str, Any]]] = {}
+        by_device: dict[str, list[Card]] = {}
         for e in all_.experiments:
-            place = e["device"], e["experiment"]
-            document = service.peek(*place)
+            document = service.peek(e.device, e.experiment)
             picture = bool(document and document["figures"].get("limits"))
-            shown = {"picture": picture, "answer": answer_of(document), "tags": tags.get(("experiment", *place), [])}
-            by_device.setdefault(e["device"], []).append({**e, **shown})
+            own = tags.get(("experiment", e.device, e.experiment), [])
+            card = Card(**dict(e), picture=picture, answer=answer_of(document), tags=own)
+            by_device.setdefault(e.device, []).append(card)
         return part_of("cards.html.j2", devices=by_device)
 
     done = service.database.job_counts("kind = 'experiment'").get("done")
@@ -109,12 +118,13 @@ def home(service: Shared, request: Request) -> Response:
 @pages.get("/devices/{device}")
 def one_device(service: Shared, request: Request, device: Segment) -> Response:
     """Show the limits of all experiments of a device in one plane."""
-    own = [e for e in service.catalogue.experiments if e["device"] == device]
+    own = [e for e in service.catalogue.experiments if e.device == device]
     if not own:
         raise Problem(404, "There are no trials of this device.", found=device)
-    places = [(device, e["experiment"]) for e in own[:OVERLAID]]
+    places = [(device, e.experiment) for e in own[:OVERLAID]]
     shown = kept(service, lambda: service.drawn("limits", places, plane="physical"))
-    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED, **shown)
+    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED,
+                   **shown._asdict())  # fmt: skip
 
 
 @pages.get("/devices/{device}/file")
@@ -123,7 +133,7 @@ def one_device_file(service: Shared, request: Request, device: Segment, download
     try:
         text, problem = device_files.text_of(device), ""
     except Problem as none:
-        own = [e["experiment"] for e in service.catalogue.experiments if e["device"] == device]
+        own = [e.experiment for e in service.catalogue.experiments if e.device == device]
         document = service.peek(device, own[0]) if own else None
         if not own or download:
             raise
@@ -178,46 +188,46 @@ def one_experiment(
 ) -> Response:
     """Show the trials of an experiment in their plane with theory, the results, and the next wall."""
     shown = kept(service, lambda: service.experiment(device, experiment))
-    document = shown["drawn"]
+    document = shown.drawn
     chosen = Selection({"device": device, "experiment": experiment}, {})
     total, facets = service.catalogue.selected(chosen)
     trials, _ = service.catalogue.page(chosen, "stiffness", PLOTTED, None)
     found = document["experiments"][0] if document else None
-    shown["drawn"] = drawn = document["figures"].get("limits") if document else None
-    motion: Motion = trials[0]["motion"] if trials else "translation"
+    drawn = document["figures"].get("limits") if document else None
+    motion: Motion = trials[0].motion if trials else "translation"
     of, told = ["experiment", device, experiment], (document or {}).get("told")
     return page_of(
         service, request, "experiment.html.j2", device=device, experiment=experiment, listed=chosen_of(trials, view),
         view=view, quantities=PLOTTABLE, scatter=scatter(chosen_of(trials, view), view.x, view.y), few=LISTED,
-        tags=sorted({tag for trial in trials for tag in trial["tags"]}), criteria=REPORTED,
+        tags=sorted({tag for trial in trials for tag in trial.tags}), criteria=REPORTED,
         total=total, facets=facets, motion=motion, units=UNITS[motion],
         period=told["sampling_period_s"] if told else None,
-        plot=clickable(drawn, trials) if drawn else None, found=found, answer=answer_of(document), **shown,
+        plot=clickable(drawn, trials) if drawn else None, found=found, answer=answer_of(document),
+        drawn=drawn, job=shown.job, problem=shown.problem,
         causes=document["causes"][experiment] if document else [],
         excluded=service.excluded(of), words=words_of(service, of), of=of,
         remarks=[note for note in service.notes(device, experiment) if note.trial_id],
     )  # fmt: skip
 
 
-def chosen_of(trials: Sequence[Mapping[str, Any]], view: TrialView) -> list[Mapping[str, Any]]:
+def chosen_of(trials: Sequence[Trial], view: TrialView) -> list[Trial]:
     """Return the trials with the requested verdict and tag."""
     return [
         trial
         for trial in trials
-        if (not view.verdict or trial["verdict"] == view.verdict) and (not view.tag or view.tag in trial["tags"])
+        if (not view.verdict or trial.verdict == view.verdict) and (not view.tag or view.tag in trial.tags)
     ]
 
 
-def number_of(trial: Mapping[str, Any], quantity: str) -> float | None:
+def number_of(trial: Trial, quantity: str) -> float | None:
     """Return a quantity of a trial: K, B, or a cost as it is printed."""
-    if quantity in ("stiffness", "damping"):
-        found: float | None = trial[quantity]
-        return found
-    cost = trial["costs"].get(quantity)
-    return None if cost is None else cost["value"] * printed_scale(quantity)
+    if quantity in REPORTED:
+        cost = trial.costs.get(quantity)
+        return None if cost is None else cost.value * printed_scale(quantity)
+    return trial.stiffness if quantity == "stiffness" else trial.damping
 
 
-def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
+def scatter(trials: Sequence[Trial], x: str, y: str) -> Markup:
     """Return a plot of two quantities of trials in which each mark is a link to its trial.
 
     The text is empty if no trial has both quantities.
@@ -237,8 +247,8 @@ def scatter(trials: Sequence[Mapping[str, Any]], x: str, y: str) -> Markup:
         parts.append(f'<text x="{left - 8}" y="{up + 5:.0f}" text-anchor="end">{beside}</text>')
     for a, b, trial in points:
         at = left + (a - x0) / (x1 - x0) * (right - left), bottom - (b - y0) / (y1 - y0) * (bottom - top)
-        name = escape(f"trial {trial['id']}: {a:.4g}, {b:.4g}, {trial['verdict'] or 'no verdict yet'}")
-        parts.append(f'<a href="/trials/{quote(trial["id"])}" aria-label="{name}"><title>{name}</title>'
+        name = escape(f"trial {trial.id}: {a:.4g}, {b:.4g}, {trial.verdict or 'no verdict yet'}")
+        parts.append(f'<a href="/trials/{quote(trial.id)}" aria-label="{name}"><title>{name}</title>'
                      f'<circle class="point" cx="{at[0]:.1f}" cy="{at[1]:.1f}" r="4"/></a>')  # fmt: skip
     return Markup(f'<svg class="scatter" viewBox="0 0 640 380" role="group" aria-label="Trials">{"".join(parts)}</svg>')
 
@@ -251,8 +261,8 @@ def marked(service: Shared, who: Who, fields: Fields) -> Response:
         return RedirectResponse(f"/overlay?{urlencode({'trial': chosen}, doseq=True)}", 303)
     words = fields.get("words", [""])[0].strip()
     tags = [tag.strip() for tag in words.split(",") if tag.strip()]
-    said: dict[str, Any] = {"reason": words or None} if act == "exclude" else {"tags": tags}
-    remarks.mark(service, who, remarks.Chosen(trials=chosen, **said))
+    reason, own = (words or None, ()) if act == "exclude" else (None, tuple(tags))
+    remarks.mark(service, who, remarks.Chosen(trials=chosen, reason=reason, tags=own))
     return RedirectResponse(_own(fields.get("next", ["/"])[0]), 303)
 
 
@@ -262,25 +272,25 @@ def answer_of(document: Mapping[str, Any] | None) -> Answer | None:
     return Answer.model_validate(told) if told else None
 
 
-def words_of(service: Service, of: list[str]) -> dict[str, Any]:
+def words_of(service: Service, of: list[str]) -> dict[str, Words]:
     """Return notes and tags with their authors."""
     return {kind: service.database.words(kind, of) for kind in ("notes", "tags")}
 
 
-def clickable(drawn: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> Markup:
+def clickable(drawn: Mapping[str, Any], trials: Sequence[Trial]) -> Markup:
     """Return the drawing of a plane of K and B in which a click on a trial leads to its page."""
     panel, axes = drawn["panels"][0], drawn["shown"][0]["axes"][0]
     left, top, right, bottom = axes["box"]
     (k_low, k_high), (b_low, b_high) = axes["x"], axes["y"]
     links = []
     for trial in trials:
-        if trial["stiffness"] is None or trial["damping"] is None:
+        if trial.stiffness is None or trial.damping is None:
             continue
-        x = left + (trial["stiffness"] - k_low) / (k_high - k_low) * (right - left)
-        y = bottom - (trial["damping"] - b_low) / (b_high - b_low) * (bottom - top)
+        x = left + (trial.stiffness - k_low) / (k_high - k_low) * (right - left)
+        y = bottom - (trial.damping - b_low) / (b_high - b_low) * (bottom - top)
         if left <= x <= right and top <= y <= bottom:
-            name = escape(f"trial {trial['id']}, {trial['verdict'] or 'no verdict yet'}")
-            links.append(f'<a href="/trials/{quote(trial["id"])}" aria-label="{name}"><title>{name}</title>'
+            name = escape(f"trial {trial.id}, {trial.verdict or 'no verdict yet'}")
+            links.append(f'<a href="/trials/{quote(trial.id)}" aria-label="{name}"><title>{name}</title>'
                          f'<circle class="hit" cx="{x:.0f}" cy="{y:.0f}" r="60"/></a>')  # fmt: skip
     whole = panel.replace('role="img"', 'role="group"', 1)
     return Markup(whole.removesuffix("</svg>") + "".join(links) + "</svg>")
@@ -310,14 +320,14 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
     all_, shown = service.catalogue, asked.model_copy(update={"limit": SHOWN})
     if asked.format:
         whole = asked.model_copy(update={"limit": max(all_.rows, 1), "cursor": None})
-        return _csv(api.trial_list(all_, shown if asked.format == "csv" else whole)["items"])
+        return _csv(api.trial_list(all_, shown if asked.format == "csv" else whole).items)
 
     def listing() -> tuple[int, Markup]:
         found = api.trial_list(all_, shown)
         state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in _STATE}
-        following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
+        following = urlencode({**state, "cursor": found.next_cursor}) if found.next_cursor else None
         more = {"state": state, "following": following, "query": urlencode(state)}
-        return found["total"], part_of("trial_list.html.j2", **found, **more)
+        return found.total, part_of("trial_list.html.j2", **dict(found), **more)
 
     total, body = all_.once(f"page {request.url.query}", listing)
     return page_of(service, request, "trials.html.j2", total=total, listing=body)
@@ -330,9 +340,13 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
     if not 1 <= len(chosen) <= OVERLAID:
         raise Problem(422, "Choose one to six trials by their boxes.", where="trial", found=len(chosen))
     found = [service.found(one) for one in chosen]
-    places = [(one["device"], one["experiment"], one["id"]) for one in found]
+    places = [(one.device, one.experiment, one.id) for one in found]
     return page_of(
-        service, request, "overlay.html.j2", trials=found, **kept(service, lambda: service.drawn("trials", places))
+        service,
+        request,
+        "overlay.html.j2",
+        trials=found,
+        **kept(service, lambda: service.drawn("trials", places))._asdict(),
     )
 
 
@@ -340,10 +354,10 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
 def one_trial(service: Shared, request: Request, trial: str) -> Response:
     """Show the response of a trial with theory and fitted loop, and its results."""
     about = service.found(trial)
-    place = about["device"], about["experiment"], trial
+    place = about.device, about.experiment, trial
     shown = kept(service, lambda: service.drawn("trials", [place]), WAITED_S)
-    shown["words"] = words_of(service, ["trial", trial])
-    return page_of(service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], **shown)
+    return page_of(service, request, "trial.html.j2", trial=about, units=UNITS[about.motion],
+                   words=words_of(service, ["trial", trial]), **shown._asdict())  # fmt: skip
 
 
 @pages.get("/upload")
@@ -357,14 +371,14 @@ def upload(service: Shared, request: Request, profile: str = "") -> Response:
 async def receive(service: Shared, request: Request) -> Response:
     """Store the uploaded logs, and redirect to the page of their job."""
     accepted = await api.receive(service, request, lambda fields: check(service, request, fields.get("form", "")))
-    return RedirectResponse(f"/jobs/{accepted['job']}", 303)
+    return RedirectResponse(f"/jobs/{accepted.job}", 303)
 
 
 @pages.post("/draft")
 async def draft(service: Shared, request: Request) -> Response:
     """Draft a profile for a sample, and show it with its questions."""
     found = await lab.drafted(service, request, lambda fields: check(service, request, fields.get("form", "")))
-    return page_of(service, request, "profile.html.j2", **found, name="", checked=None, problem="", unclear="",
+    return page_of(service, request, "profile.html.j2", **dict(found), name="", checked=None, problem="", unclear="",
                    confirmation="")  # fmt: skip
 
 
@@ -454,14 +468,15 @@ def readable(service: Shared, request: Request) -> Response:
     return page_of(service, request, "api.html.j2", schema=request.app.openapi())
 
 
-def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
+def _csv(items: Sequence[Trial]) -> Response:
     stream = io.StringIO()
     writer = csv.writer(stream)
     plain = ("id", *WORDS[:2], "stiffness", "damping", *WORDS[2:], "excluded", "source", "uploader")
     writer.writerow([*plain, *(f"{c}{end}" for c in REPORTED for end in ("", "_low", "_high"))])
     for item in items:
-        costs = (item["costs"].get(c, {}).get(key) for c in REPORTED for key in ("value", "low", "high"))
-        writer.writerow([*(item[name] for name in plain), *costs])
+        known = (item.costs.get(c) for c in REPORTED)
+        costs = (end for cost in known for end in ((cost.value, cost.low, cost.high) if cost else (None, None, None)))
+        writer.writerow([*(getattr(item, name) for name in plain), *costs])
     return Response(stream.getvalue(), media_type="text/csv; charset=utf-8")
 
 
@@ -507,12 +522,12 @@ async def do(service: Shared, request: Request, fields: Fields) -> Response:
     return RedirectResponse(_own(named), 303)
 
 
-def _document(fields: Mapping[str, list[str]]) -> dict[str, Any]:
+def _document(fields: Mapping[str, list[str]]) -> JsonObject:
     """Return a form as a document.
 
     ``x[]`` has all values, ``x{}`` them as name=text, ``x,`` a list of words, ``x?`` null where it is empty.
     """
-    found: dict[str, Any] = {}
+    found: JsonObject = {}
     for name, values in fields.items():
         text = values[0].replace("\r\n", "\n")
         if name.endswith("[]"):

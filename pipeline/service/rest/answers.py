@@ -3,33 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Any, Generic, Literal, TypeVar
+from typing import Generic, Literal, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.openapi.utils import get_openapi
-from pydantic import BaseModel, ConfigDict
 
-from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.base.json_object import JsonObject
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum, Record
 from pipeline.records.results import Cause
+from pipeline.service.catalogue import Trial
+from pipeline.service.database import ProblemDocument
 from pipeline.service.problems import MEDIA, TITLES, Problem
+from pipeline.service.profiles import Question
 
 Item = TypeVar("Item")
 
 
-class Answer(BaseModel):
-    """Base of all answers; an undeclared field is a defect."""
-
-    model_config = ConfigDict(extra="forbid")
-
-
-class Page(Answer, Generic[Item]):
+class Page(Record, Generic[Item]):
     """A page of a list; without `next_cursor` the last one."""
 
     items: list[Item]
     next_cursor: str | None
 
 
-class Health(Answer):
+class Health(Record):
     """State of the server, and numbers of jobs by state."""
 
     state: Literal["ok"]
@@ -38,88 +35,25 @@ class Health(Answer):
     jobs: dict[str, int]
 
 
-class Device(Answer):
-    """A device that has trials."""
-
-    device: str
-    experiments: int
-    trials: int
-
-
-class Experiment(Answer):
-    """An experiment, with numbers of its trials by verdict, and the time of its last log."""
-
-    device: str
-    experiment: str
-    motion: str
-    trials: int
-    verdicts: dict[str, int]
-    last: float
-
-
-class Cost(Answer):
-    """A cost with its 95 % interval."""
-
-    value: float
-    low: float | None
-    high: float | None
-
-
-class RecordingFinding(Answer):
-    """A fault of the recording of a trial: kind, place, evidence, remedy, and the sentence shown on pages."""
-
-    code: str
-    first_row: int | None
-    rows: int
-    evidence: str
-    remedy: str
-    severity: str
-    sentence: str
-
-
-class Trial(Answer):
-    """A trial; stiffness and damping in SI. A trial ``excluded`` by hand (with the reason) has that word as verdict."""
-
-    id: str
-    device: str
-    experiment: str
-    verdict: str | None
-    outcome: str | None
-    motion: str
-    grip: str | None
-    excluded: str | None
-    stiffness: float | None
-    damping: float | None
-    costs: dict[str, Cost]
-    source: str
-    recorded: float
-    uploader: str | None
-    findings: list[RecordingFinding]
-    tags: list[str]
-
-
 class NotedTrial(Trial):
     """A trial with its notes and tags."""
 
     notes: str
 
 
-class Written(Answer):
-    """Author and time of the last change."""
+class WrittenNotes(Record):
+    """A text on a trial or experiment."""
 
     author: str | None
     changed: float | None
-
-
-class WrittenNotes(Written):
-    """A text on a trial or experiment."""
-
     text: str
 
 
-class WrittenTags(Written):
+class WrittenTags(Record):
     """Short words on a trial or experiment."""
 
+    author: str | None
+    changed: float | None
     tags: list[str]
 
 
@@ -130,7 +64,7 @@ class TrialPage(Page[Trial]):
     facets: dict[str, dict[str, int]]
 
 
-class Samples(Answer):
+class Samples(Record):
     """Samples of a trial, columns in SI; null if a row has none."""
 
     trial: Trial
@@ -138,74 +72,29 @@ class Samples(Answer):
     columns: dict[str, list[float | None]]
 
 
-class ProblemDocument(BaseModel):
-    """Reason why a request failed (RFC 9457)."""
-
-    model_config = ConfigDict(extra="allow")
-    title: str
-    status: int
-    detail: str
-    type: str = "about:blank"
-    where: str | None = None
-    expected: Any = None
-    found: Any = None
-
-
-class Job(Answer):
-    """A job; `result` is null until it is done, `problem` until it failed."""
-
-    id: str
-    number: int
-    kind: str
-    author: str
-    state: Literal["queued", "running", "done", "failed", "cancelled"]
-    created: float
-    changed: float
-    request: dict[str, Any]
-    progress: Any
-    result: Any
-    problem: ProblemDocument | None
-
-
-class UploadedFile(Answer):
-    """Outcome for a file of an upload."""
-
-    name: str
-    size: int
-    sha256: str
-    state: Literal["queued", "skipped"]
-
-
-class Accepted(Answer):
-    """An upload that is stored, and the job that ingests it."""
-
-    job: str
-    files: list[UploadedFile]
-
-
-class Queued(Answer):
+class Queued(Record):
     """The job that makes the requested document, and the future key of a comparison."""
 
     job: str
     key: str | None = None
 
 
-class Made(Answer):
+class Made(Record):
     """The key of an existing comparison."""
 
     key: str
 
 
-class Comparison(Answer):
+class Comparison(Record):
     """A finished comparison: key, time, user and request."""
 
     key: str
     made: float
     author: str
-    asked: dict[str, Any]
+    asked: JsonObject
 
 
-class Deleted(Answer):
+class Deleted(Record):
     """A trial in the bin."""
 
     trial_id: str
@@ -214,25 +103,15 @@ class Deleted(Answer):
     source: str
 
 
-class Deed(Answer):
-    """A manual action, with its time and user."""
-
-    number: int
-    time: float
-    who: str
-    did: str
-    what: dict[str, Any]
-
-
-class Draft(Answer):
+class Draft(Record):
     """A drafted profile as TOML, its open questions with line and key, and the name of the sample for previews."""
 
     sample: str
     profile: str
-    questions: list[dict[str, Any]]
+    questions: list[Question]
 
 
-class Refused(Answer):
+class Refused(Record):
     """A refused log."""
 
     id: str
@@ -246,7 +125,7 @@ class Refused(Answer):
     profile_line: str | None
 
 
-PARTS: dict[str, Any] = {
+PARTS: dict[str, object] = {
     "estimates": dict[str, Estimate],
     "boundary": list[BoundaryPoint],
     "optima": dict[str, Optimum],
@@ -255,7 +134,7 @@ PARTS: dict[str, Any] = {
 """Parts of an experiment's document, with a description of each."""
 
 
-def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def problems(*statuses: int) -> dict[int | str, JsonObject]:
     """Return answers by status that are problem documents, for the schema of a route."""
     schema = {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}
     return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
@@ -267,7 +146,7 @@ EVERYWHERE = problems(400, 401, 403, 408, 409, 413, 422, 429, 503, 507)
 NAMED = problems(404)
 """Answer of a route whose address names a resource."""
 
-LATER: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.", "model": Queued}, **NAMED}
+LATER: dict[int | str, JsonObject] = {202: {"description": "It takes longer.", "model": Queued}, **NAMED}
 """Answers of a route that waits for a job."""
 
 
@@ -284,7 +163,7 @@ def refuse_unknown(given: Iterable[str], known: Collection[str]) -> None:
             raise Problem(422, "There is no such parameter.", where=name, expected=sorted(known) or "none", found=name)
 
 
-def describe(app: FastAPI) -> dict[str, Any]:
+def describe(app: FastAPI) -> JsonObject:
     """Return the schema of the API; that of problems belongs to no route, and is added here."""
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, routes=app.routes)

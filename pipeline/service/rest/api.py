@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import pyarrow as pa
 import pyarrow.csv as pa_csv
@@ -17,17 +17,17 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from pydantic import AfterValidator, BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import __version__
-from pipeline.records.criteria import REPORTED
 from pipeline.records.results import AgainstResult, ComparisonResult
 from pipeline.records.tables import COLUMNS, unit_of_column
 from pipeline.service import documents
-from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection
-from pipeline.service.database import ENDED, NEWEST
+from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Device, Experiment, Selection
+from pipeline.service.database import NEWEST, Job
 from pipeline.service.problems import Later, Problem
 from pipeline.service.rest import answers
 from pipeline.service.shared import MOST_REPORTS, ComparisonRequest, Kept, Service, Shared, Who
-from pipeline.service.uploads import Check, received
+from pipeline.service.uploads import Accepted, Check, received
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import natural_key
 
@@ -66,7 +66,7 @@ RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
 """Parts of a `TrialQuery` that bound properties."""
 
 
-def files_of(**fields: dict[str, Any]) -> dict[str, Any]:
+def files_of(**fields: JsonObject) -> JsonObject:
     """Return the schema of a form with files and other fields, which `uploads` reads."""
     files = {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}}
     schema = {"type": "object", "required": ["files"], "properties": {"files": files, **fields}}
@@ -92,20 +92,25 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
     raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
 
 
-def latest(read: Callable[[int, int], tuple[list[Any], int | None]], limit: int, word: str | None) -> dict[str, Any]:
+def latest(
+    read: Callable[[int, int], tuple[list[answers.Item], int | None]], limit: int, word: str | None
+) -> answers.Page[answers.Item]:
     """Return a page of a list by number (`Database.latest`), and the cursor of the next one."""
     items, last = read((place(word, (int,)) or [NEWEST])[0], limit)
-    return {"items": items, "next_cursor": cursor(None if last is None else [last])}
+    return answers.Page(items=items, next_cursor=cursor(None if last is None else [last]))
 
 
-def parted(items: list[dict[str, Any]], names: tuple[str, ...], limit: int, word: str | None) -> dict[str, Any]:
+Named = TypeVar("Named", Device, Experiment)
+
+
+def parted(items: list[Named], names: tuple[str, ...], limit: int, word: str | None) -> answers.Page[Named]:
     """Return a page of a list sorted by names, after those of a cursor, and the next cursor."""
     after = place(word, (str,) * len(names))
-    keys = [tuple(natural_key(item[name]) for name in names) for item in items]
+    keys = [tuple(natural_key(getattr(item, name)) for name in names) for item in items]
     behind = None if after is None else tuple(map(natural_key, after))
     left = [item for item, key in zip(items, keys, strict=True) if behind is None or key > behind]
-    last = [left[limit - 1][name] for name in names] if len(left) > limit else None
-    return {"items": left[:limit], "next_cursor": cursor(last)}
+    last = [getattr(left[limit - 1], name) for name in names] if len(left) > limit else None
+    return answers.Page(items=left[:limit], next_cursor=cursor(last))
 
 
 class TrialQuery(BaseModel):
@@ -125,7 +130,7 @@ class TrialQuery(BaseModel):
     cursor: Place | None = None
 
 
-def trial_list(catalogue: Catalogue, query: TrialQuery) -> dict[str, Any]:
+def trial_list(catalogue: Catalogue, query: TrialQuery) -> answers.TrialPage:
     """Return a page of trials with facets, as the API and the pages show it."""
     name = query.sort.lstrip("-")
     texts = name in (*WORDS, "uploader")
@@ -136,31 +141,29 @@ def trial_list(catalogue: Catalogue, query: TrialQuery) -> dict[str, Any]:
     chosen = Selection(words, {key: given[key] for key in RANGES if key in given}, query.q)
     total, facets = catalogue.selected(chosen)
     items, more = catalogue.page(chosen, query.sort, query.limit, after)
-    last = items[-1] if more else {}
-    at = last.get("costs", {}).get(name, {}).get("value") if name in REPORTED else last.get(name)
-    following = cursor([None if name == "id" else at, last["id"]]) if more else None
-    return {"items": items, "next_cursor": following, "total": total, "facets": facets}
+    following = cursor([None if name == "id" else items[-1].number_or_word(name), items[-1].id]) if more else None
+    return answers.TrialPage(items=items, next_cursor=following, total=total, facets=facets)
 
 
-@api.get("/health", response_model=answers.Health)
-def health(service: Shared) -> dict[str, Any]:
+@api.get("/health")
+def health(service: Shared) -> answers.Health:
     """Report that the server answers, and the number of jobs in each state."""
-    jobs = service.database.job_counts()
-    return {"state": "ok", "version": __version__, "read_only": service.settings.read_only, "jobs": jobs}
+    jobs, read_only = service.database.job_counts(), service.settings.read_only
+    return answers.Health(state="ok", version=__version__, read_only=read_only, jobs=jobs)
 
 
-@api.get("/devices", response_model=answers.Page[answers.Device])
-def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
+@api.get("/devices")
+def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answers.Page[Device]:
     """List the devices that have trials."""
     return parted(service.catalogue.devices, ("device",), limit, cursor_)
 
 
-@api.get("/experiments", response_model=answers.Page[answers.Experiment])
+@api.get("/experiments")
 def experiments(
     service: Shared, device: Name | None = None, limit: Limit = 100, cursor_: Cursor = None
-) -> dict[str, Any]:
+) -> answers.Page[Experiment]:
     """List experiments, of one device or of all."""
-    items = [e for e in service.catalogue.experiments if device in (None, e["device"])]
+    items = [e for e in service.catalogue.experiments if device in (None, e.device)]
     return parted(items, ("device", "experiment"), limit, cursor_)
 
 
@@ -168,15 +171,16 @@ def experiments(
 def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
     """List trials by their properties, with how many there are of each."""
     all_ = service.catalogue
-    content = all_.once(f"document {asked.model_dump_json()}", lambda: JSONResponse(trial_list(all_, asked)).body)
+    content = all_.once(f"document {asked.model_dump_json()}", lambda: trial_list(all_, asked).model_dump_json())
     return Response(content, media_type=JSONResponse.media_type)
 
 
-@api.get("/trials/{trial}", response_model=answers.NotedTrial, responses=answers.NAMED)
-def one_trial(service: Shared, trial: str) -> dict[str, Any]:
+@api.get("/trials/{trial}", responses=answers.NAMED)
+def one_trial(service: Shared, trial: str) -> answers.NotedTrial:
     """Return a trial: conditions, verdict, costs, notes and tags."""
-    words = {kind: service.database.words(kind, ["trial", trial])["value"] for kind in ("notes", "tags")}
-    return {**service.found(trial), **words}
+    return answers.NotedTrial(
+        **dict(service.found(trial)), notes=service.database.words("notes", ["trial", trial]).value
+    )
 
 
 def _write_arrow(table: pa.Table, stream: io.BytesIO) -> None:
@@ -213,31 +217,32 @@ def samples(
     if form is None:
         raise Problem(406, "Samples have no such form.", where="Accept", expected=list(MEDIA), found=accept)
     about, table = service.samples(trial)
-    headers = {"content-disposition": f'attachment; filename="{about["id"]}.{form}"'} if format else None
+    headers = {"content-disposition": f'attachment; filename="{about.id}.{form}"'} if format else None
     media, write = FORMS[form]
     if write is not None:
         stream = io.BytesIO()
         write(table, stream)
         return Response(stream.getvalue(), headers=headers, media_type=media)
-    units = {name: unit_of_column(COLUMNS[name], about["motion"]) for name in table.column_names}
+    units = {name: unit_of_column(COLUMNS[name], about.motion) for name in table.column_names}
     columns = {name: [None if x != x else x for x in table.column(name).to_pylist()] for name in table.column_names}
-    return JSONResponse({"trial": about, "units": units, "columns": columns}, headers=headers)
+    document = answers.Samples(trial=about, units=units, columns=columns).model_dump_json()
+    return Response(document, headers=headers, media_type=media)
 
 
-@api.post("/logs", status_code=202, response_model=answers.Accepted, openapi_extra=LOGS)
-async def logs(service: Shared, request: Request) -> dict[str, Any]:
+@api.post("/logs", status_code=202, openapi_extra=LOGS)
+async def logs(service: Shared, request: Request) -> Accepted:
     """Store uploaded logs and queue their ingest."""
     return await receive(service, request)
 
 
-@api.get("/jobs", response_model=answers.Page[answers.Job])
-def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
+@api.get("/jobs")
+def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answers.Page[Job]:
     """List jobs, the latest first."""
     return latest(service.database.jobs, limit, cursor_)
 
 
-@api.get("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
-def one_job(service: Shared, job: str) -> dict[str, Any]:
+@api.get("/jobs/{job}", responses=answers.NAMED)
+def one_job(service: Shared, job: str) -> Job:
     """Return a job: its state, progress and result."""
     shown = service.database.job(job)
     if shown is None:
@@ -245,14 +250,14 @@ def one_job(service: Shared, job: str) -> dict[str, Any]:
     return shown
 
 
-@api.delete("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
-def cancel(service: Shared, request: Request, job: str) -> dict[str, Any]:
+@api.delete("/jobs/{job}", responses=answers.NAMED)
+def cancel(service: Shared, request: Request, job: str) -> Job:
     """Cancel a job that has not ended; permitted for the user who requested it, and admins."""
     shown, who = one_job(service, job), request.state.who
-    if request.state.role != "admin" and shown["author"] != who:
-        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown["author"], found=who)
+    if request.state.role != "admin" and shown.author != who:
+        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown.author, found=who)
     service.database.cancel(job)
-    service.database.note(who, "cancelled", {"job": job, "kind": shown["kind"]})
+    service.database.note(who, "cancelled", {"job": job, "kind": shown.kind})
     return one_job(service, job)
 
 
@@ -270,9 +275,9 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
         while not await request.is_disconnected():
             shown = await run_in_threadpool(one_job, service, job)
             if shown != former:
-                yield f"event: {shown['state']}\ndata: {json.dumps(shown)}\n\n"
+                yield f"event: {shown.state}\ndata: {shown.model_dump_json(exclude_unset=True)}\n\n"
             former = shown
-            if shown["state"] in ENDED:
+            if shown.has_ended:
                 return
             await asyncio.sleep(EVENT_S)
 
@@ -290,13 +295,12 @@ def compare(service: Shared, who: Who, asked: ComparisonRequest) -> JSONResponse
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
 
 
-@api.get("/comparisons", response_model=list[answers.Comparison])
-def comparisons(service: Shared) -> list[dict[str, Any]]:
+@api.get("/comparisons")
+def comparisons(service: Shared) -> list[answers.Comparison]:
     """List finished comparisons, the latest first; of equal ones only the newest."""
+    jobs = [job for job, earlier in service.database.reports(MOST_REPORTS) if not earlier]
     return [
-        {"key": job["result"]["key"], "made": job["changed"], "author": job["author"], "asked": job["request"]["asked"]}
-        for job in service.database.reports(MOST_REPORTS)
-        if not job["earlier"]
+        answers.Comparison(key=j.result["key"], made=j.changed, author=j.author, asked=j.request["asked"]) for j in jobs
     ]
 
 
@@ -332,23 +336,23 @@ for part, shape in answers.PARTS.items():
     _add_part(part, shape)
 
 
-async def awaited(service: Service, ask: Callable[[], Kept]) -> dict[str, Any]:
+async def awaited(service: Service, ask: Callable[[], Kept]) -> JsonObject:
     """Return a document that is stored or made in time; otherwise raise `Later` with the job that makes it."""
     until = time.monotonic() + service.settings.wait_s
     while True:
         document, job = await run_in_threadpool(ask)
         if document is not None or job is None:
             return document or {}
-        while (shown := await run_in_threadpool(one_job, service, job))["state"] not in ENDED:
+        while not (shown := await run_in_threadpool(one_job, service, job)).has_ended:
             if time.monotonic() > until:
                 raise Later(job)
             await asyncio.sleep(0.1)
-        if shown["problem"]:
-            status = shown["problem"]["status"]  # a defect belongs to its job and has no status here
-            raise Problem(503 if status == 500 else status, shown["problem"]["detail"], where="job", found=job)
+        if shown.problem:
+            status = shown.problem.status  # a defect belongs to its job and has no status here
+            raise Problem(503 if status == 500 else status, shown.problem.detail, where="job", found=job)
 
 
-async def receive(service: Service, request: Request, check: Check = lambda _: None) -> dict[str, Any]:
+async def receive(service: Service, request: Request, check: Check = lambda _: None) -> Accepted:
     """Store the logs of a request and queue their job."""
     async with received(service.settings, request, check) as upload:
         accepted = await run_in_threadpool(upload.accept, service.database, request.state.who)

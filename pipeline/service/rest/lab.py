@@ -11,6 +11,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import path_of_text
 from pipeline.intake.quarantine import list_quarantine, record_id, remove_from_quarantine
 from pipeline.records.criteria import CRITERIA, with_discrete
@@ -85,7 +86,7 @@ def profile(service: Shared, name: ProfileName) -> dict[str, str]:
 def put_profile(service: Shared, who: Who, name: ProfileName, asked: KeptProfile) -> dict[str, str]:
     """Store a profile of the lab, replacing an earlier one of its name; a sample must not contradict it."""
     text, version = profiles.checked_text(service.settings, name, asked.profile)
-    action: dict[str, Any] = {"name": name, "version": version}
+    action: JsonObject = {"name": name, "version": version}
     if asked.sample is not None:
         words, found = asked.confirmation.strip(), _contradictions(service, asked)
         if not words:
@@ -130,19 +131,19 @@ def remove_device(service: Shared, who: Who, device: Segment) -> Response:
     return Response(status_code=204)
 
 
-@lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra=files_of(),
-          responses=answers.problems(504))  # fmt: skip
-async def draft(service: Shared, request: Request) -> dict[str, Any]:
+@lab.post("/profiles/draft", openapi_extra=files_of(), responses=answers.problems(504))
+async def draft(service: Shared, request: Request) -> answers.Draft:
     """Draft a profile for sample logs; they are kept for a day, for previews."""
     return await drafted(service, request)
 
 
-async def drafted(service: Service, request: Request, check: Check = lambda _: None) -> dict[str, Any]:
+async def drafted(service: Service, request: Request, check: Check = lambda _: None) -> answers.Draft:
     """Return the draft of a profile for the files of a request."""
     sample = secrets.token_hex(8)
     folder = profiles.samples_folder(service.settings, sample)
     async with received(service.settings, request, check, folder) as upload:
-        return {"sample": sample, **await run_in_threadpool(profiles.draft, upload.folder)}
+        text = await run_in_threadpool(profiles.draft, upload.folder)
+    return answers.Draft(sample=sample, profile=text, questions=profiles.questions(text))
 
 
 @lab.post("/profiles/preview", response_model=list[Any], responses=answers.problems(404, 504))
@@ -154,8 +155,8 @@ def preview(service: Shared, asked: Tried) -> list[Any]:
     return profiles.preview(folder, asked.profile)
 
 
-@lab.get("/quarantine", response_model=list[answers.Refused])
-def quarantine(service: Shared) -> list[dict[str, Any]]:
+@lab.get("/quarantine")
+def quarantine(service: Shared) -> list[answers.Refused]:
     """List the logs that were refused, with reason and date."""
     processed, sent = service.settings.processed, service.database.uploaded()
     found = []
@@ -163,7 +164,7 @@ def quarantine(service: Shared) -> list[dict[str, Any]]:
         name, author = sent.get(record.path, (str(path_of_text(record.path)), None))
         since = os.stat(processed / "quarantine" / record_id(record)).st_mtime
         shown = record.model_dump(include={"row", "reason", "code", "profile", "profile_line"})
-        found.append({**shown, "id": record_id(record), "since": since, "name": name, "author": author})
+        found.append(answers.Refused(**shown, id=record_id(record), since=since, name=name, author=author))
     return found
 
 
@@ -204,7 +205,7 @@ def dismiss(service: Shared, who: Who, which: str) -> Response:
     return Response(status_code=204)
 
 
-@lab.get("/plan", response_model=dict[str, Any], responses=answers.LATER)
+@lab.get("/plan", response_model=JsonObject, responses=answers.LATER)
 async def plan(
     service: Shared, device: Name, experiment: Name, goal: Literal["boundary", "optimum"] = "boundary"
 ) -> Response:
@@ -212,7 +213,7 @@ async def plan(
     return JSONResponse(await awaited(service, lambda: service.plan(device, experiment, goal)))
 
 
-SVG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/svg+xml": {}}}}
+SVG: dict[int | str, JsonObject] = {200: {"content": {"image/svg+xml": {}}}}
 
 
 @lab.get("/figures/{device}/{experiment}/{name}.svg", response_class=Response, responses={**SVG, **answers.LATER})
@@ -259,13 +260,13 @@ def requested_loop(
 Of = Annotated[tuple[Any, ...], Depends(requested_loop)]
 
 
-@lab.get("/theory/boundary", response_model=dict[str, Any], responses=SLOW)
+@lab.get("/theory/boundary", response_model=JsonObject, responses=SLOW)
 def boundary(service: Shared, of: Of) -> Any:
     """Return the stability boundary, as `pipeline theory boundary --json`."""
     return service.theory.compute("boundary", of)
 
 
-@lab.get("/theory/optimum", response_model=dict[str, Any], responses={**answers.LATER, **SLOW})
+@lab.get("/theory/optimum", response_model=JsonObject, responses={**answers.LATER, **SLOW})
 async def optimum(
     service: Shared,
     of: Of,
@@ -276,7 +277,7 @@ async def optimum(
     return JSONResponse(await awaited(service, lambda: service.optimum(of, criterion, signal)))
 
 
-@lab.get("/theory/points", response_model=list[dict[str, Any]], responses=SLOW)
+@lab.get("/theory/points", response_model=list[JsonObject], responses=SLOW)
 def points(
     service: Shared,
     of: Of,

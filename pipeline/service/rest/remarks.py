@@ -8,6 +8,7 @@ from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
 from pipeline.base.provenance import digest
+from pipeline.service.database import Deed, Words
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Cursor, Limit, Segment, latest
@@ -82,9 +83,9 @@ def of_device(service: Shared, device: Segment) -> list[str]:
     return ["device", device]
 
 
-def tag_of(found: dict[str, Any]) -> str:
+def tag_of(found: Words) -> str:
     """Return the ETag of notes or tags, which differs after each change."""
-    return f'"{digest([found["value"], found["changed"]])}"'
+    return f'"{digest([found.value, found.changed])}"'
 
 
 def keep_words(service: Service, kind: str, of: list[str], value: object, who: str, known: str | None) -> None:
@@ -92,10 +93,8 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
     with service.database.transaction():
         found = service.database.words(kind, of)
         if known not in (None, "*", tag_of(found)):
-            raise Problem(
-                412, f"{found['author'] or 'Somebody'} changed this meanwhile. Read it again.", where="If-Match"
-            )
-        if found["value"] != value:
+            raise Problem(412, f"{found.author or 'Somebody'} changed this meanwhile. Read it again.", where="If-Match")
+        if found.value != value:
             service.database.set_words(kind, of, value, who)
             service.database.note(who, f"wrote {kind}", {"of": of})
 
@@ -109,7 +108,7 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
     def words(service: Shared, of: owned) -> Response:
         """Return notes or tags with author and time; use its ETag as If-Match of a change."""
         found = service.database.words(kind, of)
-        shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
+        shown = {name: found.value, "author": found.author, "changed": found.changed}
         return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
     def put_words(service: Shared, who: Who, of: owned, asked: Any, match: IfMatch = None) -> Response:
@@ -127,13 +126,13 @@ def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
     _add_words(f"{owner}/tags", of, Tags, answers.WrittenTags)
     owned = Annotated[list[str], Depends(of)]
 
-    @remarks.get(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
-    def excluded(service: Shared, of: owned) -> dict[str, Any]:
+    @remarks.get(f"{owner}/exclusion", responses=answers.NAMED)
+    def excluded(service: Shared, of: owned) -> dict[str, dict[str, str]]:
         """Return which trials are excluded by hand, and why."""
         return {"excluded": service.excluded(of)}
 
-    @remarks.put(f"{owner}/exclusion", response_model=dict[str, dict[str, str]], responses=answers.NAMED)
-    def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, Any]:
+    @remarks.put(f"{owner}/exclusion", responses=answers.NAMED)
+    def put_exclusion(service: Shared, who: Who, of: owned, asked: Exclusion) -> dict[str, dict[str, str]]:
         """Exclude by hand with a reason, or use again (null)."""
         known, words = service.excluded(of), (service.settings.processed, words_for(of))
         if asked.reason is not None:
@@ -154,7 +153,8 @@ def _add_places(owner: str, of: Callable[..., list[str]], form: type[DeviceChang
         """Rename, or move to another place; notes and tags follow. Return the number of trials."""
         processed, names = service.settings.processed, list[str]()
         if of[0] == "trial":
-            device, *experiment = (service.found(of[1])[name] for name in ("device", "experiment"))
+            found = service.found(of[1])
+            device, experiment = found.device, [found.experiment]
         else:
             device, *experiment = of[1:]
             names = experiment or list_experiments(processed, device)
@@ -213,20 +213,22 @@ def mark(service: Shared, who: Who, asked: Chosen) -> dict[str, int]:
         if asked.reason is not None:
             corrections.exclude(service.settings.processed, of[1], asked.reason, CORRECT_S)
         else:
-            known = service.database.words("tags", of)["value"]
+            known = service.database.words("tags", of).value
             keep_words(service, "tags", of, list(dict.fromkeys([*known, *asked.tags])), who, None)
     if asked.reason is None:
         return {"trials": len(owners)}
     return _corrected(service, who, "excluded", ["trials", *(of[1] for of in owners)], len(owners), reason=asked.reason)
 
 
-@remarks.get("/bin", response_model=list[answers.Deleted])
-def bin_(service: Shared) -> list[dict[str, Any]]:
+@remarks.get("/bin")
+def bin_(service: Shared) -> list[answers.Deleted]:
     """List the deleted trials that are still stored."""
-    names = {"trial_id", "device", "experiment"}
-    found = corrections.in_bin(service.settings.processed)
+    name_of = service.database.uploaded_name
     return [
-        {**one.model_dump(include=names), "source": service.database.uploaded_name(one.source_path)} for one in found
+        answers.Deleted(
+            trial_id=one.trial_id, device=one.device, experiment=one.experiment, source=name_of(one.source_path)
+        )
+        for one in corrections.in_bin(service.settings.processed)
     ]
 
 
@@ -246,7 +248,7 @@ def empty_bin(service: Shared, who: Who) -> dict[str, int]:
     return _corrected(service, who, "emptied the bin", (), count)
 
 
-@remarks.get("/audit", response_model=answers.Page[answers.Deed])
-def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
+@remarks.get("/audit")
+def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> answers.Page[Deed]:
     """List manual actions with their users, the latest first."""
     return latest(service.database.audit, limit, cursor_)

@@ -151,4 +151,4 @@ def test_a_trial_is_drawn_in_half_a_second_of_a_processor(falcon, falcon_outcome
     for trial in ids[60:64]:
         drawn = draw_trials(falcon.processed, {"places": [("falcon", "1", trial)]}, [falcon_outcome.result])
     assert (process_time() - begun) / 4 < 0.5
-    assert len(drawn["panels"]) == 3
+    assert len(drawn.panels) == 3
