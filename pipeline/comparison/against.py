@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from pipeline.measured.experiment.boundary import boundary_area
 from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note
+from pipeline.records.findings import BoundaryPoint, ExcludedTrial, Note, Quantity
 from pipeline.records.models import Motion
 from pipeline.records.results import (
     AgainstResult,
@@ -34,8 +34,10 @@ from pipeline.records.results import (
     ExperimentNumbers,
     LimitDifference,
     PairDifference,
+    Plane,
     Side,
     ValueDifference,
+    pair_labels,
 )
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.boundaries import limits_figure, limits_panel, measured, plane_figure
@@ -89,59 +91,68 @@ def compare_pair(
     units = UNITS[motion]
     wall = ("1", "1") if scales else (units.stiffness, units.damping)
     one, other = ([_point(p) for p in each["boundary"]] for each in documents)
-    boundary, reason = compare_boundaries(one, other, *(scales or ((1.0, 1.0), (1.0, 1.0))))
+    units_of_sides = scales or ((1.0, 1.0), (1.0, 1.0))
+    boundary, reason = compare_boundaries(one, other, *units_of_sides)
     values = [list(_values(*each)) for each in zip(documents, (wall, wall), scales or (None, None), strict=True)]
-    joined = compare_values(*values)
-    area = _area_difference((one, other), scales or ((1.0, 1.0), (1.0, 1.0)), "1" if scales else None)
-    if scales:
-        doubt = {"difference": None, "low": None, "high": None, "significant": None, "reason": "devices differ"}
-        joined = [v.model_copy(update=doubt) if v.part == "estimates" else v for v in joined]
-    joined = [area(v) if v.name == AREA else v for v in joined]
-    parts: dict[str, Any] = {
-        part: tuple(v for v in joined if v.part == part) for part in ("estimates", "optima", "scores")
-    }
-    pair = PairDifference(
+    scaled = [[_scaled(point, by) for point in points] for points, by in zip((one, other), units_of_sides, strict=True)]
+    one_values, other_values = _with_common_areas(values, scaled, "1" if scales else None)
+    joined = compare_values(one_values, other_values, two_devices=bool(scales))
+    estimates, optima, scores = (
+        tuple(v for v in joined if v.part == part) for part in ("estimates", "optima", "scores")
+    )
+    plane: Plane = "normalised" if scales else "physical"
+    costs = () if trials is None or scales else compare_costs(*trials)
+    return PairDifference(
         first=sides[0],
         second=sides[1],
-        plane="normalised" if scales else "physical",
-        **parts,
+        plane=plane,
+        estimates=estimates,
+        optima=optima,
+        scores=scores,
         boundary=boundary,
         boundary_reason=reason,
-        costs=() if trials is None or scales else compare_costs(*trials),
-        sentences=(),
+        costs=costs,
+        sentences=sentences_of(pair_labels(*sides), plane, boundary, reason, estimates, costs),
     )
-    return pair.model_copy(update={"sentences": sentences_of(pair)})
 
 
-def _area_difference(
-    sides: tuple[Sequence[BoundaryPoint], Sequence[BoundaryPoint]], scales: tuple[Scale, Scale], unit: str | None
-) -> Callable[[ValueDifference], ValueDifference]:
-    """Return a function that recomputes a difference of areas over the dampings that both boundaries cover."""
-    scaled = [[_scaled(point, scale) for point in points] for points, scale in zip(sides, scales, strict=True)]
-    first, last = ([end(point.damping for point in points) for points in scaled if points] for end in (min, max))
+def _with_common_areas(
+    values: Sequence[Sequence[_Value]], boundaries: Sequence[Sequence[BoundaryPoint]], unit: str | None
+) -> list[list[_Value]]:
+    """Return the values of both sides with areas over the dampings that both boundaries cover."""
+    first, last = ([end(point.damping for point in points) for points in boundaries if points] for end in (min, max))
     low, high = (max(first), min(last)) if len(first) == 2 else (0.0, 0.0)
 
-    def of_both(value: ValueDifference) -> ValueDifference:
-        named = value.unit if unit is None else unit
-        if not low < high:
-            nothing = {"first": None, "second": None, "difference": None, "low": None, "high": None}
-            why = "the boundaries cover no common range of dampings"
-            return value.model_copy(update={**nothing, "significant": None, "unit": named, "reason": why})
-        rows = []
-        for points in scaled:
-            found = boundary_area(_between(points, low, high), named)
-            row = {key: getattr(found, key) for key in ("unit", "value", "low", "high", "reason")}
-            rows.append({"part": value.part, "name": value.name, **row})
-        return _difference(*rows)
+    def area(value: _Value, points: Sequence[BoundaryPoint]) -> _Value:
+        named = value.quantity.unit if unit is None else unit
+        if low < high:
+            return value._replace(quantity=boundary_area(_between(points, low, high), named))
+        why = "the boundaries cover no common range of dampings"
+        return value._replace(quantity=Quantity(value=None, unit=named, reason=why))
 
-    return of_both
+    both = zip(values, boundaries, strict=True)
+    return [[area(value, points) if value.name == AREA else value for value in side] for side, points in both]
 
 
 def _scaled(point: BoundaryPoint, scale: Scale) -> BoundaryPoint:
     """Return a point of a boundary in the units of a plane."""
-    stiffness = ("stable", "unstable", "estimate", "low", "high", "stiffness_large_motion", "truth")
-    values = {name: value / scale[0] for name in stiffness if (value := getattr(point, name)) is not None}
-    return point.model_copy(update=values | {"damping": point.damping / scale[1]})
+
+    def stiffness(value: float | None) -> float | None:
+        return None if value is None else value / scale[0]
+
+    return BoundaryPoint(
+        damping=point.damping / scale[1],
+        stable=stiffness(point.stable),
+        unstable=stiffness(point.unstable),
+        censored=point.censored,
+        estimate=stiffness(point.estimate),
+        low=stiffness(point.low),
+        high=stiffness(point.high),
+        trials=point.trials,
+        undecided=point.undecided,
+        stiffness_large_motion=stiffness(point.stiffness_large_motion),
+        truth=stiffness(point.truth),
+    )
 
 
 def _between(points: Sequence[BoundaryPoint], low: float, high: float) -> list[BoundaryPoint]:
@@ -170,54 +181,86 @@ def _point(values: Mapping[str, Any]) -> BoundaryPoint:
     return BoundaryPoint(**{name: value for name, value in values.items() if name in BoundaryPoint.model_fields})
 
 
-def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[dict[str, Any]]:
-    """Yield the comparable values of a document.
+class _Value(NamedTuple):
+    """Comparable value of a document, with the theory to which a score refers."""
 
-    Each has a part, a name, a unit, a value, an interval, and the reason if the value is missing.
-    """
+    part: Literal["estimates", "optima", "scores"]
+    name: str
+    quantity: Quantity
+    basis: str = ""
+
+
+def _quantity(values: Document) -> Quantity:
+    known = ("unit", "value", "low", "high", "reason")
+    return Quantity.model_validate({key: values[key] for key in known if key in values})
+
+
+def _values(of: Document, wall: tuple[str, str], scale: Scale | None) -> Iterator[_Value]:
+    """Yield the comparable values of a document."""
     for name, e in of["estimates"].items():
-        model = e.get("by_method", {}).get("model") if name == "delay_samples" else None
-        for called, found in ((name, e), ("delay_by_model", model)):
-            if found is not None:
-                row = {key: found.get(key) for key in ("unit", "value", "low", "high", "reason")}
-                if called == "delay_samples":  # the interval is the range of the trials, not the error of the mean
-                    row |= {"low": None, "high": None, "reason": "its interval is the range of the trials"}
-                yield {"part": "estimates", "name": called, **row}
+        if name != "delay_samples":
+            yield _Value("estimates", name, _quantity(e))
+            continue
+        why = "its interval is the range of the trials"  # not the error of the mean
+        yield _Value("estimates", name, Quantity(value=e["value"], unit=e["unit"], reason=why))
+        if (model := e.get("by_method", {}).get("model")) is not None:
+            yield _Value("estimates", "delay_by_model", _quantity(model))
     for criterion, best in of["optimum"].items():
         for name, unit, by in zip(("stiffness", "damping"), wall, scale or (1.0, 1.0), strict=True):
-            row = {"unit": unit, "value": best[name] / by, "reason": "the location of an optimum has no interval"}
-            yield {"part": "optima", "name": f"{criterion}/{name}", **row}
-        row = {"unit": "", "value": best["cost"], "low": best.get("cost_low"), "high": best.get("cost_high")}
-        yield {"part": "optima", "name": f"{criterion}/cost", **row}
+            place = Quantity(value=best[name] / by, unit=unit, reason="the location of an optimum has no interval")
+            yield _Value("optima", f"{criterion}/{name}", place)
+        cost = Quantity(value=best["cost"], low=best.get("cost_low"), high=best.get("cost_high"))
+        yield _Value("optima", f"{criterion}/cost", cost)
     for scores in of.get("scores", ())[:1]:
-        about = {"part": "scores", "unit": "", "basis": f"against theory by the {scores['basis']}"}
+        basis = f"against theory by the {scores['basis']}"
         for part, names in _SCORES.items():
             found = scores.get(part)
             for name in names if found else ():
-                ends = {end: found.get(f"{name}_{end}") for end in ("low", "high")}
-                yield {**about, "name": f"{part}/{name}", "value": found[name], **ends}
+                low, high = found.get(f"{name}_low"), found.get(f"{name}_high")
+                yield _Value("scores", f"{part}/{name}", Quantity(value=found[name], low=low, high=high), basis)
 
 
-def compare_values(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> list[ValueDifference]:
-    """Return the differences of all values that both documents have, with a 95 % interval if both values have one."""
-    others = {(row["part"], row["name"]): row for row in second}
-    return [_difference(row, others[key]) for row in first if (key := (row["part"], row["name"])) in others]
+def compare_values(first: Sequence[_Value], second: Sequence[_Value], two_devices: bool) -> list[ValueDifference]:
+    """Return the differences of all values that both documents have, with a 95 % interval if both values have one.
+
+    The parameters of two devices are listed but not compared.
+    """
+    others = {(value.part, value.name): value for value in second}
+    return [
+        _difference(value, others[key], two_devices and value.part == "estimates" and value.name != AREA)
+        for value in first
+        if (key := (value.part, value.name)) in others
+    ]
 
 
-def _difference(a: Mapping[str, Any], b: Mapping[str, Any]) -> ValueDifference:
-    unit = a["unit"] if a["unit"] == b["unit"] else f"{a['unit']} and {b['unit']}"
-    about = {"part": a["part"], "name": a["name"], "unit": unit, "first": a["value"], "second": b["value"]}
-    if a["value"] is None or b["value"] is None:
-        return ValueDifference(**about, reason=a.get("reason") if a["value"] is None else b.get("reason"))
-    if a["unit"] != b["unit"] or a.get("basis") != b.get("basis"):
-        kinds = [row.get("basis") or row["unit"] for row in (a, b)]
-        return ValueDifference(**about, reason=f"one is {kinds[0]}, the other {kinds[1]}")
-    about["difference"] = b["value"] - a["value"]
-    one, other = ([row[key] for key in ("value", "low", "high") if row.get(key) is not None] for row in (a, b))
-    if len(one) + len(other) < 6:
-        return ValueDifference(**about, reason=a.get("reason") or b.get("reason") or "no interval on both sides")
-    low, high = difference_interval(one, other)
-    return ValueDifference(**about, low=low, high=high, significant=not low <= 0 <= high)
+def _difference(one: _Value, other: _Value, devices_differ: bool) -> ValueDifference:
+    a, b = one.quantity, other.quantity
+    difference = low = high = significant = reason = None
+    if devices_differ:
+        reason = "devices differ"
+    elif a.value is None or b.value is None:
+        reason = a.reason if a.value is None else b.reason
+    elif a.unit != b.unit or one.basis != other.basis:
+        reason = f"one is {one.basis or a.unit}, the other {other.basis or b.unit}"
+    else:
+        difference = b.value - a.value
+        if a.low is None or a.high is None or b.low is None or b.high is None:
+            reason = a.reason or b.reason or "no interval on both sides"
+        else:
+            low, high = difference_interval((a.value, a.low, a.high), (b.value, b.low, b.high))
+            significant = not low <= 0 <= high
+    return ValueDifference(
+        part=one.part,
+        name=one.name,
+        unit=a.unit if a.unit == b.unit else f"{a.unit} and {b.unit}",
+        first=a.value,
+        second=b.value,
+        difference=difference,
+        low=low,
+        high=high,
+        significant=significant,
+        reason=reason,
+    )
 
 
 def difference_interval(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
@@ -319,21 +362,30 @@ def _cost_difference(
     both = pd.concat([a, b], axis=1, join="inner", keys=["x", "y"])
     both = both if differs else both[both["x"] > 0]
     values = np.sort((both["y"] - both["x"] if differs else both["y"] / both["x"]).to_numpy())
-    kind = "difference" if differs else "ratio"
-    about: dict[str, Any] = {"criterion": criterion, "kind": kind, "points": len(values)}
+    median = low = high = significant = reason = None
+    if len(values):
+        median = float(np.median(values))
     if not len(values):
-        return CostDifference(
-            **about, reason="the experiments have no trials with this cost at equal stiffness and damping"
-        )
-    about["median"] = float(np.median(values))
-    if len(values) < FEWEST_POINTS:
-        return CostDifference(**about, reason=f"an interval needs at least {FEWEST_POINTS} points")
-    # The ranks of the interval's ends follow from the normal approximation of the binomial distribution, rounded
-    # outwards.
-    half = NORMAL_95 * np.sqrt(len(values)) / 2
-    low = float(values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)])
-    high = float(values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)])
-    return CostDifference(**about, low=low, high=high, significant=not low <= (0.0 if differs else 1.0) <= high)
+        reason = "the experiments have no trials with this cost at equal stiffness and damping"
+    elif len(values) < FEWEST_POINTS:
+        reason = f"an interval needs at least {FEWEST_POINTS} points"
+    else:
+        # The ranks of the interval's ends follow from the normal approximation of the binomial distribution, rounded
+        # outwards.
+        half = NORMAL_95 * np.sqrt(len(values)) / 2
+        low = float(values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)])
+        high = float(values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)])
+        significant = not low <= (0.0 if differs else 1.0) <= high
+    return CostDifference(
+        criterion=criterion,
+        kind="difference" if differs else "ratio",
+        points=len(values),
+        median=median,
+        low=low,
+        high=high,
+        significant=significant,
+        reason=reason,
+    )
 
 
 def against_experiments(

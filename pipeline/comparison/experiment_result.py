@@ -113,7 +113,19 @@ def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theor
     }
     limits = true_limits(truth, [point.damping for point in measured.boundary])
     boundary = tuple(
-        point.model_copy(update={"stiffness_large_motion": linear.get(point.damping), "truth": limit})
+        BoundaryPoint(
+            damping=point.damping,
+            stable=point.stable,
+            unstable=point.unstable,
+            censored=point.censored,
+            estimate=point.estimate,
+            low=point.low,
+            high=point.high,
+            trials=point.trials,
+            undecided=point.undecided,
+            stiffness_large_motion=linear.get(point.damping),
+            truth=limit,
+        )
         for point, limit in zip(measured.boundary, limits, strict=True)
     )
     return ExperimentNumbers(

@@ -130,7 +130,7 @@ class TableBuilder:
         delay = theory.loop.delay_samples if theory and of_theory else result.estimates["delay_samples"].value
         condition = condition_of(table, result.experiment, self._published_size(table))
         best = result.optimum.get(criterion)
-        about: dict[str, Any] = {"experiment": result.experiment, "deviation": parts}
+        about: dict[str, object] = {"experiment": result.experiment, "deviation": parts}
         if best is None:
             return self._row(table, criterion, condition, delay, None, result.missing.get(criterion), **about)
         # The ratio is None if theory is zero.

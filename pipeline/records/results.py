@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_serializer, model_validator
 
+from pipeline.base.json_object import JsonObject
 from pipeline.device.loop import Loop
 from pipeline.device.parts import LoopTable
 from pipeline.records.findings import (
@@ -48,7 +49,7 @@ class SourcedLoop(Record):
         return {"loop": Loop(**numbers, **dict(parts)), "source": given["source"]}
 
     @model_serializer
-    def _flat(self) -> dict[str, Any]:
+    def _flat(self) -> JsonObject:
         loop = self.loop
         numbers = {each.name: getattr(loop, each.name) for each in fields(loop)}
         parts = LoopTable(**{name: getattr(loop, name) for name in LoopTable.model_fields})
@@ -693,7 +694,7 @@ class ComparisonResult(Record):
         name = self.answer.experiment if self.answer else None
         return next((each for each in self.experiments if each.experiment == name), None)
 
-    def numbers(self) -> dict[str, Any]:
+    def numbers(self) -> JsonObject:
         """Return the document as JSON values, without its information on files and runs."""
         return self.model_dump(mode="json", exclude={"provenance", "logs", "report"})
 
@@ -779,6 +780,12 @@ class CostDifference(Record):
     reason: str | None = None
 
 
+def pair_labels(first: Side, second: Side) -> tuple[str, str]:
+    """Return the names of both sides. They differ even if both sides are the same experiment, before and now."""
+    a, b = first.label, second.label
+    return (a, b) if a != b else (f"{a} before", f"{a} now")
+
+
 class PairDifference(Record):
     """Differences between two experiments."""
 
@@ -796,8 +803,7 @@ class PairDifference(Record):
     @property
     def labels(self) -> tuple[str, str]:
         """Names of both sides. They differ even if both sides are the same experiment, before and now."""
-        a, b = self.first.label, self.second.label
-        return (a, b) if a != b else (f"{a} before", f"{a} now")
+        return pair_labels(self.first, self.second)
 
     @property
     def simulated(self) -> bool:

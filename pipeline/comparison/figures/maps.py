@@ -304,8 +304,10 @@ def _draw_optimum(shown: CostMap, criterion: str, axes: Axes) -> None:
         return
     text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
     offset = (0, -15 if best.cost > 0.2 * top else 14)  # otherwise, the value would collide with the axis
-    look: dict[str, Any] = {"color": BLUE, "fontweight": "bold", "ha": "center", "va": "center"}
-    axes.annotate(text, (best.stiffness, best.cost * factor), offset, "data", textcoords="offset points", **look)
+    axes.annotate(
+        text, (best.stiffness, best.cost * factor), offset, "data", textcoords="offset points",
+        color=BLUE, fontweight="bold", ha="center", va="center",
+    )  # fmt: skip
 
 
 def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> None:
@@ -328,20 +330,24 @@ def _contours(shown: CostMap, criterion: str, levels: Floats, axes: Axes) -> Non
     measured_overshoot = bool(edge) and shown.cost.ndim == 1
     drawn = [x for x in levels.tolist() if least * (1 + 1e-3) < x < most and not (measured_overshoot and x <= edge[0])]
     factor = printed_scale(criterion)
-    look: dict[str, Any] = {
-        "levels": drawn,
-        "linewidths": [1.5 if (x <= edge[0] if edge else heavy[x]) else 0.9 for x in drawn],
-        "colors": [(*to_rgb(GREEN), opacity[x]) for x in drawn],
-    }
+    widths = [1.5 if (x <= edge[0] if edge else heavy[x]) else 0.9 for x in drawn]
+    colours = [(*to_rgb(GREEN), opacity[x]) for x in drawn]
     lines: Any = None
     if shown.cost.ndim == 2:
         lines = (
-            axes.contour(shown.stiffness, shown.damping, _without_steps(shown.cost, criterion), **look)
+            axes.contour(
+                shown.stiffness,
+                shown.damping,
+                _without_steps(shown.cost, criterion),
+                drawn,
+                linewidths=widths,
+                colors=colours,
+            )
             if drawn
             else None
         )
     elif (triangles := _triangles(shown.stiffness, shown.damping)) is not None:
-        lines = axes.tricontour(triangles, shown.cost, **look) if drawn else None
+        lines = axes.tricontour(triangles, shown.cost, drawn, linewidths=widths, colors=colours) if drawn else None
         if measured_overshoot:
             # contours enclose the trials themselves, not values smoothed over their neighbours
             own = {(k, b): cost for k, b, cost in shown.trials.T.tolist()}

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from pipeline.base.json_object import JsonObject
 from pipeline.comparison.loops.loop_basis import identified_device
 from pipeline.comparison.loops.wall_replay import usual_trial
 from pipeline.comparison.scene.scene import StoredData, needed_stages
@@ -141,13 +141,13 @@ class _Experiment:
             for name in ("mass", "damping", "delay")
         }
 
-    def content(self, share: int | None) -> dict[str, Any]:
+    def content(self, share: int | None) -> JsonObject:
         """Return the page content of the experiment, with responses of at most ``share`` samples in total."""
         limits = {s.kind: s for s in measured(self.result.boundary, "", None)}
         line, bound = limits["measured"], limits.get("bound")
         known = np.isfinite(line.x).any()
         theory = by_theory(self.theory, "") if self.theory else None
-        columns: dict[str, Any] = {
+        columns: JsonObject = {
             "k": _numbers(self.stiffness, 6),
             "b": _numbers(self.damping, 6),
             "v": "".join(str(VERDICTS.index(v)) for v in self.verdict.tolist()),
@@ -188,7 +188,7 @@ class _Experiment:
         )
         return {key[:2]: first[key] for key in ends if key in first}
 
-    def _responses(self, share: int | None) -> Iterator[dict[str, Any]]:
+    def _responses(self, share: int | None) -> Iterator[JsonObject]:
         order, taken = self._order(), 0
         for first in range(0, len(order), PORTION):
             for entry in self._entries(order[first : first + PORTION].tolist()):
@@ -209,7 +209,7 @@ class _Experiment:
         both = np.concatenate([edge, grid])[np.argsort(turn, kind="stable")]
         return _each_once(np.concatenate([np.array(best, dtype=np.int64), both]))
 
-    def _entries(self, rows: Sequence[int]) -> list[dict[str, Any]]:
+    def _entries(self, rows: Sequence[int]) -> list[JsonObject]:
         """Return the responses of the given trials."""
         measured = [MeasuredTrial(self.stages.samples[row]) for row in rows]
         device, alone = self.stages.once(identified_device) if self.modelled else None, {}
@@ -218,7 +218,7 @@ class _Experiment:
             alone = _alone(device.loop, measured, usual)
         return [self._entry(row, measured[place], alone.get(place)) for place, row in enumerate(rows)]
 
-    def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> dict[str, Any]:
+    def _entry(self, row: int, of: MeasuredTrial, alone: Floats | None) -> JsonObject:
         """Return the response of a trial, with the response of the device without a wall from the command edge on."""
         trial, response, ghost = of.logged, of.response, np.full(of.logged.rows, np.nan)
         edge = max(response.edge_row, 0)
@@ -234,7 +234,7 @@ class _Experiment:
             **self._texts(row, model),
         }
 
-    def _texts(self, row: int, model: Mapping[str, float]) -> dict[str, Any]:
+    def _texts(self, row: int, model: Mapping[str, float]) -> JsonObject:
         """Return the texts of a trial.
 
         These are its id, verdict, evidence and model, and its costs with intervals or reasons for missing costs.
@@ -293,7 +293,7 @@ def reason_of(criterion: str, reasons: str) -> str:
     return "; ".join(dict.fromkeys(own))
 
 
-def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> dict[str, Any]:
+def _signals(position: Floats, ghost: Floats, edge: int, quantum: float) -> JsonObject:
     """Return the coded log and model of a trial, and the index of the command edge among the kept rows."""
     rows = len(position)
     kept = visible_rows((position, ghost), edge, rows)

@@ -17,7 +17,15 @@ from pipeline.comparison.loops.departures import (
     other_gains,
     untimed,
 )
-from pipeline.comparison.loops.loop_basis import LoopBasis, identified_device, loop_basis, loop_numbers
+from pipeline.comparison.loops.loop_basis import (
+    LoopBasis,
+    filter_quantities,
+    identified_device,
+    loop_basis,
+    loop_quantities,
+    mode_quantities,
+    operator_quantities,
+)
 from pipeline.comparison.loops.passive_wall import is_passive, passive_wall
 from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
 from pipeline.comparison.loops.wall_replay import (
@@ -223,14 +231,22 @@ def _record(
     known = friction is not None and None not in (friction.value, friction.low, friction.high)
     operator = of_file.operator if of_file is not None else None
     basis = found.basis if isinstance(found, Inadequate) else None
-    numbers = loop_numbers(basis, velocity.of_logs if velocity else (), operator) if basis is not None else {}
+    numbers = {} if basis is None else loop_quantities(basis)
+    of_logs = velocity.of_logs if velocity else ()
     return LoopResult(
         source="estimated" if basis is None or basis.nominal is None else "device file",
         adequate=isinstance(found, Adequate),
         reason=found.reason,
         explained=check.explained / check.trials if check and check.trials else None,
-        **numbers,
-        friction=Quantity(**friction.model_dump(include={"value", "low", "high", "unit"}))
+        mass=numbers.get("mass"),
+        damping=numbers.get("damping"),
+        stiffness=numbers.get("stiffness"),
+        delay_samples=numbers.get("delay_samples"),
+        actuator_lag_s=numbers.get("actuator_lag_s"),
+        velocity=filter_quantities(basis.loop.velocity, of_logs) if basis and basis.loop.velocity else None,
+        mode=None if basis is None else mode_quantities(basis),
+        operator=operator_quantities(operator, basis.loop.motion) if basis and basis.nominal and operator else None,
+        friction=Quantity(value=friction.value, low=friction.low, high=friction.high, unit=friction.unit)
         if friction and known
         else None,
     )

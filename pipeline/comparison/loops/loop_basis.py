@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from pipeline.comparison.loops.departures import experiment_filter
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import PARAMETERS, Motion
-from pipeline.device.parts import Butterworth, Coefficients, Difference, VelocityFilter
+from pipeline.device.parts import Butterworth, Coefficients, Difference, Operator, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, nominal_loop
 from pipeline.measured.identification.intervals import Interval
@@ -121,24 +120,29 @@ def adequate_theory(findings: LoopFindings, stages: ExperimentStages) -> Theory 
     return theory if theory.stabilised else None
 
 
-def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: Any) -> dict[str, Any]:
-    """Return the parameters of a loop as fields of a result. Estimates have intervals. Values of a file are as stated.
+def loop_quantities(basis: LoopBasis) -> dict[str, Quantity]:
+    """Return the parameters of a loop outside its parts, by name. Estimates have intervals. Values of a file are as
+    stated.
 
-    All are effective values at the wall, per unit of command. They include ``operator``, the operator of the file.
+    All are effective values at the wall, per unit of command.
     """
-    device, velocity, motion = basis.devices[0], basis.loop.velocity, basis.loop.motion
+    device = basis.devices[0]
     intervals = {name: basis.interval(name) for name in ("mass", "damping", "delay_samples")}
     intervals |= {name: device.interval(name) for name in ("stiffness", "actuator_lag_s") if name in device.values}
-    numbers: dict[str, Any] = {name: as_quantity(name, interval, motion) for name, interval in intervals.items()}
-    if velocity is not None:
-        numbers["velocity"] = filter_quantities(velocity, of_logs)
-    if basis.nominal is not None and operator is not None:
-        numbers["operator"] = {
-            key: as_quantity(f"operator.{key}", exact(float(value)), motion) for key, value in dict(operator).items()
-        }
+    return {name: as_quantity(name, interval, basis.loop.motion) for name, interval in intervals.items()}
+
+
+def operator_quantities(operator: Operator, motion: Motion) -> dict[str, Quantity]:
+    """Return the parameters of the operator of a device file by name."""
+    values = dict(operator).items()
+    return {key: as_quantity(f"operator.{key}", exact(float(value)), motion) for key, value in values}
+
+
+def mode_quantities(basis: LoopBasis) -> dict[str, Quantity] | None:
+    """Return the parameters of the vibration mode of a loop by name, or None without a mode."""
     if basis.loop.mode is None:
-        return numbers
-    at_load, mode = basis.loop.mode.sensor == "load", {}
+        return None
+    device, at_load, mode = basis.devices[0], basis.loop.mode.sensor == "load", dict[str, Quantity]()
     for name in (name for name in device.values if PARAMETERS[name].part == "mode"):
         interval = device.interval(name)
         low, high = max(interval.low, 0.0), interval.high
@@ -147,9 +151,9 @@ def loop_numbers(basis: LoopBasis, of_logs: Sequence[VelocityFilter], operator: 
             # mass.
             low, high = (0.0, np.inf) if at_load and basis.nominal is None else (low, high)
             high = min(high, device.values["mass"])
-        mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), motion)
+        mode[PARAMETERS[name].key] = as_quantity(name, Interval(interval.value, low, high), basis.loop.motion)
     side = exact(float(at_load))
-    return numbers | {"mode": mode | {"sensor_at_load": Quantity(value=side.value, low=side.low, high=side.high)}}
+    return mode | {"sensor_at_load": Quantity(value=side.value, low=side.low, high=side.high)}
 
 
 def as_quantity(name: str, interval: Interval, motion: Motion) -> Quantity:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.device_data.devices import declared_spring, known_devices
@@ -204,7 +204,9 @@ def layouts(data: StoredData) -> tuple[TableLayout, ...]:
         experiments = tuple(e for e in table.experiments if e in stored)
         criteria = tuple(c for c in table.criteria if c in requested)
         if experiments and criteria and (table.kind == "optima" or len(experiments) > 1):
-            result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
+            name, source, kind = table.name, table.theory_from, table.kind
+            own = TableLayout(name=name, criteria=criteria, experiments=experiments, theory_from=source, kind=kind)
+            result.append(own)
     covered = {e for table in result for e in table.experiments}
     usual = tuple(c for c in TABLED if c in requested) or tuple(c for c in REPORTED if c in requested)
     extra = tuple(c for c in requested if c not in REPORTED)  # these criteria are in no published table
@@ -221,8 +223,8 @@ def layouts(data: StoredData) -> tuple[TableLayout, ...]:
     # An overshoot of zero at every delay gives no information (Table D.6).
     sweep = tuple(c for c in (*TABLED, *extra) if c in requested and not criterion_of(c).family.levels)
     if data.device is None and data.scene.delay_sweep and sweep:
-        fields: dict[str, Any] = {"experiments": stored, "theory_from": stored[0], "kind": "delay"}
-        result.append(TableLayout(name="delay", criteria=sweep, **fields))
+        own = TableLayout(name="delay", criteria=sweep, experiments=stored, theory_from=stored[0], kind="delay")
+        result.append(own)
     return tuple(table for table in result if _in_use(table, data.scene.shown))
 
 

@@ -13,7 +13,14 @@ from typing import Any
 from pipeline.base.disk import write_text
 from pipeline.base.wording import unbroken
 from pipeline.records.models import Motion
-from pipeline.records.results import AgainstResult, PairDifference
+from pipeline.records.results import (
+    AgainstResult,
+    BoundaryDifference,
+    CostDifference,
+    PairDifference,
+    Plane,
+    ValueDifference,
+)
 from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, criterion_name, interval_texts, percent_text, significant, unit_text
 from pipeline.rendering.report.page_template import fill_template
@@ -50,15 +57,30 @@ def render(page: AgainstPage) -> str:
 
 def write(page: AgainstPage, path: Path) -> AgainstResult:
     """Write the page, and its document as JSON next to it. Return the document with the name of the page."""
-    result = page.result.model_copy(update={"report": str(path)})
+    found = page.result
+    result = AgainstResult(
+        title=found.title,
+        pairs=found.pairs,
+        only_first=found.only_first,
+        only_second=found.only_second,
+        report=str(path),
+    )
     write_text(path, render(replace(page, result=result)))
     write_text(path.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
     return result
 
 
-def sentences_of(pair: PairDifference) -> tuple[str, ...]:
-    """Return the conclusions on a pair, in sentences."""
-    lines = fill_template("against.txt.j2", pair=pair).splitlines()
+def sentences_of(
+    labels: tuple[str, str],
+    plane: Plane,
+    boundary: BoundaryDifference | None,
+    boundary_reason: str | None,
+    estimates: Sequence[ValueDifference],
+    costs: Sequence[CostDifference],
+) -> tuple[str, ...]:
+    """Return the conclusions on a pair of experiments, in sentences."""
+    about = {"labels": labels, "plane": plane, "edge": boundary, "reason": boundary_reason}
+    lines = fill_template("against.txt.j2", **about, estimates=estimates, costs=costs).splitlines()
     return tuple(" ".join(line.split()) for line in lines if line.strip())
 
 
@@ -118,7 +140,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
 def _table(name: str, caption: str, columns: Sequence[Column], values: Sequence[Any], index: int) -> Table | None:
     rows = []
     for value in values:
-        row: dict[str, Any] = dict(value)
+        row = dict[str, object](value)
         called = row.get("name") or row.get("criterion") or significant(row.get("damping", 0.0), 6)
         unit = f" [{unit_text(row['unit'])}]" if row.get("unit") else ""
         row |= {
