@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.wording import counted, percent
+from pipeline.base.wording import counted, percent, true_minus
 from pipeline.measured.signal.response import NO_ROW, Response
-from pipeline.measured.student import CONFIDENCE, SIGMAS
+from pipeline.measured.student import CONFIDENCE, NORMAL_QUARTILE, SIGMAS
 from pipeline.recording.timing import EVEN
 from pipeline.records.findings import Estimate
 from pipeline.records.models import MOMENTUM_WINDOW_S
@@ -121,13 +121,15 @@ def _first_beyond(away: Floats, limit: float) -> int:
     return int(np.argmax(rises)) if rises.any() else len(away)
 
 
-def estimate_delay(delay_samples: Integers) -> Estimate:
+def estimate_delay(delay_samples: Integers, because: str = "") -> Estimate:
     """Return the integer delay factor of an experiment, i.e. the median of its trials.
 
     Parameters
     ----------
     delay_samples : int64, shape (n,)
         Integer factor of each trial. It is negative if the trial has none.
+    because : str
+        Addition to the reason that is reported if no trial has a factor.
 
     Notes
     -----
@@ -140,7 +142,7 @@ def estimate_delay(delay_samples: Integers) -> Estimate:
     method = "first position change (6.2, 6.3)"
     known = np.sort(delay_samples[delay_samples >= 0])
     if not len(known):
-        reason = f"none of {len(delay_samples)} trials shows a command edge and a position change after it"
+        reason = f"none of {len(delay_samples)} trials shows a command edge and a position change after it{because}"
         return Estimate(value=None, unit="samples", method=method, reason=reason)
     cut = 0.5 * (1 - CONFIDENCE)
     low, median, high = (float(known[int(np.floor(q * (len(known) - 1)))]) for q in (cut, 0.5, 1 - cut))
@@ -239,7 +241,16 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats, unit: str
     if isinstance(limit, str):
         return Estimate(value=None, unit=unit, method=method, reason=limit, trials=trials)
     value, low, high = (0.0 - float(B) for B in limit)
-    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials)
+    warning = sign_warning(low, high, unit)
+    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
+
+
+def sign_warning(low: float, high: float, unit: str) -> str | None:
+    """Return a warning if a nonnegative quantity with this 95 % interval is negative or may be 0, otherwise None."""
+    if low > 0:
+        return None
+    interval = true_minus(f"95 % interval {low:.3g} to {high:.3g} {unit}")
+    return f"significantly negative ({interval})" if high < 0 else f"not significantly different from 0 ({interval})"
 
 
 def _limit(levels: Floats, rate: Floats, trials: int) -> tuple[float, float, float] | str:
@@ -279,6 +290,7 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     The ends of the interval are the order statistics l and n + 1 - l. l is the largest number for which a binomial (n,
     1/2) count is below l with a probability of at most 2.5 %. Fewer than six trials cannot provide 95 %. The interval
     is then the range, and the method states this. The interval shows the scatter of the trials, without a common bias.
+    The spread is that of a normal distribution with the same median absolute deviation.
     """
     known = np.sort(values[np.isfinite(values)])
     n, rank = len(known), _median_rank(len(known))
@@ -287,7 +299,8 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     if rank == 0:
         method, rank = f"{method}; interval is the range of {n} trials", 1
     value, low, high = float(np.median(known)), float(known[rank - 1]), float(known[n - rank])
-    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=n)
+    spread = float(np.median(np.abs(known - np.median(known)))) / NORMAL_QUARTILE if n > 1 else None
+    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=n, spread=spread)
 
 
 def _median_rank(n: int) -> int:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
 from pipeline.device.parameters import Motion as Motion
 
@@ -102,6 +103,10 @@ class Estimate(Quantity):
         if self.value is None and not self.reason:
             raise ValueError("an estimate without a value needs a reason")
         return self
+
+    def recommended_of(self, by_method: dict[str, Estimate]) -> Estimate:
+        """Return this estimate as the recommended one of several methods."""
+        return self.model_copy(update={"by_method": by_method})
 
 
 class ModelCheck(Record):
@@ -276,7 +281,7 @@ class Finding(Record):
         return f"{self.evidence} {self.remedy}"
 
     @property
-    def document(self) -> dict[str, Any]:
+    def document(self) -> JsonObject:
         """Finding as JSON values, with its sentence."""
         return {**self.model_dump(), "sentence": self.sentence}
 

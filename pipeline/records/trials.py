@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,8 +104,11 @@ class Trial:
         """Return a trial with ``rows`` rows from ``first`` on. A declared step row is counted from ``first``."""
         inside = slice(first, first + rows)
         step_row = None if self.step_row is None else self.step_row - first
-        samples: dict[str, Any] = {name: values[inside] for name, values in self.samples.items()}
-        return replace(self, step_row=step_row, **samples)
+        force, velocity = (None if values is None else values[inside] for values in (self.force, self.velocity))
+        time, command, position = self.time[inside], self.command[inside], self.position[inside]
+        return replace(
+            self, step_row=step_row, time=time, command=command, position=position, force=force, velocity=velocity
+        )
 
     def relative_to(self, level: float) -> Trial:
         """Return the trial with command and measured force relative to a level [N, Nm]."""

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from math import floor
-from typing import Any
 
 import numpy as np
 
-from pipeline.base.wording import of_most, true_minus
+from pipeline.base.wording import of_most
 from pipeline.device.parameters import PARAMETERS
 from pipeline.measured import thesis
 from pipeline.measured.experiment.identified_loop import METHOD, NOT_NEEDED, identified_loop
@@ -75,30 +74,28 @@ def by_model(of: Experiment, name: str) -> Estimate:
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)
     axes = {"stiffness": K, "damping": B}
     drifts = [drift_warning(t, axes[t.over], estimate.value, least, unit, motion=of.motion) for t in trend]
-    warning = "; ".join(filter(None, [*drifts, estimate.warning])) or None
-    found = {"within": within, "spread": spread, "trend": trend, "warning": warning}
-    return (
-        with_sign_warning(estimate.model_copy(update=found)) if name == "damping" else estimate.model_copy(update=found)
+    sign = None
+    if name == "damping" and estimate.low is not None and estimate.high is not None:
+        sign = thesis.sign_warning(estimate.low, estimate.high, unit)
+    warning = "; ".join(filter(None, [*drifts, estimate.warning, sign])) or None
+    return Estimate(
+        value=estimate.value,
+        low=estimate.low,
+        high=estimate.high,
+        unit=unit,
+        method=estimate.method,
+        trials=estimate.trials,
+        spread=spread,
+        within=within,
+        trend=trend,
+        warning=warning,
     )
-
-
-def with_sign_warning(estimate: Estimate) -> Estimate:
-    """Add a warning to the estimate of a nonnegative quantity if it is negative or may be 0."""
-    value, low, high = estimate.value, estimate.low, estimate.high
-    if value is None or low is None or high is None or low > 0:
-        return estimate
-    interval = true_minus(f"95 % interval {low:.3g} to {high:.3g} {estimate.unit}")
-    text = f"significantly negative ({interval})" if high < 0 else f"not significantly different from 0 ({interval})"
-    return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, text]))})
 
 
 def first_change(of: Experiment) -> Estimate:
     """Return the integer delay factor from the first position change (6.2, 6.3)."""
     rows = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
-    found = thesis.estimate_delay(rows)
-    if found.value is None:
-        found = found.model_copy(update={"reason": f"{found.reason}{of_most(of.texts('delay', 'reason'))}"})
-    return found
+    return thesis.estimate_delay(rows, of_most(of.texts("delay", "reason")))
 
 
 def delay_factor(of: Experiment) -> tuple[int, int, int] | None:
@@ -132,11 +129,32 @@ def delay_estimate(of: Experiment) -> Estimate:
     methods = {"model": model, "first_change": plain}
     if factor is None or model.value is None:
         # with a coarse sensor or friction, the first change is late, so that it is only an upper bound
-        return plain.model_copy(update={"low": None if plain.value is None else 0.0, "by_method": methods})
+        low = None if plain.value is None else 0.0
+        return Estimate(
+            value=plain.value,
+            low=low,
+            high=plain.high,
+            unit=plain.unit,
+            method=plain.method,
+            reason=plain.reason,
+            trials=plain.trials,
+            by_method=methods,
+        )
     first, value, last = (float(whole) for whole in factor)
     # eq. 6.3 does not determine the position within the period
-    ends: dict[str, Any] = {"value": value, "low": first, "high": last + 1, "method": f"{METHOD}, in whole samples"}
-    return model.model_copy(update={**ends, "by_method": methods})
+    return Estimate(
+        value=value,
+        low=first,
+        high=last + 1,
+        unit=model.unit,
+        method=f"{METHOD}, in whole samples",
+        trials=model.trials,
+        spread=model.spread,
+        within=model.within,
+        trend=model.trend,
+        warning=model.warning,
+        by_method=methods,
+    )
 
 
 def mass_estimate(of: Experiment) -> Estimate:
@@ -146,20 +164,18 @@ def mass_estimate(of: Experiment) -> Estimate:
     reason = f"no trial allows a momentum balance{of_most(of.texts('mass', 'reason'))}"
     methods = {"model": model}
     for name, over in MOMENTUM_WINDOWS.items():
+        method = f"momentum balance (6.4){over}, median of trials"
         values = of.column("mass", f"mass_momentum{name}")
-        known = values[np.isfinite(values)]
-        found = thesis.estimate_median(values, unit, f"momentum balance (6.4){over}, median of trials", reason)
-        scatter = float(np.median(np.abs(known - np.median(known)))) / NORMAL_QUARTILE if len(known) > 1 else None
-        methods[f"thesis_momentum_balance{name}"] = found.model_copy(update={"spread": scatter})
-    return model.model_copy(update={"by_method": methods})
+        methods[f"thesis_momentum_balance{name}"] = thesis.estimate_median(values, unit, method, reason)
+    return model.recommended_of(methods)
 
 
 def damping_estimate(of: Experiment) -> Estimate:
     """Return the damping of an experiment. ``by_method`` contains that from the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
-    limit = with_sign_warning(thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion)))
+    limit = thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion))
     model = by_model(of, "damping")
-    return model.model_copy(update={"by_method": {"model": model, "stability_limit": limit}})
+    return model.recommended_of({"model": model, "stability_limit": limit})
 
 
 def jitter_estimate(of: Experiment) -> Estimate:

@@ -246,12 +246,19 @@ class IdentifiedLoop:
             high = self.bounds.get(name)
             low, reason = None if high is None else 0.0, NOT_NEEDED
             return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
-        entries: dict[str, Any] = {"value": number.value, "low": number.low, "high": number.high}
-        if name in self.unidentifiable:
-            entries |= {"value": None, "reason": NOT_IDENTIFIABLE.format(OPEN, self.remedy)}
-        elif (hidden := number.value - self.bounds.get(name, number.value)) > 0:
-            entries["warning"] = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs cannot decide"
-        return Estimate(**entries, unit=unit, method=METHOD, trials=count)
+        unknown, warning = name in self.unidentifiable, None
+        if not unknown and (hidden := number.value - self.bounds.get(name, number.value)) > 0:
+            warning = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs cannot decide"
+        return Estimate(
+            value=None if unknown else number.value,
+            low=number.low,
+            high=number.high,
+            unit=unit,
+            method=METHOD,
+            reason=NOT_IDENTIFIABLE.format(OPEN, self.remedy) if unknown else None,
+            trials=count,
+            warning=warning,
+        )
 
 
 def parts_of(gains: Mapping[str, float]) -> tuple[tuple[str, ...], Literal["motor", "load"]]:
