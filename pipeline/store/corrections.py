@@ -118,18 +118,17 @@ def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = Non
         return _correct(processed, _meant(processed, wanted, "deleted", deleted(processed)), {"deleted": False})
 
 
-def deleted(processed: Path) -> list[Correction]:
+def deleted(processed: Path) -> list[Exclusion]:
     """Return all deleted trials with their former device and experiment. They need not be stored any more."""
-    found = (one for one in read_corrections(processed).values() if one.deleted)
-    return [one.model_copy(update=one.placed) for one in found]
+    return [one.at_place for one in read_corrections(processed).values() if one.deleted]
 
 
-def in_bin(processed: Path) -> list[Correction]:
+def in_bin(processed: Path) -> list[Exclusion]:
     """Return the deleted trials that are still stored."""
-    if not (corrections := deleted(processed)):
+    if not (gone := deleted(processed)):
         return []
     stored = set(read_rows(processed, ["trial_id"], {}).column("trial_id"))
-    return [correction for correction in corrections if correction.trial_id in stored]
+    return [one for one in gone if one.trial_id in stored]
 
 
 def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
@@ -151,17 +150,23 @@ def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping
     The rows contain the current device and experiment of each trial.
     """
     known = read_corrections(processed)
-    ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
-    write_corrections(processed, [one.model_copy(update=change) for one in ones])
+    new = []
+    for row in rows:
+        former = known.get(row["trial_id"])
+        now = {name: row[name] for name in IDENTITY} if former is None else former.model_dump()
+        new.append(Correction.model_validate({**now, **change}))
+    write_corrections(processed, new)
     return len(rows)
 
 
 def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     """Add corrections to the stored ones in one step. The caller must have locked the store."""
     known, former = read_corrections(processed), corrections_files(processed)
-    now = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())])
-    known |= {one.trial_id: one.model_copy(update={"corrected_ns": now}) for one in new}
-    rows = [one.model_dump() for one in known.values()]
+    now, added = max([time.time_ns(), *(one.corrected_ns + 1 for one in known.values())]), {o.trial_id: o for o in new}
+    rows = [
+        {**one.model_dump(), "corrected_ns": now if trial in added else one.corrected_ns}
+        for trial, one in (known | added).items()
+    ]
     columns = {name: [row[name] for row in rows] for name in TABLES["corrections"]}
     with new_file(processed / "corrections", ending=TABLE) as file:
         file.stream.write(parquet_bytes(to_arrow("corrections", columns, metadata=stamp())))
@@ -171,9 +176,9 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
 def copy_corrections(processed: Path, ids: Mapping[str, str]) -> None:
     """Copy corrections of trials to new ids, because their logs were renamed. ``ids`` maps former to new ids."""
     known = read_corrections(processed)
-    new = [known[old].model_copy(update={"trial_id": now}) for old, now in ids.items() if old in known]
-    if new:
-        write_corrections(processed, new)
+    rows = [(now, known[old].model_dump()) for old, now in ids.items() if old in known]
+    if rows:
+        write_corrections(processed, [Correction.model_validate({**row, "trial_id": now}) for now, row in rows])
 
 
 def _place_of(word: str) -> tuple[str, ...]:

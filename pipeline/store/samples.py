@@ -9,12 +9,12 @@ import json
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from pipeline.base.errors import StoreError
+from pipeline.base.json_object import JsonObject
 from pipeline.records.table_files import damaged_file
 from pipeline.records.tables import LOCATION, OF_TRIALS
 from pipeline.records.trials import NO_STEP_ROW, Floats, Trial, Trials
@@ -102,7 +102,7 @@ def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
 
 def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
     """Return trials from rows of their table. All samples are in flat arrays."""
-    extra: list[dict[str, Any]] = [json.loads(text) for text in table.column("extra").to_pylist()]
+    extra: list[JsonObject] = [json.loads(text) for text in table.column("extra").to_pylist()]
     declared = [metadata.get("step_row") for metadata in extra]
     integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)
     nothing = np.empty(0)

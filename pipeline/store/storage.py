@@ -370,9 +370,19 @@ class Correction(Exclusion):
         return self.moved_device or self.device, self.moved_experiment or self.experiment
 
     @property
-    def placed(self) -> dict[str, str]:
-        """Device and experiment after corrections, by column name."""
-        return dict(zip(("device", "experiment"), self.place, strict=True))
+    def at_place(self) -> Exclusion:
+        """The exclusion, with the device and experiment after corrections."""
+        device, experiment = self.place
+        return Exclusion(
+            trial_id=self.trial_id,
+            label=self.label,
+            device=device,
+            experiment=experiment,
+            source_path=self.source_path,
+            source_sha256=self.source_sha256,
+            exclusion_reason=self.exclusion_reason,
+            excluded_since=self.excluded_since,
+        )
 
 
 IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])
@@ -401,11 +411,8 @@ def read_corrections(processed: Path) -> dict[str, Correction]:
 
 def read_exclusions(processed: Path) -> dict[str, Exclusion]:
     """Return the exclusions of a store, in the order and with the errors of `read_corrections`."""
-    found = {}
-    for key, one in read_corrections(processed).items():
-        if one.exclusion_reason and not one.deleted:
-            found[key] = Exclusion(**one.model_dump(include=set(Exclusion.model_fields)) | one.placed)
-    return found
+    known = read_corrections(processed).items()
+    return {key: one.at_place for key, one in known if one.exclusion_reason and not one.deleted}
 
 
 def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple[pa.Table, tuple[Exclusion, ...]]:
@@ -415,7 +422,10 @@ def split_trials(trials: pa.Table, exclusions: Mapping[str, Exclusion]) -> tuple
         return trials, ()
     out = pa.array([key in exclusions for key in keys], pa.bool_())
     rows = trials.filter(out).select(IDENTITY).sort_by("trial_id").to_pylist()
-    found = tuple(exclusions[row["trial_id"]].model_copy(update=row) for row in rows)
+    known = ((row, exclusions[row["trial_id"]]) for row in rows)
+    found = tuple(
+        Exclusion(**row, exclusion_reason=one.exclusion_reason, excluded_since=one.excluded_since) for row, one in known
+    )
     return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
 
 
