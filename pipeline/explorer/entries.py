@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import Any
 
+from pipeline.base.json_object import JsonObject
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import drive_of
 from pipeline.device.parts import Part, named
 from pipeline.records.models import Device
 from pipeline.records.results import ComparisonResult, ExperimentResult, LoopResult
 
-Entry = dict[str, Any]
+Entry = JsonObject
 """Entry of the page's script: ``label``, ``loop``, and measurements (`Entry` in page.mjs)."""
 
 _LEFT_OUT = ("sensor", "constant_force", "force_limit")
 """Parts of a loop that the page neither uses nor writes to a device file."""
 
 
-def loop_entries(loop: Loop) -> dict[str, Any]:
+def loop_entries(loop: Loop) -> JsonObject:
     """Return a loop as the entries of a device file in SI units. Parts that the loop lacks have no entry.
 
     Examples
@@ -27,7 +27,7 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
     >>> loop_entries(Loop(0.5, 4.0, 0.001, 2.0, operator={"mass": 0.1}))["operator"]
     {'mass': 0.1}
     """
-    result: dict[str, Any] = {}
+    result: JsonObject = {}
     for field in fields(Loop):
         value = getattr(loop, field.name)
         if field.name in _LEFT_OUT or value is None or value == ():
@@ -36,8 +36,8 @@ def loop_entries(loop: Loop) -> dict[str, Any]:
     return result
 
 
-def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
-    """Return an entry for each experiment of each device.
+def device_entries(devices: Iterable[Device], by: str = "", only: str | None = None) -> list[Entry]:
+    """Return an entry for each experiment of each device, or for the experiments of one name (``only``).
 
     The label of each entry ends with the source of the loop (``by``).
     """
@@ -45,11 +45,14 @@ def device_entries(devices: Iterable[Device], by: str = "") -> list[Entry]:
         {"label": f"{device.title}, {experiment.name}{by}", "loop": loop_entries(device.loop_for(experiment))}
         for device in devices
         for experiment in device.experiments
+        if only in (None, experiment.name)
     ]
 
 
-def measured_entries(result: ComparisonResult) -> list[Entry]:
+def measured_entries(result: ComparisonResult, only: str | None = None) -> list[Entry]:
     """Return an entry for each experiment of a comparison whose loop is known from its logs or from the device file.
+
+    With a name (``only``), the entries are those of the experiment of this name.
 
     A drive whose commands are in volts or counts has no entry, because the page uses N or Nm.
     """
@@ -59,7 +62,7 @@ def measured_entries(result: ComparisonResult) -> list[Entry]:
     found = []
     for experiment in result.experiments:
         loop = _identified_loop(experiment, result.motion)
-        if loop is None:
+        if loop is None or only not in (None, experiment.experiment):
             continue
         own = recommended if result.answer is not None and result.answer.experiment == experiment.experiment else None
         wall = None if own is None else {"stiffness": own.stiffness, "damping": own.damping}
@@ -75,7 +78,7 @@ def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Ent
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 
-def _measured(experiment: ExperimentResult) -> dict[str, Any]:
+def _measured(experiment: ExperimentResult) -> JsonObject:
     """Return limits with the trials on either side of them, and the limits that the loop with friction predicts."""
     limits, trials = [], []
     for point in experiment.boundary:
@@ -88,7 +91,7 @@ def _measured(experiment: ExperimentResult) -> dict[str, Any]:
     return {"limits": limits, "trials": trials, "friction": friction}
 
 
-def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any] | None:
+def _identified_loop(experiment: ExperimentResult, motion: str) -> JsonObject | None:
     found = experiment.loop
     if found is None or found.source == "device file":
         return None if experiment.theory is None else loop_entries(experiment.theory.loop)
@@ -96,7 +99,7 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
     values = {name: None if each is None else each.value for name, each in numbers.items()}
     if not values["mass"] or values["delay_samples"] is None or experiment.sampling_period_s is None:
         return None if experiment.theory is None else loop_entries(experiment.theory.loop)
-    loop: dict[str, Any] = {"motion": motion, "sampling_period_s": experiment.sampling_period_s}
+    loop: JsonObject = {"motion": motion, "sampling_period_s": experiment.sampling_period_s}
     # An estimate may be negative, but the numbers in a device file may not.
     loop |= {name: value if name == "mass" else max(value or 0.0, 0.0) for name, value in values.items()}
     if found.actuator_lag_s is not None and found.actuator_lag_s.value:
@@ -104,12 +107,12 @@ def _identified_loop(experiment: ExperimentResult, motion: str) -> dict[str, Any
     return loop | _parts_of(found, experiment)
 
 
-def _parts_of(found: LoopResult, experiment: ExperimentResult) -> dict[str, Any]:
+def _parts_of(found: LoopResult, experiment: ExperimentResult) -> JsonObject:
     """Return the velocity filter and the vibration mode of an identified loop.
 
     Their kinds are those of the loop used for theory.
     """
-    parts: dict[str, Any] = {}
+    parts: JsonObject = {}
     known = experiment.theory.loop if experiment.theory is not None else None
     velocity = {name: each.value for name, each in (found.velocity or {}).items() if each.value is not None}
     if "cutoff_hz" in velocity:

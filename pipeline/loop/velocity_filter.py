@@ -37,7 +37,9 @@ def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> Lin
     if velocity.kind == "kalman":
         return velocity.coefficients(sampling_period_s)
     if velocity.kind == "butterworth":
-        return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
+        # the class is that of the filter, because its module is not loaded here
+        cutoff = velocity.cutoff_hz * sampling_period_s
+        return type(velocity)(kind=velocity.kind, order=velocity.order, cutoff_hz=cutoff)
     return velocity
 
 

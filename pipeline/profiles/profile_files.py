@@ -21,6 +21,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.errors import ProfileError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import schema_folder
 from pipeline.profiles.profile_model import PROBLEMS, Profile
 
@@ -42,7 +43,7 @@ _STATEMENT = re.compile(r"""\s*(\[{0,2})\s*([\w"'. -]+?)\s*[\]=]""")
 
 
 def read_profile(path: Path) -> Profile:
-    """Read and check the file of a profile.
+    """Read and check the file of a profile. The path of its sheet is relative to the folder of this file.
 
     Raises
     ------
@@ -66,6 +67,8 @@ def read_profile(path: Path) -> Profile:
         kinds = " and ".join(kind for kind, some in (("mistakes", wrong), ("open questions", questions)) if some)
         count = f"{len(found)} {kinds} in this profile:\n" if len(found) > 1 else ""
         raise ProfileError(count + "\n".join(f"{path}:{mistake.line}: {mistake.text}" for mistake in found))
+    if "sheet" in values:
+        values["sheet"]["file"] = str(path.parent / values["sheet"]["file"])
     return Profile.model_validate(values)
 
 
@@ -90,11 +93,7 @@ def load_profile(profile: str | Path | Profile) -> Profile:
         return shipped[str(profile)]
     path = Path(profile)
     if path.is_file():
-        read = read_profile(path)
-        if read.sheet is None:
-            return read
-        sheet = read.sheet.model_copy(update={"file": str(path.parent / read.sheet.file)})
-        return read.model_copy(update={"sheet": sheet})
+        return read_profile(path)
     raise ProfileError(
         f"profile {str(profile)!r} is neither a file nor a shipped profile; expected one of "
         f"{sorted(shipped)} or the path of a TOML file."
@@ -129,7 +128,7 @@ class Mistake:
     text: str
 
 
-def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
+def find_mistakes(values: JsonObject, text: str) -> list[Mistake]:
     """Return the errors of a profile in order of lines. The list is empty if there are none.
 
     Contradictions between keys are checked only if each single key is valid.
@@ -168,7 +167,7 @@ def find_questions(text: str) -> list[Mistake]:
     return found
 
 
-def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
+def _explain(error: JsonObject) -> Iterator[tuple[Place, str]]:
     """Yield the location and message of each error."""
     if error["type"] == PROBLEMS:
         yield from ((tuple(place), f"{_key(place)}: {what}.") for place, what in error["ctx"]["problems"])

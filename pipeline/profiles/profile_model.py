@@ -616,7 +616,7 @@ class Conditions(Record):
     added_delay_samples: Count | None = None
     grip: Grip | None = None
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> dict[str, str | float]:
         """Return the conditions that are given."""
         return {key: value for key in CONDITIONS if (value := getattr(self, key)) is not None}
 
@@ -689,7 +689,7 @@ class Sheet(Record):
         Columns that give conditions, such as ``"K:stiffness:N/mm"``. Other columns are identified by their names.
     """
 
-    file: Name
+    file: Annotated[str, Field(min_length=1)]
     name: Name | None = None
     columns: tuple[Name, ...] = ()
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from pipeline.profiles.profile_model import Profile
@@ -29,7 +31,7 @@ def _key(key: str) -> str:
     return key if _PLAIN_KEY.fullmatch(key) else toml_value(key)
 
 
-def profile_toml(profile: Profile, remarks: Sequence[str] = ()) -> str:
+def profile_toml(profile: Profile, remarks: Sequence[str] = (), folder: Path | None = None) -> str:
     """Return a profile as the text of its file.
 
     Parameters
@@ -37,8 +39,12 @@ def profile_toml(profile: Profile, remarks: Sequence[str] = ()) -> str:
     profile : Profile
     remarks : sequence of str
         Comment lines above the keys, such as evidence from the data.
+    folder : Path, optional
+        Folder of the file, to which the path of the sheet is made relative. By default, the path is unchanged.
     """
     dumped = profile.model_dump(mode="json", exclude_defaults=True)
+    if profile.sheet is not None and folder is not None:
+        dumped["sheet"]["file"] = os.path.relpath(profile.sheet.file, folder)
     values = {key: dumped[key] for key in ("name", "title", "format", "files") if key in dumped} | dumped
     lines = [*(f"# {' '.join(remark.split())}" for remark in remarks), *_table(values, ())]
     return "\n".join(lines) + "\n"

@@ -115,7 +115,8 @@ def open_sample(path: Path) -> Sample:
     settings = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.keys)
     contents, trials = read_file(settings, (path.name,), (data,)), tuple[FileColumns, ...]()
     if kind in GROUPED:
-        each = settings.model_copy(update={"trials": "each group"})
+        by_group = layout.keys | {"trials": "each group"}
+        each = Profile.model_construct(name="draft", format=kind, files=("*",), **by_group)
         whole = read_file(each, (path.name,), (data,)) if kind in ("json", "tdms") else contents
         if groups := trial_groups(whole):
             layout.keys["trials"] = "each group"

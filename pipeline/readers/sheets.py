@@ -17,6 +17,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ParameterError, ProfileError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.units import find_unit, unit_in_heading
 from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_mistakes
@@ -112,8 +113,11 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
     return SheetRead(ready, tuple(_missing(path, rows, present)) if logs else ())
 
 
-def _joined(own: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return entries of single files joined with the rows of a sheet. An entry overrides the row of its file."""
+def _joined(own: Sequence[JsonObject], rows: Sequence[JsonObject]) -> list[JsonObject]:
+    """Return entries of single files, as tables of a profile, joined with the rows of a sheet.
+
+    An entry overrides the row of its file.
+    """
     corrections = {entry["match"].lower(): entry for entry in own}
     joined = [row | corrections.pop(row["match"].lower(), {}) for row in rows]
     return [*corrections.values(), *joined]

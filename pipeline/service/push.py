@@ -16,6 +16,7 @@ from urllib.parse import quote, urlsplit
 from urllib.request import Request, urlopen
 
 from pipeline.base.errors import UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import path_text
 from pipeline.intake.sources import Notices, find_sources, requested_profiles
 from pipeline.profiles.profile_model import Profile
@@ -29,7 +30,7 @@ POLL_S = 0.2
 Advance = Callable[[int, int | None], None]
 
 
-def push(folder: Path, to: str, profile: str | Profile | None, token: str | None, advance: Advance) -> dict[str, Any]:
+def push(folder: Path, to: str, profile: str | Profile | None, token: str | None, advance: Advance) -> JsonObject:
     """Upload logs, wait until they are stored, and return what ``ingest --json`` would print for all of them.
 
     Raises
@@ -52,7 +53,7 @@ def push(folder: Path, to: str, profile: str | Profile | None, token: str | None
         files = [file for file in files if escape(os.path.abspath(file)) not in asked.ignore]
     notices = Notices()
     find_sources([folder], (), None, notices)
-    total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "changed": []}
+    total: JsonObject = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "changed": []}
     total |= {"damaged": [], "ignored": []}
     jobs = []
     sent = 0
@@ -116,7 +117,7 @@ class _Server:
         self._ask("PUT", f"/api/v1/profiles/{quote(name)}", body, {"Content-Type": "application/json"})
         return name
 
-    def wait(self, job: str) -> dict[str, Any]:
+    def wait(self, job: str) -> JsonObject:
         while True:
             found = self._ask("GET", f"/api/v1/jobs/{quote(job)}")
             if found["state"] == "done":

@@ -110,8 +110,7 @@ def verify_bundle(path: Path) -> Verification:
                 "`pipeline bundle REPORT`."
             )
         with _devices_of(folder / "devices"):
-            found = verify(pages[0], folder / "processed", None)
-    return found.model_copy(update={"report": str(path)})
+            return verify(pages[0], folder / "processed", None, path)
 
 
 def _device_file(request: Request) -> Path:

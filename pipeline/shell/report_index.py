@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import unescape
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
 from pipeline.base.disk import write_text
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import storable
 from pipeline.base.wording import unbroken
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
@@ -36,7 +36,7 @@ _REPORT_MARK = 'name="pipeline-cells"'
 """Part of the head of a report of `pipeline compare` (`report_parts.CELLS_META`)."""
 
 
-def _row(document: dict[str, Any]) -> dict[str, Any]:
+def _row(document: JsonObject) -> JsonObject:
     """Return the index row of a document. Documents of other versions may lack fields that are not needed here."""
     experiments = document["experiments"]
     names = [e["experiment"] for e in experiments]
@@ -53,7 +53,7 @@ def _row(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _stiffness(experiments: Sequence[dict[str, Any]], unit: str) -> dict[str, str]:
+def _stiffness(experiments: Sequence[JsonObject], unit: str) -> dict[str, str]:
     """Return the measured and theoretical largest stable stiffness of the first experiment that has one, and their
     deviation."""
     for e in experiments:
@@ -82,7 +82,7 @@ class IndexEntry:
     page: str
     title: str
     problem: str = ""
-    document: dict[str, Any] | None = None
+    document: JsonObject | None = None
 
     @property
     def shown(self) -> str:

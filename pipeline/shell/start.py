@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
@@ -75,7 +76,7 @@ class Folder:
     native: bool
     samples: tuple[Sample, ...]
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[dict[str, str | int]]:
         """Return the files by kind, as rows of a table."""
         kinds = {
             "logs": self.logs,
@@ -356,7 +357,7 @@ def made_profile(proposal: Proposal) -> Profile:
     if proposal.open:
         raise ProfileError("\n".join(f"{place}: {answer.question}" for place, answer in proposal.open.items()))
     sample = proposal.folder.samples[0]
-    values: dict[str, Any] = {"format": sample.kind, **sample.layout.keys}
+    values: JsonObject = {"format": sample.kind, **sample.layout.keys}
     values["files"] = [f"*{suffix_of(Path(sample.name))}"]
     for place, answer in proposal.answers.items():
         *above, key = place.split(".")

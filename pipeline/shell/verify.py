@@ -119,6 +119,7 @@ def verify(
     report: Path,
     processed: Path | str | None = None,
     profiles: Sequence[Path] | None = (),
+    bundle: Path | None = None,
 ) -> Verification:
     """Recompute the numbers of a report, and compare them part by part.
 
@@ -134,6 +135,8 @@ def verify(
         the current folder and in the folder of the report.
     profiles : sequence of Path or None
         Profile files of the lab that read the logs. None uses only the stored samples.
+    bundle : Path, optional
+        Bundle that contains the report. The result then names the bundle.
 
     Raises
     ------
@@ -187,7 +190,7 @@ def verify(
         hashes = found.digests.page if found.digests else "hashes of the parts in the head"
         differences.append(Difference(name="page", kind="page", expected=hashes, found=text))
     return Verification(
-        report=str(report),
+        report=str(bundle or report),
         equal=not differences and not problems,
         checked=checked,
         differences=tuple(differences),

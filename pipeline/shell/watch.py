@@ -12,9 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import user_device_folder
 from pipeline.shell import console
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 FileState = tuple[int, int, int]
 """Size [byte], and times of the last change of the content and of metadata such as permissions [ns since 1970]."""
 
-Event = dict[str, Any]
+Event = JsonObject
 """Event, with its kind under ``event`` and further keys that depend on the kind."""
 
 LOOK_SHARE = 200

@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from pipeline.base.json_object import JsonObject
 from pipeline.device_data.published import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.criteria import ENERGY, criterion_of
@@ -244,8 +245,8 @@ def table_lines(name: str, rows: Sequence[TheoryRow], align: Callable[..., list[
     return [*lines, ""]
 
 
-def _cells(row: TheoryRow, names: Sequence[str]) -> dict[str, Any]:
-    cells: dict[str, Any] = {"criterion": row.criterion, "d": row.delay, "gamma": row.gamma, "delta": row.delta}
+def _cells(row: TheoryRow, names: Sequence[str]) -> JsonObject:
+    cells: JsonObject = {"criterion": row.criterion, "d": row.delay, "gamma": row.gamma, "delta": row.delta}
     for name in names:
         entry = next((e for e in row.entries if e.name == name), None)
         cells[name] = entry and _computed(entry)
@@ -276,7 +277,7 @@ def summary_line(rows: Sequence[TheoryRow]) -> str:
     return f"{sum(len(row.entries) for row in rows)} printed numbers: {_counts(rows)}. ({LEGEND}.)"
 
 
-def document(rows: Sequence[TheoryRow]) -> dict[str, Any]:
+def document(rows: Sequence[TheoryRow]) -> JsonObject:
     """Return rows and counts as a JSON document."""
     return {
         "marks": list(MARKS),

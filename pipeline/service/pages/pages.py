@@ -317,13 +317,13 @@ class TrialForm(api.TrialQuery):
 @pages.get("/trials")
 def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query()]) -> Response:
     """Show a list of trials, or its CSV."""
-    all_, shown = service.catalogue, asked.model_copy(update={"limit": SHOWN})
+    all_ = service.catalogue
     if asked.format:
-        whole = asked.model_copy(update={"limit": max(all_.rows, 1), "cursor": None})
-        return _csv(api.trial_list(all_, shown if asked.format == "csv" else whole).items)
+        limit, place = (SHOWN, asked.cursor) if asked.format == "csv" else (max(all_.rows, 1), None)
+        return _csv(api.trial_list(all_, asked, limit, place).items)
 
     def listing() -> tuple[int, Markup]:
-        found = api.trial_list(all_, shown)
+        found = api.trial_list(all_, asked, SHOWN, asked.cursor)
         state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in _STATE}
         following = urlencode({**state, "cursor": found.next_cursor}) if found.next_cursor else None
         more = {"state": state, "following": following, "query": urlencode(state)}

@@ -130,17 +130,20 @@ class TrialQuery(BaseModel):
     cursor: Place | None = None
 
 
-def trial_list(catalogue: Catalogue, query: TrialQuery) -> answers.TrialPage:
-    """Return a page of trials with facets, as the API and the pages show it."""
+def trial_list(catalogue: Catalogue, query: TrialQuery, limit: int, word: str | None) -> answers.TrialPage:
+    """Return a page of trials with facets, as the API and the pages show it.
+
+    It has at most ``limit`` trials, which follow those of the page with the cursor ``word``.
+    """
     name = query.sort.lstrip("-")
     texts = name in (*WORDS, "uploader")
     kind = (type(None),) if name == "id" else (str, type(None)) if texts else (float, int, type(None))
-    after = place(query.cursor, (kind, str))  # type: ignore[arg-type]
+    after = place(word, (kind, str))  # type: ignore[arg-type]
     given = {key: value for key, value in query if value not in ("", None)}
     words = {key: None if given[key] == "none yet" else given[key] for key in WORDS if key in given}
     chosen = Selection(words, {key: given[key] for key in RANGES if key in given}, query.q)
     total, facets = catalogue.selected(chosen)
-    items, more = catalogue.page(chosen, query.sort, query.limit, after)
+    items, more = catalogue.page(chosen, query.sort, limit, after)
     following = cursor([None if name == "id" else items[-1].number_or_word(name), items[-1].id]) if more else None
     return answers.TrialPage(items=items, next_cursor=following, total=total, facets=facets)
 
@@ -171,7 +174,10 @@ def experiments(
 def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
     """List trials by their properties, with how many there are of each."""
     all_ = service.catalogue
-    content = all_.once(f"document {asked.model_dump_json()}", lambda: trial_list(all_, asked).model_dump_json())
+    content = all_.once(
+        f"document {asked.model_dump_json()}",
+        lambda: trial_list(all_, asked, asked.limit, asked.cursor).model_dump_json(),
+    )
     return Response(content, media_type=JSONResponse.media_type)
 
 

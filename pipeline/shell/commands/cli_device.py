@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import check_output
 from pipeline.base.process import Ended
 from pipeline.base.wording import counted
@@ -147,7 +148,7 @@ def identify(
         raise SystemExit(EXIT_QUARANTINED)
 
 
-def _with_interval(number: dict[str, Any]) -> str:
+def _with_interval(number: JsonObject) -> str:
     """Return a number with interval and unit. It has enough digits to distinguish both ends."""
     from pipeline.rendering.labels import interval_texts
 
@@ -155,7 +156,7 @@ def _with_interval(number: dict[str, Any]) -> str:
     return f"{value} ({low} to {high}) {number['unit']}"
 
 
-def identified_lines(document: dict[str, Any]) -> Iterator[str]:
+def identified_lines(document: JsonObject) -> Iterator[str]:
     """Yield the result of an identification as lines: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
     from pipeline.surface.identify import DRIFT
@@ -299,7 +300,7 @@ def _held(device: Device, conditions: Any, hand: str | None) -> Loop:
     return replace(loop, operator=Operator(**arms[hand.lower()].model_dump(include={"mass", "damping", "stiffness"})))
 
 
-def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[str, Any] | None:
+def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> JsonObject | None:
     """Return the largest stiffness without a limit cycle due to the sensor resolution, and the resolution that K needs.
 
     ``coulomb`` is the friction per unit of command.
@@ -312,7 +313,7 @@ def _quantum(coulomb: float, quantum: float, stiffness: float | None) -> dict[st
     return {"stiffness": quantum_limit(coulomb, quantum), "quantum": quantum, "quantum_needed": needed}
 
 
-def _design_lines(document: dict[str, Any], loop: Loop) -> Iterator[str]:
+def _design_lines(document: JsonObject, loop: Loop) -> Iterator[str]:
     """Yield the remaining lines of the answer: sensitivities, published limits, guidelines."""
     from pipeline.device.parameters import unit_of
 

@@ -136,15 +136,25 @@ def compare(
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
     """Return the content of a scene after applying the measurement options."""
-    from pipeline.records.models import Shown
+    from pipeline.records.models import Measuring, Shown
 
     shown = shown or Shown()
     window = None if momentum_window is None else quantity("--momentum-window", momentum_window, "time")
-    given = {"final": final, "momentum_delay": momentum_delay, "momentum_window_s": window}
-    chosen = {name: value for name, value in given.items() if value is not None}
     if window is not None and window <= 0:
         raise UsageError(f"--momentum-window {momentum_window}: expected a time above 0, such as '15 ms'.")
-    return shown.model_copy(update={"measuring": shown.measuring.model_copy(update=chosen)})
+    former = shown.measuring
+    measuring = Measuring(
+        final=former.final if final is None else final,
+        momentum_delay=former.momentum_delay if momentum_delay is None else momentum_delay,
+        momentum_window_s=former.momentum_window_s if window is None else window,
+    )
+    return Shown(
+        figures=shown.figures,
+        tables=shown.tables,
+        overlays=shown.overlays,
+        delays=shown.delays,
+        measuring=measuring,
+    )
 
 
 def _show(result: ComparisonResult, report: Path, export: Path | None) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, LogError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import check_output
 from pipeline.base.wording import counted
 from pipeline.shell import console
@@ -215,9 +216,11 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
     from pipeline.surface.identify import identified_device
 
     place, read, profile = shlex.quote(str(folder.path)), reading.options, reading.profile
-    how: dict[str, Any] = {"ignore": reading.ignored}
     with console.progress("ingest", "logs") as advance:
-        report = stored_by(processed, lambda store: ingest([folder.path], store, profile, progress=advance, **how))
+        report = stored_by(
+            processed,
+            lambda store: ingest([folder.path], store, profile, progress=advance, ignore=reading.ignored),
+        )
     found = report.model_dump(mode="json")
     for line in (*refusals(found["quarantined"]), *warnings_of(found)):
         console.step(line)
@@ -229,7 +232,7 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
     if device is None or not report.ingested + report.skipped:
         console.show({"commands": commands, "stored": found}, commands)
         return EXIT_ERROR
-    document: dict[str, Any] = {"device": device, "profile": reading.file and str(reading.file), "ingest": found}
+    document: JsonObject = {"device": device, "profile": reading.file and str(reading.file), "ingest": found}
     lines: list[str] = []
     if compares and _has_walls(processed, device):
         target = report_of(reports_folder(), device)

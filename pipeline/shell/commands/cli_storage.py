@@ -54,16 +54,14 @@ def ingest(
     from pipeline.intake.ingest import ingest as ingest_logs
     from pipeline.store.objects import stored_by
 
-    how: dict[str, Any] = {
-        "ignore": ignore or (),
-        "jobs": jobs,
-        "dry_run": dry_run,
-        "rehash": rehash,
-        "replace": replace,
-        "say": console.step,
-    }
     with console.progress("ingest", "logs") as advance:
-        report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, progress=advance, **how))
+        report = stored_by(
+            processed,
+            lambda folder: ingest_logs(
+                paths, folder, profile, progress=advance, ignore=ignore or (), jobs=jobs, dry_run=dry_run,
+                rehash=rehash, replace=replace, say=console.step,
+            ),
+        )  # fmt: skip
     document = report.model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]

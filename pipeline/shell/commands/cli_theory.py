@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import (
@@ -23,6 +24,7 @@ from pipeline.shell.commands.options import (
 from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
+    from pipeline.explorer.entries import Entry
     from pipeline.theory.cases import Boundary, Case, Optimum
 
 Row = TypeVar("Row")
@@ -138,7 +140,7 @@ def _boundary_lines(answer: Boundary) -> Iterator[str]:
     yield f"({count} points along the boundary; use --out FILE or --json)"
 
 
-def _beside(facts: dict[str, Any]) -> Iterator[str]:
+def _beside(facts: JsonObject) -> Iterator[str]:
     """Yield remarks on a device: a jittering delay, and parts that theory does not include."""
     if facts.get("delay_samples_low") != facts.get("delay_samples_high"):
         low, high = facts["delay_samples_low"], facts["delay_samples_high"]
@@ -295,7 +297,7 @@ def explore(
     console.show({"files": [str(path) for path in written]}, [f"{path} written" for path in written])
 
 
-def _entries(device: str | None, experiment: str | None, processed: str) -> list[dict[str, Any]]:
+def _entries(device: str | None, experiment: str | None, processed: str) -> list[Entry]:
     """Return the entries of the `explore` page: measured experiments, then the device file, then other devices."""
     from pipeline.device.parameters import drive_of
     from pipeline.device_data.devices import find_experiment, known_devices
@@ -315,13 +317,12 @@ def _entries(device: str | None, experiment: str | None, processed: str) -> list
             f"device {known.name!r}: its commands are in {drive}, but the page computes with forces or torques. Give "
             "the gain of the drive when the logs are read (--gain '2.3 N/V', or [units] gain in a profile)."
         )
-    chosen = (
-        known if experiment is None else known.model_copy(update={"experiments": (find_experiment(known, experiment),)})
-    )
-    return [*measured, *device_entries([chosen], ", by its device file" if measured else "")]
+    if experiment is not None:
+        find_experiment(known, experiment)
+    return [*measured, *device_entries([known], ", by its device file" if measured else "", experiment)]
 
 
-def _measured_entries(device: str, experiment: str | None, processed: str) -> list[dict[str, Any]]:
+def _measured_entries(device: str, experiment: str | None, processed: str) -> list[Entry]:
     """Return the experiments of a stored comparison with their trials. The list is empty if there is no report."""
     from pipeline.base.errors import PipelineError
     from pipeline.explorer.entries import measured_entries, with_trials
@@ -332,8 +333,7 @@ def _measured_entries(device: str, experiment: str | None, processed: str) -> li
     if not document.is_file():
         return []
     result = load(document).result
-    kept = tuple(each for each in result.experiments if experiment in (None, each.experiment))
-    entries = measured_entries(result.model_copy(update={"experiments": kept}))
+    entries = measured_entries(result, experiment)
     for i, entry in enumerate(entries):
         try:
             rows = costs(processed, result.device, entry["experiment"])
@@ -363,7 +363,7 @@ def tables(
     from pipeline.studies.printed_optima import optima_lines, printed_optima
 
     rows: list[theory.TheoryRow] = []
-    optima: list[dict[str, Any]] = []
+    optima: list[JsonObject] = []
     lines: list[str] = []
     known = (*THEORY_TABLES, *MEASURED_TABLES)
     if unknown := [name for name in table or () if name not in known]:

@@ -6,7 +6,6 @@ The options are converted to an ordinary profile (`pipeline.shell.profile.column
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 Text = str | None
 
-_STATED: dict[str, Any] = {
+_STATED: dict[str, object] = {
     "time": Annotated[Text, option("--time", "Column of time with its unit, t:ms, or the time between rows, '1 ms'.")],
     "command": Annotated[Text, option("--command", "Column of the command with its unit: N, Nm, V, A, counts, %.")],
     "position": Annotated[Text, option("--position", "Column of the position with its unit; -x:mm reverses the sign.")],
@@ -105,10 +104,6 @@ def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path 
     for line in made.evidence:
         console.step(line)
     if save is not None:
-        written = made.profile
-        if written.sheet is not None:
-            place = os.path.relpath(written.sheet.file, save.parent)
-            written = written.model_copy(update={"sheet": written.sheet.model_copy(update={"file": place})})
-        write_text(save, profile_toml(written, made.evidence))
+        write_text(save, profile_toml(made.profile, made.evidence, save.parent))
         console.step(f"wrote {save}")
     return made.profile

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import LogError, refusal
+from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
 from pipeline.device.parameters import drive_of, is_rotation
 from pipeline.device_data.devices import known_devices
@@ -51,7 +51,7 @@ PLAUSIBLE: dict[str, dict[Kind, tuple[float, float]]] = {
 IS_UNUSUAL = "check its unit"
 """End of the sentence about an implausible number."""
 
-Checked = dict[str, Any]
+Checked = JsonObject
 """Result for a sample: ``path``, and its ``trials`` or the ``reason`` why it would be refused, with the ``row``.
 
 ``conditions`` of a trial have ``name``, ``value``, ``unit``, the ``place`` (in the profile or the header) that gives
@@ -115,7 +115,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion) -> Checked:
     }
 
 
-def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterator[dict[str, Any]]:
+def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterator[JsonObject]:
     if profile.format == "native":
         places = dict.fromkeys(CONDITIONS, "header")
     else:
@@ -135,7 +135,7 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
         yield {"name": key, "value": value, "unit": units.get(key, ""), "place": place, "usual": usual, "fault": fault}
 
 
-def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[dict[str, Any]]:
+def _columns(profile: Profile, log: Log, motion: Motion) -> Iterator[JsonObject]:
     for key in ("time", "command", "position", "force", "velocity"):
         if (values := getattr(log, key)) is None:
             continue

@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.units import UNITS, find_unit
 from pipeline.base.wording import counted
 from pipeline.intake.sources import find_sources
@@ -212,7 +213,7 @@ class _Maker:
         self.columns: list[str] = []
         """Columns of the sheet that options map to conditions."""
 
-    def values(self) -> dict[str, Any]:
+    def values(self) -> JsonObject:
         """Return the profile as a mapping."""
         sample, stated = self.sample, self.stated
         if questions := sample.layout.questions:
@@ -221,10 +222,10 @@ class _Maker:
                 f"{sample.name}: {open_questions} Answer it in a profile: `pipeline profile draft {sample.name}`."
             )
         ending = suffix_of(Path(sample.name))
-        values: dict[str, Any] = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
+        values: JsonObject = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
         columns = {name: self._column(name) for name in COLUMNS}
         values["columns"] = columns
-        constants: dict[str, Any] = {"experiment": stated.experiment or "1"}
+        constants: JsonObject = {"experiment": stated.experiment or "1"}
         if stated.device is not None or not self.walls:
             constants["device"] = stated.device or "device"
         elif self.table is None or "device" not in conditions_by_name(self.table.names):
@@ -244,7 +245,7 @@ class _Maker:
         values["name"] = re.sub(r"\W+", "-", stated.device or "columns").strip("-") or "columns"
         return {key: value for key, value in values.items() if value != {}}
 
-    def _column(self, name: str) -> dict[str, Any]:
+    def _column(self, name: str) -> JsonObject:
         """Return the profile table for a column."""
         text = getattr(self.stated, name)
         if text is None:  # only time may be missing
@@ -257,7 +258,7 @@ class _Maker:
         found = ColumnText.among(f"--{name}", text, list(self.sample.contents.columns))
         column = found.column or ""
         by_position = not self.sample.layout.keys.get("header", True) and column.isdecimal()
-        table: dict[str, Any] = {"column": int(column)} if by_position else {"name": column}
+        table: JsonObject = {"column": int(column)} if by_position else {"name": column}
         table["unit"] = found.unit or self._unit(name, column)
         if name != "time":
             table["sign"] = found.sign or 1
@@ -307,7 +308,7 @@ class _Maker:
         known = find_unit(unit)
         return known is not None and known.quantity in ("angle", "angular velocity")
 
-    def _condition(self, values: dict[str, Any], name: str, text: str) -> None:
+    def _condition(self, values: JsonObject, name: str, text: str) -> None:
         """Store the source of a condition. It is a constant, a value outside the table, a column, or the name of the
         file.
 
@@ -349,7 +350,7 @@ class _Maker:
         }[where]
         self.evidence.append(f"{name} is {place}")
 
-    def _period(self, values: dict[str, Any]) -> None:
+    def _period(self, values: JsonObject) -> None:
         """Set the sampling period. It is the stated one, or the time between the rows of all samples."""
         text = self.stated.period
         if text is None and self.stated.time is not None:
@@ -376,7 +377,7 @@ class _Maker:
         values["constants"]["sampling_period_s"] = period
         self.evidence.append(f"the sampling period is {period:g} s, the time between the rows of {_logs(len(paces))}")
 
-    def _wall(self, values: dict[str, Any]) -> None:
+    def _wall(self, values: JsonObject) -> None:
         """Set the keys that the wall law of the commands shows, which are the sign of the position and the time of the
         step."""
         kind = self.stated.kind or "step"

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.base.json_object import JsonObject
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.studies.accuracy.measure import FAILURES, largest
@@ -23,8 +24,8 @@ QUICK_DELAY = 64
 MARGINS = range(1, 15)
 """Relative distances 10^-k from the boundary."""
 
-Row = dict[str, Any]
-"""Point of a path, with its abscissa x, its loop and wall, and the exact values."""
+Point = JsonObject
+"""Point of a path in the file of reference values, with its abscissa x, its loop and wall, and the exact values."""
 
 Errors = Sequence[float | None]
 
@@ -33,7 +34,7 @@ _T = TypeVar("_T")
 
 def sweeps(quick: bool) -> Iterator[Sweep]:
     """Yield all paths with all methods. A quick run stops at a delay of `QUICK_DELAY`."""
-    paths: dict[str, list[Row]] = reference()["sweeps"]
+    paths: dict[str, list[Point]] = reference()["sweeps"]
     longest = QUICK_DELAY if quick else LARGEST_DELAY
     paths = {name: [row for row in rows if row.get("delay", 0) <= longest] for name, rows in paths.items()}
     for name in ("gamma", "gamma_damped", "critical", "delta"):
@@ -75,7 +76,7 @@ def _attempt(function: Callable[..., _T], *arguments: Any) -> _T | None:
         return None
 
 
-def _sweep(name: str, method: str, path: Sequence[Row], errors: Errors, wrong: Sequence[bool] | None = None) -> Sweep:
+def _sweep(name: str, method: str, path: Sequence[Point], errors: Errors, wrong: Sequence[bool] | None = None) -> Sweep:
     x = [row["x"] for row in path]
     return Sweep(
         sweep=name,
@@ -88,12 +89,12 @@ def _sweep(name: str, method: str, path: Sequence[Row], errors: Errors, wrong: S
     )
 
 
-def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Row) -> float | None:
+def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Point) -> float | None:
     found, exact = np.array(of(row["gamma"], row["delta"])), np.array(row["numerator"])
     return largest((found - exact) / exact)[0] if np.isfinite(found).all() else None
 
 
-def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Row]) -> Sweep:
+def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Point]) -> Sweep:
     """Return errors of the spectral radius, and wrong verdicts. This package does not judge stability by the radius."""
     walls = [(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in path]
     found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
@@ -106,7 +107,7 @@ def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence
     return _sweep(name, method, path, errors, wrong)
 
 
-def _energy_errors(of: Callable[..., Any], row: Row, case: Case) -> list[float | None]:
+def _energy_errors(of: Callable[..., Any], row: Point, case: Case) -> list[float | None]:
     """Return the relative error of the energy cost with each weight at a point, or None if a cost has no value."""
     found = np.asarray(of(case, np.array([row["alpha"]]), np.array([row["beta"]])))[:, 0]
     exact = [row[f"energy_step_w{w}"] for w in range(3)]

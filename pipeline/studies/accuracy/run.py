@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import duration, error_text, power_of_ten
 from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, LeftOut, MeasuredAccuracy, Rung, Sweep
@@ -32,7 +32,7 @@ Say = Callable[[str], None]
 
 
 @cache
-def words() -> dict[str, Any]:
+def words() -> JsonObject:
     """Return the texts of quantities, paths of extreme cases, and omissions, from ``words.toml`` in this folder."""
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
@@ -51,25 +51,28 @@ def measure(
     theory, measured : bool
         Whether to measure the methods of theory, and those for logs. The other part of the report stays empty.
     """
-    report = AccuracyReport(
-        key=accuracy.key(),
-        quick=quick,
-        measured=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        machine=accuracy.machine(),
-    )
-    begin = time.perf_counter()
+    key, machine = accuracy.key(), accuracy.machine()
+    begun, begin = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), time.perf_counter()
+    rungs, found, omitted, seconds, branch = tuple[Rung, ...](), tuple[Sweep, ...](), tuple[LeftOut, ...](), 0.0, None
     if theory:
         rungs = _rungs(theory_tables(), quick, say, BUDGETS["theory"])
         say("extreme cases")
-        found, seconds = tuple(sweeps(quick)), time.perf_counter() - begin
-        parts = {"rungs": rungs, "sweeps": found, "left_out": left_out(), "seconds": seconds}
-        report = report.model_copy(update=parts)
+        found, omitted, seconds = tuple(sweeps(quick)), left_out(), time.perf_counter() - begin
     if measured:
         begin = time.perf_counter()
-        rungs = _rungs(measured_tables(quick), quick, say, BUDGETS["measured"])
-        branch = MeasuredAccuracy(rungs=rungs, seconds=time.perf_counter() - begin)
-        report = report.model_copy(update={"measured_branch": branch})
-    return report
+        of_logs = _rungs(measured_tables(quick), quick, say, BUDGETS["measured"])
+        branch = MeasuredAccuracy(rungs=of_logs, seconds=time.perf_counter() - begin)
+    return AccuracyReport(
+        key=key,
+        quick=quick,
+        measured=begun,
+        machine=machine,
+        rungs=rungs,
+        sweeps=found,
+        left_out=omitted,
+        seconds=seconds,
+        measured_branch=branch,
+    )
 
 
 def _rungs(tables: Iterable[Table], quick: bool, say: Say, budgets: tuple[float, float]) -> tuple[Rung, ...]:

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.base.json_object import JsonObject
 from pipeline.device.parts import Butterworth
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.loop.state_space import Plant
@@ -63,18 +64,18 @@ _repetition = count()
 
 
 @cache
-def reference() -> dict[str, Any]:
+def reference() -> JsonObject:
     """Return the high-precision values that are shipped with the package (made by docs/make_reference.py)."""
-    document: dict[str, Any] = json.loads(reference_file().read_text(encoding="utf-8"))
+    document: JsonObject = json.loads(reference_file().read_text(encoding="utf-8"))
     return document
 
 
-def case_of(entry: dict[str, Any]) -> Case:
+def case_of(entry: JsonObject) -> Case:
     """Return the loop of a reference entry in the form that the common methods take."""
     return Case(entry["gamma"], entry["delta"], entry["delay"])
 
 
-def normalised_loop(entry: dict[str, Any]) -> NormalisedLoop:
+def normalised_loop(entry: JsonObject) -> NormalisedLoop:
     """Return the loop of a reference entry in the form that this package uses."""
     numbers = {"lag": entry.get("lag", 0.0), "load_mass": entry.get("far_mass", 0.0)}
     if numbers["load_mass"]:
@@ -250,7 +251,7 @@ def _simulated_cost(case: Case, place: int, alpha: Floats, beta: Floats) -> Floa
     return result
 
 
-def _map(case: Case, loop: NormalisedLoop, known: dict[str, Any]) -> Table:
+def _map(case: Case, loop: NormalisedLoop, known: JsonObject) -> Table:
     """Return the table of methods that compute sampled costs over a grid. A row covers all criteria."""
     axes = np.array(known["axis_alpha"]), np.array(known["axis_beta"])
     usable = axes[0] > 0  # at alpha = 0 the wall has no restoring force
