@@ -11,11 +11,11 @@ import json
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
 from pipeline.base.errors import DeviceError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest, schema_folder, user_device_folder
 from pipeline.device.parts import LARGEST, SMALLEST
 from pipeline.records.models import STATED, Device, Experiment
@@ -172,7 +172,7 @@ def read_device(path: Path) -> Device:
         ) from error
 
 
-def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
+def _completed(data: JsonObject, name: str) -> JsonObject:
     """Add defaults to the contents of a device file."""
     full = {"name": name, **data}
     full = {"title": full["name"], **full}
@@ -221,7 +221,7 @@ def _is_other(path: Path) -> bool:
     return bool(keys) and (keys.isdisjoint(_OF_DEVICES) or not keys.isdisjoint(_OF_PROFILES))
 
 
-def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
+def _describe(detail: JsonObject, data: JsonObject) -> str:
     """Describe an invalid field in one line that states its path in the file, the value found and the reason."""
     location = detail["loc"]
     field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
@@ -235,7 +235,7 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
     return f"  {field or 'entire file'}{_owner(location, data)}: {message}"
 
 
-def _owner(location: tuple[int | str, ...], data: dict[str, Any]) -> str:
+def _owner(location: tuple[int | str, ...], data: JsonObject) -> str:
     """Return the name of the experiment or table that contains an invalid field, if the field is in one."""
     if len(location) < 2 or not isinstance(location[1], int):
         return ""

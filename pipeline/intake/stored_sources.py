@@ -260,7 +260,7 @@ def _table(members: Sequence[Accepted]) -> pa.Table:
     period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
     rows = np.array([len(log.time) for log in logs], dtype=np.int64)
     flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
-    columns: dict[str, Any] = {name: [member.row[name] for member in members] for name in members[0].row}
+    columns: dict[str, object] = {name: [member.row[name] for member in members] for name in members[0].row}
     columns["time_quality"] = [
         json.dumps({**flag, **log.counts} | ({FINDINGS: [each.model_dump() for each in log.findings]}))
         for flag, log in zip(flags, logs, strict=True)

@@ -273,7 +273,7 @@ def _trials(profile: Profile, name: str, frame: FileColumns) -> Iterator[tuple[s
 def _log(
     source: tuple[Profile, FileColumns, Table, dict[str, int]],
     where: str,
-    given: dict[str, Any],
+    given: dict[str, Scalar],
     step: StepTime,
     window: Window | StepEntry | None,
     label: str | None,
@@ -432,7 +432,7 @@ def conditions_of(
     rows: Integers,
     part: Part,
     required: Sequence[str] = REQUIRED_CONDITIONS,
-) -> dict[str, Any]:
+) -> dict[str, Scalar]:
     """Return the conditions of a trial in SI.
 
     Parameters
@@ -455,7 +455,7 @@ def conditions_of(
         missing.
     """
     name, where = names
-    given: dict[str, Any] = {}
+    given: dict[str, Scalar] = {}
     columns, attributes = dict[str, str](**profile.condition_columns), dict[str, str](**profile.attributes)
     for key, (_, value) in statements(profile, name, part).items():
         inside = value is None

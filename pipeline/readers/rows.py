@@ -126,7 +126,7 @@ def rows_of(
     return _taken(table, alone), {key: count for key, count in counts.items() if count}
 
 
-def _taken(table: dict[str, Any], rows: Integers | Booleans) -> dict[str, Any]:
+def _taken(table: Table, rows: Integers | Booleans) -> Table:
     return {key: values[rows] for key, values in table.items()}
 
 

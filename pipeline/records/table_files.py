@@ -12,7 +12,6 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -21,7 +20,7 @@ from pipeline.base.disk import hash_in_name
 from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.tables import COLUMNS, TABLES
 
-WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
+WRITING: dict[str, object] = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
 """Options for writing Parquet.
 
 Compression does not detect a flipped byte, which would be read as another number. Checksums detect it.

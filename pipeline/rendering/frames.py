@@ -16,11 +16,10 @@ from pipeline.records.findings import BoundaryPoint, NearOptimum, Optimum, Quant
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.records.tables import COLUMNS, unit_of_column
+from pipeline.rendering.table import Row
 
 if TYPE_CHECKING:  # importing pandas takes half a second
     import pandas as pd
-
-Row = dict[str, Any]
 
 TEXTS = """
     table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence

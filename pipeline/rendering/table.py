@@ -6,7 +6,7 @@ cells by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,8 @@ from pipeline.rendering.labels import MISSING, span
 if TYPE_CHECKING:
     import pandas as pd
 
-Row = Mapping[str, Any]
+Row = dict[str, Any]
+"""Row of a table or data frame: its values by column. A missing value is None."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def table_of(
     return table if rows else None
 
 
-def records(frame: pd.DataFrame | Sequence[Row]) -> list[dict[str, Any]]:
+def records(frame: pd.DataFrame | Sequence[Row]) -> list[Row]:
     """Return the rows of a frame with None in place of NaN."""
     if isinstance(frame, Sequence):
         return [dict(row) for row in frame]

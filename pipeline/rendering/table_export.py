@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from pipeline.base.disk import write_text
+from pipeline.base.json_object import JsonObject
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import frames
 from pipeline.rendering.report.report import printed_tables
@@ -75,7 +76,7 @@ def named_frames(result: ComparisonResult) -> dict[str, pd.DataFrame]:
     return parts | found
 
 
-def as_document(frame: pd.DataFrame) -> dict[str, Any]:
+def as_document(frame: pd.DataFrame) -> JsonObject:
     """Return a frame as JSON values. Columns are listed with their units, and rows are objects."""
     units = frame.attrs.get("units", {})
     return {"columns": [{"name": name, "unit": units.get(name, "")} for name in frame.columns], "rows": records(frame)}

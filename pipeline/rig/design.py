@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.json_object import JsonObject
 from pipeline.device.parameters import Motion, unit_of
 from pipeline.rig.quantities import Quantity, present
 from pipeline.rig.wish import DesignTarget, RigWall, best_wall, costs_of, decay, quickest, stiffness_max
@@ -113,12 +114,12 @@ class Answer:
             lines.append("No single change reaches it, and no pair of changes was found that does.")
         return "\n".join(lines)
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> JsonObject:
         """Return the result as a JSON document."""
         rows = [{name: None if value != value else value for name, value in row.items()} for row in self._rows()]
         return asdict(replace(self, sensitivities=())) | {"sensitivities": rows}
 
-    def _rows(self) -> list[dict[str, Any]]:
+    def _rows(self) -> list[JsonObject]:
         return list(self.sensitivities)
 
 
@@ -158,8 +159,8 @@ class Design(Answer):
 
     sensitivities: pd.DataFrame
 
-    def _rows(self) -> list[dict[str, Any]]:
-        rows: list[dict[str, Any]] = self.sensitivities.to_dict("records")
+    def _rows(self) -> list[JsonObject]:
+        rows: list[JsonObject] = self.sensitivities.to_dict("records")
         return rows
 
 

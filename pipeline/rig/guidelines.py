@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 from pipeline.base.errors import ParameterError
+from pipeline.base.json_object import JsonObject
 from pipeline.device.parameters import is_rotation
 from pipeline.device.parts import Operator
 from pipeline.device_data.published import HumanArm, human_arms
@@ -71,7 +71,7 @@ class Guidelines:
         """Whether gamma and delta are in the ranges that the thesis considers (3.17)."""
         return {name: getattr(self, name) <= most for name, most in RANGES.items()}
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> JsonObject:
         """Return the numbers and the sentences as a JSON document."""
         return asdict(self) | {"within": self.within, "sentences": self.sentences()}
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
+from pipeline.base.json_object import JsonObject
 from pipeline.base.provenance import __version__
 from pipeline.device_data.devices import find_experiment
 from pipeline.measured.signal.verdict import judge
@@ -270,7 +271,7 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
     return {name for name in names if Path(name).name == name and name.endswith(".csv")}
 
 
-def _truth(sweep: SimulatedSweep) -> dict[str, Any]:
+def _truth(sweep: SimulatedSweep) -> JsonObject:
     setup, experiment, trials, loop = sweep.setup, sweep.experiment, sweep.trials, sweep.setup.loop
     shortest, longest = loop.delay_range
     radius = spectral_radius(setup, trials.stiffness, trials.damping)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError, draft_hint
+from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import check_output
 from pipeline.base.provenance import __version__
 from pipeline.device_data.devices import known_devices
@@ -50,7 +50,7 @@ class LogPicture:
         return "\n".join(self.notes)
 
     @property
-    def document(self) -> dict[str, Any]:
+    def document(self) -> JsonObject:
         """The JSON document of `pipeline look --json`: columns, steps, jumps, rests and gaps of each trial."""
         trials = []
         for title, columns in self.trials:

@@ -23,6 +23,7 @@ from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentNumbers
 from pipeline.records.table_files import read_table
 from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
+from pipeline.rendering.table import Row
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, stage_file
 from pipeline.surface.logs import SAMPLES, PathLike, response_frame
@@ -251,7 +252,7 @@ def costs(processed: PathLike, device: str, experiment: str | None = None) -> pd
     return frame_of(_COSTS, rows, units)
 
 
-def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
+def _cost_rows(stages: ExperimentStages) -> Iterator[Row]:
     trial = {
         "trial_id": stages.texts("response", "trial_id"),
         "stiffness": stages.column("response", "stiffness"),

@@ -10,13 +10,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import LogError, refusal
+from pipeline.base.json_object import JsonObject
 from pipeline.profiles.profile_model import BLANKS, Profile, TextLayout, find_groups
 from pipeline.readers.file_columns import LONGEST_ATTRIBUTE, Array, FileColumns, allowed_bytes
 from pipeline.readers.formats import PACKED
@@ -315,7 +315,7 @@ class Layout:
     column names found in comment lines, with units in brackets, by the name in `FileColumns`.
     """
 
-    keys: dict[str, Any] = field(default_factory=dict)
+    keys: JsonObject = field(default_factory=dict)
     questions: dict[str, str] = field(default_factory=dict)
     evidence: dict[str, str] = field(default_factory=dict)
     titles: dict[str, str] = field(default_factory=dict)
@@ -457,7 +457,7 @@ def _decimal(cells: list[str], layout: Layout) -> None:
     layout.questions["decimal"] = f'{shown}. Is the decimal sign of the logs "." or ","?'
 
 
-def _is_head(line: str, width: int, keys: dict[str, Any]) -> bool:
+def _is_head(line: str, width: int, keys: JsonObject) -> bool:
     """Return whether a line consists of names or units for the given number of columns."""
     cells = _parted(line, keys["delimiter"])
     if keys.get("trailing_delimiter") and cells and not cells[-1]:

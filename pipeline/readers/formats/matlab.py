@@ -11,6 +11,7 @@ has its signals as ``logsout.torque.Time`` and ``logsout.torque.Data``. scipy re
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -58,12 +59,12 @@ def read(path: Path, settings: Profile, contents: FileColumns) -> None:
             contents.hints[name] = str(label)
 
 
-def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, Any]:
+def _by_matio(contents: FileColumns, path: Path, newer: bool) -> dict[str, object]:
     matio = library("matio", "mat")
     try:
         return dict(matio.load_from_mat(path))
     except Exception:  # an unreadable variable must not affect the others
-        found: dict[str, Any] = {}
+        found: dict[str, object] = {}
         for name, kind in _classes(path, newer).items():
             try:
                 found |= matio.load_from_mat(path, variable_names=name)
@@ -161,7 +162,7 @@ _TRANSPARENT = ("Storage", "Elements", "Elements_", "Values")
 """Internal levels of a Simulink dataset that users do not see."""
 
 
-def _add_parts(contents: FileColumns, path: str, parts: dict[str, Any]) -> None:
+def _add_parts(contents: FileColumns, path: str, parts: Mapping[str, Any]) -> None:
     """Add samples that properties or fields contain directly, or the timeseries inside them."""
     info = getattr(parts.get("TimeInfo"), "properties", {})
     times = [parts.get("Time_"), parts.get("Time"), info.get("Time_")]
@@ -190,7 +191,7 @@ def _regular(start: float, step: float, rows: float) -> Array:
     return np.asarray(start + step * np.arange(int(rows)))
 
 
-def _unit(parts: dict[str, Any]) -> str:
+def _unit(parts: Mapping[str, Any]) -> str:
     """Return the unit of the samples of a timeseries, or an empty text."""
     unit = getattr(parts.get("DataInfo"), "properties", {}).get("Units", parts.get("DataUnits"))
     return _text(getattr(unit, "properties", {}).get("Name", unit))

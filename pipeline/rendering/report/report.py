@@ -26,7 +26,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import Answer, ComparisonResult
 from pipeline.rendering.figures.drawing import Drawn, Figure, draw
-from pipeline.rendering.labels import UNITS
+from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.report import page_template, report_parts
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.tables import NO_TRIALS, TrialPage, tables_of
@@ -138,7 +138,7 @@ def pack(content: Any) -> str:
     return base64.b64encode(zlib.compress(text.encode(), 7)).decode()
 
 
-def answer_content(result: ComparisonResult) -> dict[str, Any]:
+def answer_content(result: ComparisonResult) -> dict[str, Units | float | None]:
     """Return the units and the sampling period [s], which the templates of the answer need in addition to the
     result."""
     return {"units": UNITS[result.motion], "period": result.featured.sampling_period_s if result.featured else None}
@@ -172,7 +172,7 @@ def printed_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> d
     }
 
 
-def _tables(data: ReportData) -> dict[str, Any]:
+def _tables(data: ReportData) -> dict[str, Table | list[Table] | None]:
     """Return the tables for the templates.
 
     Each name denotes a table or None, or a list if the name denotes any number of tables.

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
@@ -83,7 +84,7 @@ class TrialPage:
         table of limits.
     """
 
-    content: dict[str, Any]
+    content: JsonObject
     trials: int
     responses: int
     places: dict[tuple[str, str], str] = field(default_factory=dict)
@@ -171,7 +172,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     return tables | _optima(f["tables"], units, place)
 
 
-def _measured_optima(rows: Sequence[dict[str, Any]], units: Units, place: Callable[[Row], str]) -> Table | None:
+def _measured_optima(rows: Sequence[Row], units: Units, place: Callable[[Row], str]) -> Table | None:
     return table_of(
         "optima",
         "Trials with the least cost",
@@ -218,7 +219,7 @@ def _near(row: Row, axis: str, show: Callable[[float], str]) -> str:
     return range_text(show, row[f"near_{axis}_low"], row[f"near_{axis}_high"])
 
 
-def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
+def _of_logs(f: Mapping[str, list[Row]]) -> dict[str, Table | None]:
     """Return the tables of the devices identified from logs."""
     return {
         "causes": table_of(
@@ -244,7 +245,7 @@ def _of_logs(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
     }
 
 
-def _by_hand(f: Mapping[str, list[dict[str, Any]]]) -> dict[str, Table | None]:
+def _by_hand(f: Mapping[str, list[Row]]) -> dict[str, Table | None]:
     """Return the tables of missing results, excluded trials and notes."""
     return {
         "missing": table_of(
@@ -285,7 +286,7 @@ def _overview(result: ComparisonResult) -> Table | None:
     for answer in [e.answer for e in result.experiments if e.answer is not None]:
         predicts, wall, step = answer.predicts, answer.wall, answer.next
         boundary = predicts.code if predicts.code == "with_friction" else predicts.boundary
-        row: dict[str, Any] = {"experiment": answer.experiment, "boundary": GRADES[boundary]}
+        row: Row = {"experiment": answer.experiment, "boundary": GRADES[boundary]}
         row["costs"] = GRADES[predicts.optimal_costs]
         row |= {"wall_stiffness": wall and wall.stiffness, "wall_damping": wall and wall.damping}
         row |= {"next_stiffness": step and step.stiffness, "next_damping": step and step.damping}
@@ -440,7 +441,7 @@ def _experiments(result: ComparisonResult) -> Table | None:
     rows = []
     for e in result.experiments:
         grip = f"{e.grip} grip" if e.grip != "none" else "no operator"
-        row: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
+        row: Row = {v: e.verdicts.get(v, 0) for v in verdicts}
         row |= {"experiment": e.experiment, "trials": e.trials}
         row |= {"set-up": ", ".join(filter(None, [e.configuration, grip]))}
         row |= {"theory": _theory(e.theory, result), "source": e.theory.source if e.theory else ""}
@@ -572,7 +573,7 @@ def _delay_form(rows: Sequence[Row]) -> Table | None:
     if swept is None or not own:
         return None
     criteria = list(dict.fromkeys(row["criterion"] for row in own))
-    lines: dict[float, dict[str, Any]] = {}
+    lines: dict[float, Row] = {}
     for row in own:
         line = lines.setdefault(row["delay_samples"], {"delay": row["delay_samples"]})
         side = "theory" if row["condition"] == "theory_discrete" else "experiment"
@@ -720,7 +721,7 @@ def _loops(result: ComparisonResult) -> Table | None:
     for e in result.experiments:
         if e.loop is None:
             continue
-        row: dict[str, Any] = {"experiment": e.experiment, "adequate": "yes" if e.loop.adequate else "no"}
+        row: Row = {"experiment": e.experiment, "adequate": "yes" if e.loop.adequate else "no"}
         row |= {"why": e.loop.reason, "source": e.loop.source}
         for name in ("delay_samples", "mass", "damping"):
             found = getattr(e.loop, name)
@@ -753,7 +754,7 @@ def _shapes(result: ComparisonResult) -> Table | None:
         delays, line = e.implied_delay, e.straight_bound
         if delays is None or (delays.origin.value is None and delays.whole.value is None and line is None):
             continue
-        row: dict[str, Any] = {"experiment": e.experiment, "reason": delays.whole.reason}
+        row: Row = {"experiment": e.experiment, "reason": delays.whole.reason}
         for name, each in (("logs", e.delay), ("origin", delays.origin), ("whole", delays.whole)):
             row |= {name: each.value, f"{name}_low": each.low, f"{name}_high": each.high}
         if line is not None:
@@ -797,7 +798,7 @@ def _rules(result: ComparisonResult) -> Table | None:
     for e in result.experiments:
         loop = e.theory.loop.apparent() if e.theory else None
         wall, best = e.use.point if e.use else None, e.answer.reachable if e.answer else None
-        row: dict[str, Any] = {"experiment": e.experiment}
+        row: Row = {"experiment": e.experiment}
         if wall is not None:
             row |= {"K": wall.stiffness, "B": wall.damping}
         if loop is not None and wall is not None:
@@ -880,7 +881,7 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
     names = [name for name in result.criteria if any(e.use and name in e.use.costs for e in result.experiments)]
     rows = []
     for e in result.experiments:
-        row: dict[str, Any] = {"experiment": e.experiment, "reason": e.use_reason, "note": use_note(e)}
+        row: Row = {"experiment": e.experiment, "reason": e.use_reason, "note": use_note(e)}
         if e.use is not None:
             row |= flat(e.use) | {"trial_id": e.use.point.trial_id}
             for name, cost in e.use.costs.items():
