@@ -126,15 +126,6 @@ class Deed(Record):
     what: JsonObject
 
 
-class Token(Record):
-    """A token without its secret: id, role, name of the user, and day of expiry."""
-
-    id: str
-    role: Role
-    name: str
-    ends: str | None
-
-
 class Words(Record):
     """Notes (a text) or tags (a list) of a trial or experiment, with author and time of the last change [s]."""
 
@@ -352,10 +343,10 @@ class Database:
         self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
         return token
 
-    def tokens(self) -> list[Token]:
+    def tokens(self) -> list[dict[str, str | None]]:
         """Return the id, the role, the name and the day of expiry of all tokens."""
         columns = "substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends"
-        return [Token(**row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
+        return [dict(row) for row in self.run(f"SELECT {columns} FROM tokens ORDER BY created")]
 
     def revoke_token(self, identifier: str) -> bool:
         """Remove a token by its id, and return whether it existed."""

@@ -10,10 +10,11 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow.compute as pc
+from pydantic import Field
 
 from pipeline.base.disk import write_text, writing
 from pipeline.base.errors import DeviceError, PipelineError
@@ -62,6 +63,49 @@ Run = Callable[[Settings, Database, JsonObject, Progress], JsonObject]
 """Function that executes a job given its request. Its return value is the result of the job."""
 
 
+class UploadRequest(Record):
+    """Request of a job that ingests logs, with the number of skipped files and the author.
+
+    ``folder`` contains the new logs. ``again`` are stored paths of logs that are read again, and ``versions`` the
+    hashes of the profiles that read them before.
+    """
+
+    folder: str
+    profile: str
+    skipped: int
+    again: tuple[str, ...] = ()
+    versions: dict[str, str] = Field(default_factory=dict)
+    author: str = ""
+
+
+class OtherExperiment(Record):
+    """Second experiment of a comparison, with the notes on it."""
+
+    device: str
+    experiment: str
+    notes: tuple[Note, ...] = ()
+
+
+class DocumentRequest(Record):
+    """Request of a job that makes a document.
+
+    A comparison has a device, experiments, criteria, notes and perhaps another experiment. A plan has a ``goal``. A
+    drawing shows ``what`` at ``places`` (device, experiment, and perhaps a trial) in a ``plane``. ``theory`` are the
+    arguments of `theory.document`.
+    """
+
+    device: str = ""
+    experiments: tuple[str, ...] = ()
+    criteria: tuple[str, ...] | None = None
+    notes: tuple[Note, ...] = ()
+    against: OtherExperiment | None = None
+    goal: Literal["boundary", "optimum"] = "boundary"
+    what: str = ""
+    places: tuple[tuple[str, ...], ...] = ()
+    plane: str = ""
+    theory: tuple[Any, ...] = ()
+
+
 class Drawing(Record):
     """Panels as SVG, the numbers that they show, a title and a caption.
 
@@ -92,23 +136,23 @@ OPTIMUM_S = 300.0
 def run_upload(settings: Settings, database: Database, request: JsonObject, progress: Progress) -> JsonObject:
     """Ingest uploaded logs, and compute verdicts. Return the output of ``ingest --json`` with the uploaded names."""
     begun = time.time() - 1.0  # clocks of files are coarse
-    skipped = request["skipped"]
+    asked = UploadRequest.model_validate(request)
     result: JsonObject = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
-    folder = settings.data / "logs" / (request["folder"] or "none")
-    places = [path for path in (folder, *map(path_of_text, request.get("again", ()))) if os.path.exists(path)]
+    folder = settings.data / "logs" / (asked.folder or "none")
+    places = [path for path in (folder, *map(path_of_text, asked.again)) if os.path.exists(path)]
     if places:
         report = ingest(
             places,
             settings.processed,
-            profile_path(settings, request["profile"]),
-            rehash=bool(request.get("again")),
+            profile_path(settings, asked.profile),
+            rehash=bool(asked.again),
             progress=lambda done, found: progress({"done": done, "found": found}),
             wait_s=LONGEST_S,
         )
         result = _named(report.model_dump(mode="json", exclude={"plan"}), folder.parent, database)
-        _note_versions(settings, database, request)
-    result["found"] += skipped
-    result["skipped"] += skipped
+        _note_versions(settings, database, asked)
+    result["found"] += asked.skipped
+    result["skipped"] += asked.skipped
     for place in _newest_first(settings.processed, begun):
         _computed(settings, place, {}, verdicts=True)
     database.add_job("stages", {}, "stages")
@@ -119,21 +163,20 @@ READ_AGAIN = "read logs again by a changed profile"
 """Words of the audit entry of an upload."""
 
 
-def _note_versions(settings: Settings, database: Database, request: JsonObject) -> None:
+def _note_versions(settings: Settings, database: Database, asked: UploadRequest) -> None:
     """Record in the audit how many logs of an upload were read before by another version of their profile.
 
     This is recorded once per job.
     """
-    before: dict[str, str] = request.get("versions", {})
-    stored = StoredSources(settings.processed, "", {}) if before else None
+    stored = StoredSources(settings.processed, "", {}) if asked.versions else None
     logs = Counter[tuple[str, str, str]]()
-    for path, former in before.items():
+    for path, former in asked.versions.items():
         if stored is not None and (now := stored.get(path)) is not None and now.profile_sha256 != former:
             logs[now.profile, former, now.profile_sha256] += 1
     for (profile, former, present), count in sorted(logs.items()):
-        what = {"profile": profile, "before": former, "now": present, "logs": count, "job": request["folder"]}
+        what = {"profile": profile, "before": former, "now": present, "logs": count, "job": asked.folder}
         if not database.has_noted(READ_AGAIN, what):  # a job that was interrupted runs twice
-            database.note(request["author"], READ_AGAIN, what)
+            database.note(asked.author, READ_AGAIN, what)
 
 
 def _named(value: Any, folder: Path, database: Database) -> Any:
@@ -193,7 +236,7 @@ def _computed(settings: Settings, place: tuple[str, str], failed: dict[str, str]
     return True
 
 
-def experiment(settings: Settings, asked: JsonObject, progress: Progress) -> JsonObject:
+def experiment(settings: Settings, asked: DocumentRequest, progress: Progress) -> JsonObject:
     """Compare one experiment with theory, and return its numbers and the first figures of the report."""
     result = _compared(settings, asked, None, progress)
     found = result.model_dump(mode="json")
@@ -202,28 +245,30 @@ def experiment(settings: Settings, asked: JsonObject, progress: Progress) -> Jso
     return {**found, "causes": causes, "figures": {name: each.document for name, each in figures.items()}}
 
 
-def next_walls(settings: Settings, asked: JsonObject, _progress: Progress) -> JsonObject:
+def next_walls(settings: Settings, asked: DocumentRequest, _progress: Progress) -> JsonObject:
     """Return the walls that the planner proposes next."""
-    found = plan(asked["device"], settings.processed, asked["experiments"][0], PlanOptions(goal=asked["goal"]))
+    found = plan(asked.device, settings.processed, asked.experiments[0], PlanOptions(goal=asked.goal))
     return found.model_dump(mode="json")
 
 
-def optimum(_settings: Settings, asked: JsonObject, _progress: Progress) -> JsonObject:
+def optimum(_settings: Settings, asked: DocumentRequest, _progress: Progress) -> JsonObject:
     """Find the point with the lowest cost in theory. The computation is stopped if a malicious loop takes too long."""
-    found: JsonObject = TheoryProcess(OPTIMUM_S).compute(*asked["theory"])
+    found: JsonObject = TheoryProcess(OPTIMUM_S).compute(*asked.theory)
     return found
 
 
-def drawing(settings: Settings, asked: JsonObject, progress: Progress) -> JsonObject:
+def drawing(settings: Settings, asked: DocumentRequest, progress: Progress) -> JsonObject:
     """Draw trials or experiments. Experiments are compared first if needed."""
     results = []
-    for device, name in dict.fromkeys((place[0], place[1]) for place in asked["places"]):
+    for device, name in dict.fromkeys((place[0], place[1]) for place in asked.places):
         of = whole(device, name)
         key = key_of(settings, of)
-        document = read_document(settings, key) or _keep(settings, key, experiment(settings, of, progress))
+        document = read_document(settings, key)
+        if document is None:
+            document = _keep(settings, key, experiment(settings, DocumentRequest.model_validate(of), progress))
         plain = {part: value for part, value in document.items() if part not in ("causes", "figures")}
         results.append(ComparisonResult.model_validate(plain))
-    return DRAWINGS[asked["what"]](settings.processed, asked, results).document
+    return DRAWINGS[asked.what](settings.processed, asked, results).document
 
 
 def _keep(settings: Settings, key: str, document: JsonObject) -> JsonObject:
@@ -231,11 +276,11 @@ def _keep(settings: Settings, key: str, document: JsonObject) -> JsonObject:
     return document
 
 
-def kept(make: Callable[[Settings, JsonObject, Progress], JsonObject]) -> Run:
+def kept(make: Callable[[Settings, DocumentRequest, Progress], JsonObject]) -> Run:
     """Return the function of a job that stores a document under its key."""
 
     def run(settings: Settings, _database: Database, request: JsonObject, progress: Progress) -> JsonObject:
-        _keep(settings, request["key"], make(settings, request["request"], progress))
+        _keep(settings, request["key"], make(settings, DocumentRequest.model_validate(request["request"]), progress))
         return {"key": request["key"]}
 
     return run
@@ -243,34 +288,29 @@ def kept(make: Callable[[Settings, JsonObject, Progress], JsonObject]) -> Run:
 
 def run_comparison(settings: Settings, _database: Database, request: JsonObject, progress: Progress) -> JsonObject:
     """Write a report on a device or on the comparison of two experiments. Its document is written next to it."""
-    key, asked = request["key"], request["request"]
+    key, asked = request["key"], DocumentRequest.model_validate(request["request"])
     report = document_file(settings, key, report=True).with_suffix(".html")
-    against = asked.get("against")
-    if against:
-        first, second = (asked["device"], asked["experiments"][0]), (against["device"], against["experiment"])
-        said = _notes(asked), _notes(against)
+    if (other := asked.against) is not None:
+        first, second = (asked.device, asked.experiments[0]), (other.device, other.experiment)
         with heard_by(Names(progress)):
-            page = against_experiments(settings.processed, first, second, asked["criteria"], said)
+            notes = asked.notes, other.notes
+            page = against_experiments(settings.processed, first, second, asked.criteria, notes)
         write(page, report)
     else:
         _compared(settings, asked, report, progress)
     return {"key": key}
 
 
-def _notes(asked: JsonObject) -> list[Note]:
-    return [Note.model_validate(one) for one in asked.get("notes", ())]
-
-
-def _compared(settings: Settings, asked: JsonObject, report: Path | None, progress: Progress) -> ComparisonResult:
-    for name in asked["experiments"]:
-        _computed(settings, (asked["device"], name), {})
+def _compared(settings: Settings, asked: DocumentRequest, report: Path | None, progress: Progress) -> ComparisonResult:
+    for name in asked.experiments:
+        _computed(settings, (asked.device, name), {})
     with heard_by(Names(progress)):
         what = ComparisonSelection(
-            asked["device"],
+            asked.device,
             settings.processed,
-            experiments=asked["experiments"],
-            criteria=asked["criteria"],
-            notes=_notes(asked),
+            experiments=asked.experiments,
+            criteria=asked.criteria,
+            notes=asked.notes,
         )
         finished = run(plan_comparison(what, ReportOptions(report) if report is not None else None))
         write_report(finished)
@@ -294,11 +334,11 @@ def _drawn(figure: Figure, results: Sequence[ComparisonResult], **of_trial: dict
     return Drawing(panels=drawn.panels, shown=drawn.shown, title=figure.title, caption=figure.caption, **of_trial)
 
 
-def limits(_processed: Path, asked: JsonObject, results: Sequence[ComparisonResult]) -> Drawing:
+def limits(_processed: Path, asked: DocumentRequest, results: Sequence[ComparisonResult]) -> Drawing:
     """Draw the limits of several experiments with theory in the plane of K and B, or (`plane`) of alpha and beta."""
     runs = [(f"{r.device}, {r.experiments[0].experiment}", r.experiments[0]) for r in results]
     theories = [Theory(found.theory) if found.theory else None for _, found in runs]
-    if asked["plane"] == "normalised":
+    if asked.plane == "normalised":
         known = [(*run, t, n) for n, (run, t) in enumerate(zip(runs, theories, strict=True)) if t is not None]
         return _drawn(plane_figure(known), results)
     series = [s for n, (label, found) in enumerate(runs) for s in measured(found.boundary, label, n)]
@@ -308,17 +348,17 @@ def limits(_processed: Path, asked: JsonObject, results: Sequence[ComparisonResu
     return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 
 
-def trials(processed: Path, asked: JsonObject, results: Sequence[ComparisonResult]) -> Drawing:
+def trials(processed: Path, asked: DocumentRequest, results: Sequence[ComparisonResult]) -> Drawing:
     """Draw a trial with theory and fitted loops, or several trials in one figure, each with theory."""
     of = {(result.device, result.experiments[0].experiment): result for result in results}
     figures, labels = [], []
-    for device, experiment, trial in asked["places"]:
+    for device, experiment, trial in asked.places:
         result = of[device, experiment]
         spring = declared_spring(known_devices().get(device), experiment)
         stages = ExperimentStages.stored(processed, device, experiment, spring)
         figures.append(trial_figure(stages, result.experiments[0], trial, result.motion))
         row = next(iter(stages.trials.filter(pc.equal(stages.trials["trial_id"], trial)).to_pylist()), None)
-        if row is None and len(asked["places"]) > 1:
+        if row is None and len(asked.places) > 1:
             raise DeviceError(f"trial {trial} is excluded by hand. Use it again, or leave it out.")
         k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))
         units = UNITS[result.motion]
@@ -345,7 +385,7 @@ def _told_of(stages: ExperimentStages, trial: str) -> dict[str, dict[str, str]]:
     return {"evidence": {name: text for name, text in evidence.items() if text}, "missing": missing}
 
 
-DRAWINGS: dict[str, Callable[[Path, JsonObject, Sequence[ComparisonResult]], Drawing]] = {
+DRAWINGS: dict[str, Callable[[Path, DocumentRequest, Sequence[ComparisonResult]], Drawing]] = {
     "limits": limits,
     "trials": trials,
 }

@@ -85,14 +85,6 @@ def static(name: str) -> Response:
     return FileResponse(HERE / "static" / name, media_type=_STATIC[name])
 
 
-class Card(Experiment):
-    """An experiment on the start page: whether it has a picture, the verdict of theory, and its tags."""
-
-    picture: bool
-    answer: Answer | None
-    tags: list[str]
-
-
 @pages.get("/")
 def home(service: Shared, request: Request) -> Response:
     """Show the devices and their experiments. Each experiment has its picture, the verdict of theory and its tags."""
@@ -100,13 +92,12 @@ def home(service: Shared, request: Request) -> Response:
 
     def cards() -> Markup:
         tags = {tuple(of): value for kind, of, value in service.database.all_words() if kind == "tags"}
-        by_device: dict[str, list[Card]] = {}
+        by_device: dict[str, list[tuple[Experiment, bool, Answer | None, list[str]]]] = {}
         for e in all_.experiments:
             document = service.peek(e.device, e.experiment)
             picture = bool(document and document["figures"].get("limits"))
             own = tags.get(("experiment", e.device, e.experiment), [])
-            card = Card(**dict(e), picture=picture, answer=answer_of(document), tags=own)
-            by_device.setdefault(e.device, []).append(card)
+            by_device.setdefault(e.device, []).append((e, picture, answer_of(document), own))
         return part_of("cards.html.j2", devices=by_device)
 
     done = service.database.job_counts("kind = 'experiment'").get("done")

@@ -81,7 +81,7 @@ def token(
             raise UsageError(f"no token has the id {identifier!r}. `pipeline token list` lists all.")
         console.show({"revoked": identifier}, [])
     else:
-        tokens = [token.model_dump() for token in database.tokens()]
+        tokens = database.tokens()
         console.show(tokens, console.table(tokens, ("id", "role", "name", "ends")))
 
 

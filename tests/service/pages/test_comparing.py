@@ -7,7 +7,7 @@ import pytest
 from served import HTML, Browser, page
 
 from pipeline.service.pages.comparing import differences, planes
-from pipeline.service.results import limits
+from pipeline.service.results import DocumentRequest, limits
 
 TWO = "/compare?runs=falcon/1&runs=falcon/2"
 
@@ -85,7 +85,7 @@ def test_normalised_limits_are_those_in_k_and_b_by_units_of_the_loop(run, falcon
     theory = run[2]["experiments"][0]["theory"]
     most = {}
     for plane in ("physical", "normalised"):
-        (axes,) = limits(None, {"plane": plane}, [falcon_outcome.result]).shown[0]["axes"]
+        (axes,) = limits(None, DocumentRequest(plane=plane), [falcon_outcome.result]).shown[0]["axes"]
         most[plane] = max(max(series[1]) for series in axes["series"] if not series[0].startswith("theory"))
     alpha = most["physical"] * theory["sampling_period_s"] ** 2 / theory["mass"]
     assert most["normalised"] == pytest.approx(alpha, rel=1e-3)

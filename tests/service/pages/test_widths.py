@@ -4,6 +4,7 @@ from time import monotonic, process_time
 
 import pytest
 
+from pipeline.service.results import DocumentRequest
 from pipeline.service.results import trials as draw_trials
 
 pytestmark = [pytest.mark.slow, pytest.mark.browser]
@@ -146,9 +147,11 @@ def test_a_drawn_trial_is_there_without_a_reload(served):
 def test_a_trial_is_drawn_in_half_a_second_of_a_processor(falcon, falcon_outcome):
     """The worker's part of a page: the clock of a busy computer says little about it."""
     ids = falcon.stages("1").texts("response", "trial_id")
-    draw_trials(falcon.processed, {"places": [("falcon", "1", ids[50])]}, [falcon_outcome.result])
+    draw_trials(falcon.processed, DocumentRequest(places=(("falcon", "1", ids[50]),)), [falcon_outcome.result])
     begun = process_time()
     for trial in ids[60:64]:
-        drawn = draw_trials(falcon.processed, {"places": [("falcon", "1", trial)]}, [falcon_outcome.result])
+        drawn = draw_trials(
+            falcon.processed, DocumentRequest(places=(("falcon", "1", trial),)), [falcon_outcome.result]
+        )
     assert (process_time() - begun) / 4 < 0.5
     assert len(drawn.panels) == 3
