@@ -75,8 +75,8 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """Result of `design`, with sensitivities as rows."""
+class DesignAnswer:
+    """Result of `design` with sensitivities as rows instead of a data frame, which needs pandas."""
 
     wish: DesignTarget
     reached: bool
@@ -124,7 +124,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Design(Answer):
+class Design(DesignAnswer):
     """Result of `design`.
 
     Parameters
@@ -203,8 +203,8 @@ def design(
     return Design(**vars(found) | {"sensitivities": pd.DataFrame(found.sensitivities)})
 
 
-def answer(loop: Loop, wish: DesignTarget, keep: Sequence[str] = ()) -> Answer:
-    """Determine what `design` returns, with sensitivities as rows."""
+def answer(loop: Loop, wish: DesignTarget, keep: Sequence[str] = ()) -> DesignAnswer:
+    """Return the result of `design` with sensitivities as rows. It needs neither pandas nor scipy."""
     stiffness = wish.stiffness
     quantities = present(loop, tuple(keep))
     best = best_wall(loop, wish)
@@ -217,7 +217,7 @@ def answer(loop: Loop, wish: DesignTarget, keep: Sequence[str] = ()) -> Answer:
         best = best_wall(loop, replace(wish, stiffness=reached))
     elif best.room >= 0 and wish.settling_s is None and wish.overshoot is not None:
         best = quickest(loop, wish, best)
-    return Answer(
+    return DesignAnswer(
         wish=wish,
         reached=reached is not None and (stiffness is None or reached >= stiffness),
         wall=_wall(loop, best),

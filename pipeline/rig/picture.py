@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.device.parameters import unit_of
 from pipeline.records.trials import Floats
-from pipeline.rig.design import Answer
+from pipeline.rig.design import DesignAnswer
 from pipeline.rig.quantities import QUANTITIES, Quantity
 from pipeline.rig.wish import stiffness_max
 from pipeline.surface.physical_loop import Loop
@@ -19,14 +19,14 @@ _PLACES, _REACH = 15, np.log(4.0)
 """Number of points along each axis, and ln of the factor by which the axis extends to either side."""
 
 
-def picture(loop: Loop, answer: Answer, over: Sequence[str], path: Path) -> None:
+def picture(loop: Loop, answer: DesignAnswer, over: Sequence[str], path: Path) -> None:
     """Draw the largest stable stiffness over two quantities. All other quantities are unchanged.
 
     Parameters
     ----------
     loop : Loop
         Unchanged rig.
-    answer : Answer
+    answer : DesignAnswer
         Design of the rig. Its changes of these two quantities are marked.
     over : sequence of str
         Names of the quantities on the horizontal and the vertical axis, from `quantities.QUANTITIES`.
