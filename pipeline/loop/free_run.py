@@ -23,13 +23,14 @@ def free_run(
     """Return the sensor positions of a device in a free run, shape (N,).
 
     Side i (0 for the motor, 1 for the load of a mode) has position and velocity as states 2 i and 2 i + 1, and friction
-    c_i opposite to its direction s_i. In each sub-step of each piece of an interval, the command u is constant:
+    c_i opposite to its direction s_i. In each piece of an interval, the command u is constant:
 
         x <- F x + G_1 u + G_2 (f - c_1 s_1) - G_3 c_2 s_2
 
-    A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side whose velocity
-    changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is reversed after the crossing, which
-    is found by interpolation. Without friction, the run is exact, and one sub-step is enough.
+    A step covers a whole piece if no side is at rest and no velocity changes its sign. Otherwise, the piece is divided
+    into sub-steps. A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side
+    whose velocity changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is reversed after the
+    crossing, which is found by interpolation. Without friction, the run is exact.
 
     Parameters
     ----------
@@ -37,9 +38,9 @@ def free_run(
         Output row of the sensor (n,), and forces on the sides per unit of the states (sides, n) and of the command
         (sides,), for a device of mass 1.
     pieces : F, G, place
-        Transitions (2^sides, m, n, n) over a sub-step, and gains (2^sides, m, n, 1 + sides) of a unit command and of
-        forces on the sides. The bits of the first index mark the sides at rest. ``place`` (P, N) is the second index
-        for each piece of the interval after each row.
+        Transitions (2^sides, 2 m, n, n), and gains (2^sides, 2 m, n, 1 + sides) of a unit command and of forces on the
+        sides, over m kinds of pieces and then over a sub-step of each. The bits of the first index mark the sides at
+        rest. ``place`` (P, N) is the kind of each piece of the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
     forces : f, c
@@ -53,9 +54,9 @@ def free_run(
     --------
     A mass of 1 slides until it rests under a friction of 2, after v^2/(2 c) = 1/4 and half a unit of time.
 
-    >>> F, G = np.zeros((2, 1, 2, 2)), np.zeros((2, 1, 2, 2))
-    >>> F[:, 0] = [[[1.0, 0.125], [0.0, 1.0]], np.eye(2)]
-    >>> G[0, 0] = [[0.0078125, 0.0078125], [0.125, 0.125]]
+    >>> F, G = np.zeros((2, 2, 2, 2)), np.zeros((2, 2, 2, 2))
+    >>> F[0], F[1] = [[[1.0, 0.25], [0.0, 1.0]], [[1.0, 0.125], [0.0, 1.0]]], np.eye(2)
+    >>> G[0] = [[[0.03125, 0.03125], [0.25, 0.25]], [[0.0078125, 0.0078125], [0.125, 0.125]]]
     >>> device, pieces = (np.array([1.0, 0.0]), np.zeros((1, 2)), np.ones(1)), (F, G, np.zeros((1, 4), np.int64))
     >>> free_run(device, pieces, np.zeros((1, 4)), (0.0, np.array([2.0])), np.array([0.0, 1.0]), 2).tolist()
     [0.0, 0.1875, 0.25, 0.25]
@@ -63,7 +64,7 @@ def free_run(
     C, A, b = device
     F, G, place = pieces
     force, coulomb = forces
-    n, sides = len(start), len(A)
+    n, sides, kinds = len(start), len(A), F.shape[1] // 2
     x, moved = start.copy(), np.empty(n)
     free, way, pushed = np.zeros(sides), np.zeros(sides), np.zeros(sides)
     positions = np.empty(place.shape[1])
@@ -74,7 +75,8 @@ def free_run(
         positions[k] = total
         for piece in range(len(place)):
             at, u = place[piece, k], commands[piece, k]
-            for _ in range(sub_steps):
+            whole, done = True, 0
+            while done < sub_steps:
                 rests = 0
                 for side in range(sides):
                     pushed[side] = force if side == 0 else 0.0
@@ -87,23 +89,34 @@ def free_run(
                         pushed[side] -= coulomb[side] * way[side]
                         if v == 0 and abs(free[side]) <= coulomb[side]:
                             rests |= 1 << side
+                if rests and n == 2:
+                    break
+                whole = whole and rests == 0
+                step = at if whole else kinds + at
                 for i in range(n):
-                    moved[i] = G[rests, at, i, 0] * u
+                    moved[i] = G[rests, step, i, 0] * u
                     for side in range(sides):
-                        moved[i] += G[rests, at, i, 1 + side] * pushed[side]
+                        moved[i] += G[rests, step, i, 1 + side] * pushed[side]
                     for j in range(n):
-                        moved[i] += F[rests, at, i, j] * x[j]
+                        moved[i] += F[rests, step, i, j] * x[j]
+                if whole:
+                    for side in range(sides):
+                        if coulomb[side] > 0 and x[2 * side + 1] * moved[2 * side + 1] < 0:
+                            whole = False
+                    if not whole:
+                        continue
                 for side in range(sides):
                     before, behind = x[2 * side + 1], moved[2 * side + 1]
-                    if coulomb[side] <= 0 or before * behind >= 0:
+                    if whole or coulomb[side] <= 0 or before * behind >= 0:
                         continue
                     if abs(free[side]) <= coulomb[side]:
                         moved[2 * side + 1] = 0.0
                         continue
                     left = behind / (behind - before)
                     for i in range(n):
-                        turned = 2 * coulomb[side] * way[side] * G[rests, at, i, 1 + side]
+                        turned = 2 * coulomb[side] * way[side] * G[rests, step, i, 1 + side]
                         moved[i] += turned * (left if i % 2 else left * left)
                 for i in range(n):
                     x[i] = moved[i]
+                done += sub_steps if whole else 1
     return positions

@@ -26,7 +26,7 @@ COMMAND = np.repeat([0.0, 6.0, -5.0, 0.6, 4.0], 60)
 def run(shape: PlantShape, command: Floats, coulomb: tuple[float, float], steps: int, parts: int = 1) -> Floats:
     """Free run from rest, one command a sample, in parts of each sample."""
     mechanics = Mechanics.of(shape)
-    F, G = mechanics.transitions(np.array([1 / parts / steps]))
+    F, G = mechanics.transitions(np.array([1 / parts]), steps)
     place = np.zeros((parts, len(command)), np.int64)
     device, friction = (mechanics.sensor, *mechanics.forces), np.array(coulomb)[: len(mechanics.masses)]
     return free_run(device, (F, G, place), np.tile(command, (parts, 1)), (0.0, friction), np.zeros(F.shape[-1]), steps)

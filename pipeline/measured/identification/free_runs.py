@@ -16,7 +16,8 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
 SUB_STEPS = 4
-"""Number of sub-steps of each piece of a sampling interval. A side stops at most one sub-step too late."""
+"""Number of sub-steps of a piece of a sampling interval in which a side rests or reverses. A side stops at most one
+sub-step too late."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +54,9 @@ class Mechanics:
             inputs[3, 2] = 1 / load
         return cls(turn @ system.matrix @ back, inputs, system.sensor @ back, masses)
 
-    def transitions(self, times: Floats) -> tuple[Floats, Floats]:
-        """Return transitions (2^sides, m, n, n) and gains (2^sides, m, n, 1 + sides) for each combination of resting
-        sides."""
+    def transitions(self, times: Floats, sub_steps: int) -> tuple[Floats, Floats]:
+        """Return transitions (2^sides, 2 m, n, n) and gains (2^sides, 2 m, n, 1 + sides) for each combination of
+        resting sides, over m times and then over a sub-step of each."""
         n, inputs = self.inputs.shape
         moved = []
         for rests in range(2 ** len(self.masses)):
@@ -63,7 +64,7 @@ class Mechanics:
             whole[0, :n, :n], whole[0, :n, n:] = self.matrix, self.inputs
             for side in range(len(self.masses)):
                 whole[0, 2 * side + 1] *= not rests >> side & 1
-            moved.append(exponentials(whole, times)[:, 0, :n])
+            moved.append(exponentials(whole, np.concatenate([times, times / sub_steps]))[:, 0, :n])
         both = np.stack(moved)
         return np.ascontiguousarray(both[..., :n]), np.ascontiguousarray(both[..., n:])
 
@@ -87,7 +88,7 @@ def free_runs(
     # intervals with fewer pieces than others are padded with pieces of duration zero
     rubs = any(each[1][1:].any() for each in forces)
     steps = SUB_STEPS if rubs else 1
-    F, G = mechanics.transitions(np.append(spans, 0.0) / steps)
+    F, G = mechanics.transitions(np.append(spans, 0.0), steps)
     device = (mechanics.sensor, *mechanics.forces)
     command = applied_command(segments.command, numbers)[0]
     runs = []
