@@ -20,9 +20,11 @@ import numpy as np
 from pipeline.measured.identification.likelihood import LIMITS, WORTH, Device, Fit, fitted, free_motion
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.part_table import CLOSER, PARTS
+from pipeline.measured.identification.recordings import LogUnits, Recording
+from pipeline.measured.identification.replay import medians, replays
 from pipeline.measured.identification.scatter import solve
-from pipeline.measured.identification.search import climbed
-from pipeline.measured.identification.segments import Segments
+from pipeline.measured.identification.search import climbed, ended
+from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Floats
 
 WHITE_ERRORS = (1.0,)
@@ -56,7 +58,14 @@ LOAD_PARTS = {"load damping": "load_damping", "load friction": "load_coulomb"}
 """Number of the estimator for each part that acts on the load of a mode."""
 
 LEFT = 0.5
-"""Largest share of the variance of free-run errors that may remain after a mode is added."""
+"""Largest share of the variance of the velocity errors of free runs that may remain after a mode is added."""
+
+EXPLORED_ROWS, LONGEST_PART = 9000, 4500
+"""Number of rows with which a mode is searched for, and largest number of rows of a part of a log among them. The
+devices of the search are then fitted to all rows. More rows would not change the choice of starting values."""
+
+BANDS_PER_OCTAVE = 3
+"""Number of frequency bands per octave in which the content of a record is measured."""
 
 SENSED = {"motor": "mode", "load": "mode at the load"}
 """Name of the mode's part for each side whose position may be measured."""
@@ -65,9 +74,14 @@ MODE = {name for part in SENSED.values() for name in PARTS[part].numbers}
 """Numbers of a mode."""
 
 
-def free_fit(segments: Segments, device: Device, steps: int = STEPS) -> tuple[Segments, Fit]:
-    """Fit free runs near a device, and return the segments with the filter that whitens the errors, and the fit."""
-    segments = replace(segments, free=WHITE_ERRORS)
+def free_fit(
+    segments: Segments, device: Device, steps: int = STEPS, errors: tuple[float, ...] = WHITE_ERRORS
+) -> tuple[Segments, Fit]:
+    """Fit free runs near a device, and return the segments with the filter that whitens the errors, and the fit.
+
+    ``errors`` is the filter of the first search.
+    """
+    segments = replace(segments, free=errors)
     fit = climbed(segments, replace(device, noise=WHITE, effects=None), steps)
     for _ in range(NOISE_ROUNDS):
         segments = replace(segments, free=_coefficients(segments, fit))
@@ -92,36 +106,106 @@ def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
     return 1.0, *(-np.linalg.lstsq(columns, wanted, rcond=1e-9)[0]).tolist()
 
 
-def with_mode(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Segments, Fit, dict[str, float]] | None:
+def with_mode(
+    logs: tuple[list[Recording], LogUnits, int], fit: Fit, parts: dict[str, float]
+) -> tuple[Segments, Fit, dict[str, float]] | None:
     """Return segments, fit and parts of a device with friction and a mode, or None if free runs do not require a mode.
 
     ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
-    accepted if its likelihood exceeds the others by its threshold and at most `LEFT` of the variance of free-run errors
-    remains.
+    accepted if its likelihood exceeds the others by its threshold and it is `_followed`. The search uses `informative`
+    rows. Its best device is then fitted to all rows, and judged again.
     """
-    numbers = fit.device.numbers
+    recordings, units, lead = logs
+    segments, numbers = segments_of(recordings, units, lead, False, WHITE_ERRORS), fit.device.numbers
+    some, known = informative(segments), "mode_frequency" in numbers
     rigid = {name: value for name, value in numbers.items() if name not in (*MODE, "load_damping")}
     plain = [rigid]
-    if "mode_frequency" in numbers and "gamma" not in rigid:
+    if known and "gamma" not in rigid:
         plain.append({"gamma": numbers["mode_frequency"] ** 2} | rigid)
-    fits = [free_fit(segments, Device(each)) for each in plain]
-    without = max(fits, key=lambda each: each[1].likelihood)
-    left = _variance(segments, without[1])
-    if "mode_frequency" not in numbers and left < VISIBLE * segments.white:
+    without = max((free_fit(some, Device(each)) for each in plain), key=lambda each: each[1].likelihood)
+    if not known and _variance(*without) < VISIBLE * some.white:
         return None
-    starts = list(_starts(segments, fit, without[1]))
-    whole, other = max((free_fit(segments, each) for each in starts), key=lambda each: each[1].likelihood)
-    gain, found = other.likelihood - without[1].likelihood, other.device.numbers
-    side = "load" if "spring_damping_fraction" in found else "motor"
-    names = PARTS[SENSED[side]].numbers
-    if gain < PARTS[SENSED[side]].threshold + CLOSER * len(LOAD_PARTS):
+    fits = sorted((free_fit(some, *each) for each in _starts(some, fit, without)), key=lambda each: -each[1].likelihood)
+    worth = (each for each in fits if _is_required(each[1].likelihood - without[1].likelihood, each[1]))
+    found = next((each for each in worth if known or _followed(logs, without[1], each[1])), None)
+    if found is None:
         return None
-    if "mode_frequency" not in numbers and _variance(segments, other) > LEFT * left:
+    gain = found[1].likelihood - without[1].likelihood
+    if some is not segments:
+        found = free_fit(segments, found[1].device, errors=found[0].free)
+        if not (known or _followed(logs, without[1], found[1])):
+            return None
+    if not (known or _has_load(*found)):
         return None
-    if not all(LIMITS[name][0] < found[name] < LIMITS[name][1] for name in ("gain", *names[::2])):
-        return None
-    rest = {name: value for name, value in parts.items() if name not in (*SENSED.values(), *LOAD_PARTS)}
-    return whole, other, {**rest, SENSED[side]: gain, **_load_parts(other)}
+    side = _side(found[1])
+    absent = {*SENSED.values(), *LOAD_PARTS} | ({"stiffness"} if "gamma" not in found[1].device.numbers else set())
+    rest = {name: value for name, value in parts.items() if name not in absent}
+    return *found, {**rest, SENSED[side]: gain, **_load_parts(found[1])}
+
+
+def _followed(logs: tuple[list[Recording], LogUnits, int], without: Fit, found: Fit) -> bool:
+    """Return whether free runs with a mode have at most `LEFT` of the variance of the velocity error without it."""
+    (before, _), (behind, _) = (
+        medians(replays(*logs, replace(each.device, effects=None))) for each in (without, found)
+    )
+    return before is None or behind is None or (100 - behind) ** 2 <= LEFT * (100 - before) ** 2
+
+
+def _has_load(segments: Segments, fit: Fit) -> bool:
+    """Return whether the load of a mode is identifiable. One whose mass may be 0 only absorbs errors of the model."""
+    from pipeline.measured.identification.intervals import Errors
+
+    if "load_mass_fraction" not in fit.device.numbers:
+        return True
+    interval = Errors.of(ended(segments, fit.device)).interval(itemgetter("load_mass_fraction"))
+    return interval.low > 0
+
+
+def _side(fit: Fit) -> str:
+    """Return the side whose position is measured, for a device with a mode."""
+    return "load" if "spring_damping_fraction" in fit.device.numbers else "motor"
+
+
+def _is_required(gain: float, fit: Fit) -> bool:
+    """Return whether a gain of log-likelihood suffices for a mode, and its numbers are inside their limits."""
+    part, numbers = PARTS[SENSED[_side(fit)]], fit.device.numbers
+    if gain < part.threshold + CLOSER * len(LOAD_PARTS):
+        return False
+    return all(LIMITS[name][0] < numbers[name] < LIMITS[name][1] for name in ("gain", *part.numbers[::2]))
+
+
+def informative(segments: Segments) -> Segments:
+    """Return parts of segments with about `EXPLORED_ROWS` rows in total, or all segments if they have fewer rows.
+
+    The parts are added one at a time. Each adds most to the information sum ln(1 + S) over frequency bands, where S is
+    the sum of the power of the motion in a band over all chosen parts, relative to the power of the readings' noise.
+    The choice depends on the content of the parts only, not on the order of the logs.
+    """
+    if int(segments.rows.sum()) <= EXPLORED_ROWS:
+        return segments
+    pieces = segments.split(LONGEST_PART)
+    powers = np.array([_band_powers(pieces, s) for s in range(len(pieces))])
+    chosen: list[int] = []
+    total, left = np.zeros(powers.shape[1]), EXPLORED_ROWS
+    while left > 0 and len(chosen) < len(pieces):
+        gains = np.log1p(powers / (1 + total)[None]).sum(axis=1) / pieces.rows
+        gains[chosen] = -np.inf
+        chosen.append(int(np.argmax(gains)))
+        total, left = total + powers[chosen[-1]], left - int(pieces.rows[chosen[-1]])
+    return pieces.select(np.array(sorted(chosen), dtype=np.int64))
+
+
+def _band_powers(pieces: Segments, number: int) -> Floats:
+    """Return the power of the motion of a part in each frequency band, relative to that of the readings' noise."""
+    position = pieces.position[pieces.first[number] : pieces.behind[number]]
+    since = np.linspace(-1.0, 1.0, len(position))
+    lines = np.stack([np.ones(len(since)), since], axis=1)
+    bent = position - lines @ np.linalg.lstsq(lines, position, rcond=None)[0]
+    power = np.abs(np.fft.rfft(bent * np.hanning(len(bent)))) ** 2 / (pieces.white * len(bent))
+    turns = np.arange(1, len(power)) * (LONGEST_PART / len(bent))
+    bands = np.floor(BANDS_PER_OCTAVE * np.log2(turns)).astype(np.int64)
+    most = int(BANDS_PER_OCTAVE * np.log2(LONGEST_PART))
+    return np.asarray(np.bincount(np.clip(bands, 0, most), power[1:], minlength=most + 1), dtype=np.float64)
 
 
 def _load_parts(fit: Fit) -> dict[str, float]:
@@ -143,20 +227,28 @@ def _variance(segments: Segments, fit: Fit) -> float:
     return float(np.mean(np.concatenate(free_errors(segments, fit)) ** 2))
 
 
-def _starts(segments: Segments, fit: Fit, without: Fit) -> Iterator[Device]:
-    """Yield initial devices with a mode. It is the mode of the segments if they have one, otherwise the best of a
-    grid."""
+def _starts(
+    segments: Segments, fit: Fit, without: tuple[Segments, Fit]
+) -> Iterator[tuple[Device, int, tuple[float, ...]]]:
+    """Yield initial devices with a mode, numbers of steps, and filters of the errors, as arguments of `free_fit`.
+
+    The mode is that of the segments if they have one. Otherwise, it is the best of a grid for white errors, and for the
+    errors without a mode. White errors show a slow mode in readings with little drift. The other ones show a mode next
+    to a drift.
+    """
     if "mode_frequency" in fit.device.numbers:
         for shares in LOAD_SHARES:
-            yield _loaded(fit.device.numbers, shares)
+            yield _loaded(fit.device.numbers, shares), STEPS, WHITE_ERRORS
         return
     rows = float(np.median(segments.rows))
     turns = np.geomspace(LOWEST / rows, HIGHEST, 1 + int(np.log(HIGHEST * rows / LOWEST) / np.log(FACTOR)))
-    rigid = {name: value for name, value in without.device.numbers.items() if name != "gamma"}
+    rigid = {name: value for name, value in without[1].device.numbers.items() if name != "gamma"}
     for part, shares_of_side in ((SENSED["motor"], MASS_SHARES), (SENSED["load"], DAMPER_SHARES)):
         modes = ((turn, 0.05, share) for turn in turns for share in shares_of_side)
         tried = [_loaded(rigid | dict(zip(PARTS[part].numbers, each, strict=True)), LOAD_SHARES[0]) for each in modes]
-        yield max(tried, key=lambda each: _promise(segments, each))
+        for errors in (WHITE_ERRORS, without[0].free):
+            promises = [_promise(replace(segments, free=errors), each) for each in tried]
+            yield tried[int(np.argmax(promises))], STEPS, errors
 
 
 def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
@@ -172,6 +264,6 @@ def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
 
 def _promise(segments: Segments, device: Device) -> float:
     """Return the likelihood of a device with a mode after one step of all numbers except those of the mode."""
-    fit = fitted(replace(segments, free=WHITE_ERRORS), device, np.empty(0, dtype=np.int64))
+    fit = fitted(segments, device, np.empty(0, dtype=np.int64))
     others = [place for place, name in enumerate(device.names) if name not in MODE]
     return solve(fit.moments.some(others), np.empty(0, dtype=np.int64)).likelihood

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 
@@ -22,6 +23,13 @@ They are in `LogUnits`, with time in samples."""
 
 FREE_STARTS = 3
 """Number of Newton steps for the initial states of free runs, which are linear except for friction."""
+
+SETTLED = 1e-4
+"""Predicted decrease of the squared errors of a free run, relative to its mean squared error, below which its initial
+state is settled. The log-likelihood then changes by half of it."""
+
+DIVERGED = 1e6
+"""Position of a free run that overflows from all initial states, in units of the largest travel of the logs."""
 
 NUDGE = 1e-4
 """Perturbation for numerical derivatives of free runs, relative to the size of the number."""
@@ -44,6 +52,9 @@ LIMITS = {
     "load_coulomb": (0.0, np.inf),
     "spring_damping_fraction": (1e-4, 0.999),
 }
+FREE_LIMITS = LIMITS | {"coulomb": (0.0, np.inf)}
+"""Limits in free runs, in which friction acts against the simulated motion and a negative one has no effect."""
+
 BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
 """Mean and information of the prior of a number. The prior of a fraction covers all values between 0 and 1."""
 
@@ -113,12 +124,12 @@ class Device:
         """Names of the numbers, in the order of the columns."""
         return tuple(self.numbers)
 
-    def stepped(self, step: Floats) -> Device:
+    def stepped(self, step: Floats, limits: Mapping[str, tuple[float, float]] = LIMITS) -> Device:
         """Return the device after a step, with each number within its limits."""
         moved = dict(self.numbers)
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
             most = min(LARGEST_STEP.get(name, np.inf), 0.5 * abs(value) if name in BY_HALF else np.inf)
-            low, high = LIMITS.get(name, (-np.inf, np.inf))
+            low, high = limits.get(name, (-np.inf, np.inf))
             moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
         return replace(self, numbers=moved)
 
@@ -286,19 +297,23 @@ def free_motion(segments: Segments, device: Device, variance: float, largest: fl
     for s, (y, rests) in enumerate(zip(readings, segments.rests, strict=True)):
         few = min(len(y) - 1, 5)
         tried[s, :2] = y[0], 0.0 if rests else (y[few] - y[0]) / max(few, 1)
-    starts, least = tried.copy(), np.full(len(tried), np.inf)
-    motion, along = [y * 0.0 for y in readings], [np.zeros((len(y), q)) for y in readings]
+    starts, least, ahead = tried.copy(), np.full(len(tried), np.inf), np.full(len(tried), np.inf)
+    motion, along = [np.full(len(y), DIVERGED) for y in readings], [np.zeros((len(y), q)) for y in readings]
     for _ in range(FREE_STARTS + 1):
         versions = np.concatenate([tried[:, None], tried[:, None] + nudges], axis=1)
         runs = np.split(_runs(segments, device, versions @ states.T), ends)
         for s, (y, run) in enumerate(zip(readings, runs, strict=True)):
             error = np.concatenate([y - run[:, 0], -prior @ tried[s]])
             columns = np.vstack([(run[:, 1:] - run[:, :1]) / np.diagonal(nudges), prior])
-            if (cost := float(error @ error)) < least[s]:
+            cost = float(error @ error)
+            if cost < least[s] and np.isfinite(columns).all():
                 least[s], starts[s], motion[s], along[s] = cost, tried[s], run[:, 0], columns[: len(y)]
-                tried[s] = tried[s] + np.linalg.lstsq(columns, error, rcond=None)[0]
+                step = np.linalg.lstsq(columns, error, rcond=None)[0]
+                tried[s], ahead[s] = tried[s] + step, float(((columns @ step) ** 2).sum())
             else:
                 tried[s] = 0.5 * (starts[s] + tried[s])
+        if (ahead <= SETTLED * least / segments.rows).all():
+            break
     return np.concatenate(motion), np.concatenate(along), starts
 
 
@@ -363,6 +378,19 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
 def portions_of(segments: Segments) -> int:
     """Return the number of portions of each segment, or 0 for at least `FEWEST` trials, which are units themselves."""
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
+
+
+def groups_of(segments: Segments) -> Integers:
+    """Return the group (U,) of each unit: its log, or the half of its log for fewer than `FEWEST` logs."""
+    portions = portions_of(segments)
+    if not portions:
+        return np.arange(segments.trials)
+    share = (np.arange(portions) + 0.5) / portions
+    middle = (segments.first[:, None] + segments.rows[:, None] * share).ravel()
+    trial = np.repeat(segments.trial, portions)
+    first, behind = segments.offsets[trial], segments.offsets[trial + 1]
+    groups = 2 * trial + (middle > 0.5 * (first + behind))
+    return np.asarray(np.unique(groups, return_inverse=True)[1], dtype=np.int64)
 
 
 @np.errstate(all="ignore")  # numbers far from the solution may cause overflow; a search then rejects them

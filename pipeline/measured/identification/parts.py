@@ -12,7 +12,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.first_guess import BALANCED, first_guesses
-from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, WHITE_ERRORS, free_fit, with_mode
+from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, free_fit, with_mode
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     DONE,
@@ -159,8 +159,8 @@ class ChosenParts:
         Names of parameters that are assumed to be zero.
     bounds : dict of str to float
         Upper ends of friction and spring [SI], from a fit with both.
-    free : bool
-        Whether free runs determine the device.
+    free : tuple of float
+        Filter that whitens the errors of free runs, as in `Segments`, if free runs determine the device.
     """
 
     numbers: dict[str, float]
@@ -171,7 +171,7 @@ class ChosenParts:
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float]
-    free: bool = False
+    free: tuple[float, ...] = ()
 
     @property
     def device(self) -> Device:
@@ -259,23 +259,28 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     segments, fit, parts = _swinging((some, units, lead), segments, fit, parts)
     device = fit.device
-    free = bool(segments.free)
-    chosen = ChosenParts(device.numbers, device.noise, device.reading, units, lead, parts, assumed, bounds, free)
+    found = device.numbers, device.noise, device.reading
+    chosen = ChosenParts(*found, units, lead, parts, assumed, bounds, segments.free)
     return chosen, fit, float(np.median(segments.rows))
 
 
 def _swinging(
     logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]]:
-    """Return segments, fit and parts after free runs decide on a mode, for few logs with friction or a slow mode."""
+    """Return segments, fit and parts after free runs decide on a mode, for logs with friction or a slow mode.
+
+    From `FEWEST` logs on, segments show the numbers of a mode that they find. Free runs then only search for a mode
+    that they do not find, unless a wall drives the device.
+    """
     numbers = fit.device.numbers
+    if not fit.few and ("mode_frequency" in numbers or any(any(each.wall) for each in logs[0])):
+        return segments, fit, parts
     phase = numbers.get("mode_frequency", np.inf) * float(np.median(segments.rows))
     rubs = parts.get("friction", 0.0) > 0 and numbers["coulomb"] > 0
     swings = rubs or ("coulomb" not in numbers and phase < FEW_PERIODS)
-    if not fit.few or not swings or "delay" not in numbers or fit.device.noise.jitter:
+    if not swings or "delay" not in numbers or fit.device.noise.jitter:
         return segments, fit, parts
-    recordings, units, lead = logs
-    found = with_mode(segments_of(recordings, units, lead, False, WHITE_ERRORS), fit, parts)
+    found = with_mode(logs, fit, parts)
     if found is not None:
         return found
     if "mode_frequency" not in numbers:
@@ -296,7 +301,8 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
     """
     units, lead = chosen.units, chosen.lead
     if chosen.free:
-        segments, fit = free_fit(segments_of(recordings, units, lead, False, WHITE_ERRORS), chosen.device)
+        segments = segments_of(recordings, units, lead, False, chosen.free)
+        segments, fit = free_fit(segments, chosen.device, errors=chosen.free)
         fit = ended(segments, fit.device)
     else:
         segments = segments_of(recordings, units, lead, "friction" in chosen.parts)

@@ -60,7 +60,7 @@ class Recording:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the error of a reading."""
-        return reading_noise(self.position)
+        return reading_noise(self.position, self.rounding)
 
     @cached_property
     def rounding(self) -> float:
@@ -124,11 +124,11 @@ def motion_of(recording: Recording) -> Motion:
     return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))
 
 
-def reading_noise(position: Floats) -> float:
-    """Return the standard deviation of a reading's error, from third differences or the rounding of the sensor."""
+def reading_noise(position: Floats, rounded: float) -> float:
+    """Return the standard deviation of a reading's error, from third differences or its ``rounded`` part."""
     third = np.diff(position, 3)
     noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
-    return float(max(noise, rounding(position), 1e-12 * float(np.ptp(position))))
+    return float(max(noise, rounded, 1e-12 * float(np.ptp(position))))
 
 
 def rounding(position: Floats) -> float:

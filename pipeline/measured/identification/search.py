@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from pipeline.base.progress import approach
 from pipeline.measured.identification.likelihood import (
     DONE,
+    FREE_LIMITS,
     LIMITS,
     SCATTERED,
     WORTH,
@@ -106,7 +108,8 @@ def ended(segments: Segments, device: Device) -> Fit:
     """Return the final maximum-likelihood fit near a device, with the uncertainty due to its jitter."""
     fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
     # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is another one
-    beyond = [fit.solved.step] if (_inner_step(fit) != fit.solved.step).any() else []
+    inside = _inner_step(fit, FREE_LIMITS if segments.free else LIMITS)
+    beyond = [fit.solved.step] if (inside != fit.solved.step).any() else []
     optima = np.stack([np.zeros(len(fit.device.names)), *beyond])
     fit = replace(fit, phases=phases_of(segments, fit), optima=optima)
     if not fit.device.noise.jitter:
@@ -119,11 +122,12 @@ def ended(segments: Segments, device: Device) -> Fit:
 
 def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
     """Return the fit after Newton steps. Each step is shortened until the likelihood increases."""
+    limits = FREE_LIMITS if segments.free else LIMITS
     for _ in range(steps):
         approach(STEP_SHARE)
-        step = _inner_step(fit)
+        step = _inner_step(fit, limits)
         for cut in CUTS:
-            device = fit.device.stepped(cut * step)
+            device = fit.device.stepped(cut * step, limits)
             change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
             if float(change @ fit.solved.total @ change) < DONE:
                 return fit
@@ -139,11 +143,11 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
     return fit
 
 
-def _inner_step(fit: Fit) -> Floats:
+def _inner_step(fit: Fit, limits: Mapping[str, tuple[float, float]]) -> Floats:
     """Return the Newton step without the numbers at a limit beyond which the likelihood would increase."""
     step, total = fit.solved.step, fit.solved.total
     values = np.array(list(fit.device.numbers.values()))
-    low, high = np.array([LIMITS.get(name, (-np.inf, np.inf)) for name in fit.device.names]).T
+    low, high = np.array([limits.get(name, (-np.inf, np.inf)) for name in fit.device.names]).T
     slope, free = total @ step, np.ones(len(step), dtype=bool)
     while (beyond := free & np.where(step < 0, values <= low, (step > 0) & (values >= high))).any():
         free &= ~beyond
