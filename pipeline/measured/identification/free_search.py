@@ -135,7 +135,7 @@ def with_mode(
         found = free_fit(segments, found[1].device, errors=found[0].free)
         if not (known or _followed(logs, without[1], found[1])):
             return None
-    if not (known or _has_load(*found)):
+    if not _has_load(*found):
         return None
     side = _side(found[1])
     absent = {*SENSED.values(), *LOAD_PARTS} | ({"stiffness"} if "gamma" not in found[1].device.numbers else set())

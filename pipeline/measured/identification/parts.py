@@ -269,11 +269,10 @@ def _swinging(
 ) -> tuple[Segments, Fit, dict[str, float]]:
     """Return segments, fit and parts after free runs decide on a mode, for logs with friction or a slow mode.
 
-    From `FEWEST` logs on, segments show the numbers of a mode that they find. Free runs then only search for a mode
-    that they do not find, unless a wall drives the device.
+    From `FEWEST` logs behind walls on, segments show the mode, since walls reverse the motion at different rows.
     """
     numbers = fit.device.numbers
-    if not fit.few and ("mode_frequency" in numbers or any(any(each.wall) for each in logs[0])):
+    if not fit.few and any(any(each.wall) for each in logs[0]):
         return segments, fit, parts
     phase = numbers.get("mode_frequency", np.inf) * float(np.median(segments.rows))
     rubs = parts.get("friction", 0.0) > 0 and numbers["coulomb"] > 0
