@@ -25,7 +25,8 @@ from pipeline.measured.identification.identifiability import (
     stuck,
     unidentifiable,
 )
-from pipeline.measured.identification.intervals import Errors, Interval
+from pipeline.measured.identification.intervals import Errors, Interval, OwnEstimates
+from pipeline.measured.identification.likelihood import groups_of
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
@@ -186,6 +187,11 @@ def no_fit(error: np.linalg.LinAlgError) -> ParameterError:
 def described(recordings: list[Recording], choice: Choice) -> Identification:
     """Return the identification for chosen parts, from recordings in the order of their ranks."""
     fit, units, errors = choice.fit, choice.units, Errors.of(choice.fit)
+    replay = _replay(recordings, choice)
+    walls = any(any(each.wall) for each in recordings)
+    fit_percent = medians(replay)[0]
+    if not walls and fit_percent is not None and fit_percent <= PRECISE:
+        errors = replace(errors, own=OwnEstimates.of(fit, groups_of(choice.segments)))
     names = estimated_names(errors.numbers)
     parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
     unknown = unidentifiable(parameters, choice)
@@ -194,9 +200,6 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         parameters["damping"] = alone
         unknown.discard("damping")
     recorded = Recorded.of(recordings)
-    replay = _replay(recordings, choice)
-    walls = any(any(each.wall) for each in recordings)
-    fit_percent = medians(replay)[0]
     where = "" if walls or fit_percent is None or fit_percent > PRECISE else departure(choice)
     misfit = "" if walls else _misfit(replay, where, known="mass" not in unknown)
     parts = dict.fromkeys(choice.parts, 0.0) if misfit else dict(choice.parts)

@@ -12,13 +12,20 @@ from pipeline.measured.identification.likelihood import LINEAR, Fit
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.scatter import inverse, unidentified
 from pipeline.measured.student import NORMAL_95, student_95
-from pipeline.records.trials import Floats
+from pipeline.records.trials import Floats, Integers
 
 COMPUTED = 1e-9
 """Relative numerical error of a value, equal to the accuracy of the search in logs without noise."""
 
 FAR = 1e3
 """Deviation, relative to the size of a number, that is assumed if the logs contain no information on the number."""
+
+SHARED = 0.1
+"""Information of all logs that is added to a group's own information, as a multiple of that of an average group. A
+group that does not separate two numbers then has a wide error instead of an arbitrary estimate."""
+
+BY_CHANCE = 1e-3
+"""Largest probability at which groups of equal devices would disagree as much as they do."""
 
 GROUPS = 10
 """Number of groups of neighbouring walls for a jackknife. It is used if there are at least twice as many units."""
@@ -32,6 +39,52 @@ class Interval:
     low: float
     high: float
     error: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class OwnEstimates:
+    """Separate estimates of groups: the logs, or the halves of few logs.
+
+    Parameters
+    ----------
+    steps : float64, shape (G, p)
+        Own estimates, as steps from the common one.
+    covariance : float64, shape (G, p, p)
+        Their covariances, if the model is complete.
+    """
+
+    steps: Floats
+    covariance: Floats
+
+    @classmethod
+    def of(cls, fit: Fit, groups: Integers) -> OwnEstimates:
+        """Return the own estimates from the group (U,) of each unit of a fit."""
+        solved, count = fit.solved, int(groups.max()) + 1
+        information = np.zeros((count, *solved.information.shape[1:]))
+        score = np.zeros((count, solved.score.shape[1]))
+        np.add.at(information, groups, solved.information)
+        np.add.at(score, groups, solved.score)
+        covariance = inverse(information + SHARED / count * solved.total)
+        return cls((covariance @ score[..., None])[..., 0], fit.repeats * covariance)
+
+    def variances(self, slopes: Floats) -> Floats:
+        """Return the variance between groups along slopes (Q, p), or 0 where chance explains it.
+
+        The statistic q = sum w_g (v_g - mean)^2 of G estimates v_g with weights w_g = 1/e_g^2 has the mean G - 1.
+        A larger one gives the variance (q - G + 1)/(sum w - sum w^2/sum w).
+
+        Source: DerSimonian and Laird 1986, "Meta-analysis in clinical trials".
+        """
+        from scipy.special import chdtri
+
+        values = self.steps @ slopes.T
+        weight = 1 / np.maximum(np.einsum("qi,gij,qj->gq", slopes, self.covariance, slopes), 1e-300)
+        total = weight.sum(axis=0)
+        mean = (weight * values).sum(axis=0) / total
+        chance = len(values) - 1.0
+        statistic = (weight * (values - mean) ** 2).sum(axis=0)
+        between = (statistic - chance) / np.maximum(total - (weight**2).sum(axis=0) / total, 1e-300)
+        return np.where(statistic > chdtri(max(chance, 1.0), BY_CHANCE), between, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +105,8 @@ class Errors:
         Contributions of the phases of the motion.
     optima : float64, shape (O, p)
         Steps to other optima.
+    own : OwnEstimates, optional
+        Separate estimates of groups, if their disagreement widens the intervals.
     """
 
     numbers: Numbers
@@ -61,6 +116,7 @@ class Errors:
     open: Floats
     phases: Floats
     optima: Floats
+    own: OwnEstimates | None = None
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
@@ -146,7 +202,8 @@ class Errors:
             wider = float(student_95(freedom) / student_95(self.freedom))
             variance = np.maximum(variance, wider**2 * (1 + 1 / freedom) * (groups**2).sum(axis=0))
         optima = np.abs(slopes @ self.optima.T).max(axis=1, initial=0.0) / float(student_95(self.freedom))
-        return np.asarray(variance + (slopes @ self.open) ** 2 + optima**2)
+        between = self.own.variances(slopes) if self.own is not None else 0.0
+        return np.asarray(variance + (slopes @ self.open) ** 2 + optima**2 + between)
 
 
 def with_delay(values: dict[str, float], covariance: Floats) -> tuple[dict[str, float], Floats]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import norm, t
 
-from pipeline.measured.identification.intervals import GROUPS, Errors
+from pipeline.measured.identification.intervals import GROUPS, Errors, OwnEstimates
 from pipeline.measured.student import NORMAL_95, student_95
 
 SAMPLE = np.random.default_rng(8).normal(5.0, 2.0, 8)
@@ -87,3 +88,13 @@ def test_what_is_far_from_its_bound_is_as_without():
         {"b": 0.5}, np.array([[0.04]]), np.zeros((5, 1)), np.inf, np.zeros(1), np.zeros((8, 1)), np.zeros((1, 1))
     )
     assert errors.interval(lambda n: n["b"], ends_at_zero=True) == errors.interval(lambda n: n["b"])
+
+
+def test_groups_that_disagree_by_more_than_chance_add_the_variance_between_them():
+    along = np.ones((1, 1))
+    precise = OwnEstimates(SAMPLE[:, None], np.full((8, 1, 1), 1e-6))
+    assert precise.variances(along)[0] == pytest.approx(SAMPLE.var(ddof=1), rel=1e-4)
+    assert OwnEstimates(SAMPLE[:, None], np.full((8, 1, 1), SAMPLE.var())).variances(along)[0] == 0
+    plain = mean_of(SAMPLE, 3.0)
+    wide = replace(plain, own=precise).interval(lambda n: n["mean"])
+    assert wide.error**2 == pytest.approx(plain.interval(lambda n: n["mean"]).error ** 2 + SAMPLE.var(ddof=1), rel=1e-4)
