@@ -430,11 +430,9 @@ def _replay_document(found: Identification) -> dict[str, Any]:
 
 
 def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
-    """Return the asymmetry of the drive and the mass for each direction, or None if both gains are equal.
-
-    The asymmetry is half the difference of the two gains divided by their mean.
-    """
-    units = {"asymmetry": ""} | dict.fromkeys(("positive", "negative"), _unit("mass", motion))
+    """Return the numbers of `Identification.drive`, or None if the gain is the same for all commands."""
+    masses = dict.fromkeys(("positive", "negative", "small", "large"), _unit("mass", motion))
+    units = {"asymmetry": "", "curvature": ""} | masses
     return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
 
 
@@ -483,7 +481,8 @@ def _loop_document(found: Identification, drift: str, velocity: WallFilter | Non
             else f"free runs fit the velocity of the logs left out to {fit:.1f} % (without the command {naive:.1f} %)"
         )
         + ("" if is_known else "; mass or delay cannot be identified from these logs")
-        + ("; the gain of the drive differs by direction" if found.drive else "")
+        + ("; the gain of the drive differs by direction" if "asymmetry" in found.drive else "")
+        + ("; the gain of the drive differs by size of the command" if "curvature" in found.drive else "")
         + (f"; {found.departure[:1].lower()}{found.departure[1:].rstrip('.')}" if found.departure else "")
         + (f"; {drift}" if drift else ""),
         "explained": None,

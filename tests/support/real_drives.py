@@ -22,7 +22,9 @@ class Rig:
     """A drive with a motor and perhaps a load: numbers in SI, per unit of command.
 
     ``cogging`` (relative amplitude, angular frequency along the way) changes the friction by place; ``reading`` and
-    ``quantum`` are noise and step of the sensor; ``drift`` is the amplitude of a slow unmodelled force.
+    ``quantum`` are noise and step of the sensor; ``drift`` is the amplitude of a slow unmodelled force. ``gravity`` is
+    the torque of a horizontal arm. The force falls by the share ``curve`` at a command of 1. The drive is ``off``
+    for the first rows, and the recorded command has ``command_noise``.
     """
 
     period: float
@@ -43,6 +45,10 @@ class Rig:
     quantum: float = 0.0
     drift: float = 0.0
     reads_load: bool = False
+    gravity: float = 0.0
+    curve: float = 0.0
+    off: int = 0
+    command_noise: float = 0.0
     truth: dict[str, float] = field(default_factory=dict)
 
     def log(self, name: str, command: Floats, seed: int = 0) -> Recording:
@@ -51,11 +57,14 @@ class Rig:
         time = np.arange(len(command)) * T
         forced = np.clip(command, -self.limit, self.limit)
         forced = forced * np.where(forced > 0, self.gains[0], self.gains[1])
+        forced = forced * (1 - self.curve * forced**2)
+        forced[: self.off] = 0.0
         drift = self.drift * np.sin(2 * np.pi * rng.uniform(0.2, 0.6) * time / time[-1] + rng.uniform(0, 6))
         position = _integrated(self, time, forced, drift)
         read = position + self.reading * rng.standard_normal(len(position))
         if self.quantum:
             read = np.round(read / self.quantum) * self.quantum
+        command = command + self.command_noise * rng.standard_normal(len(command))
         return Recording(name, time, command, read, T)
 
 
@@ -74,7 +83,8 @@ def _integrated(rig: Rig, time: Floats, forced: Floats, drift: Floats) -> Floats
             x1, x2 = x1 + 0.5 * h * v1, x2 + 0.5 * h * v2
             pull = rig.coupling * (x1 - x2) + rig.coupling_damping * (v1 - v2) if two else 0.0
             rub = rig.friction * (1 + rig.cogging[0] * np.sin(rig.cogging[1] * x1) ** 2)
-            v1 = _slid(v1, u + drift[k] - rig.spring * x1 - pull, rig.damping, rub, h / rig.motor)
+            weight = rig.gravity * np.sin(x1)
+            v1 = _slid(v1, u + drift[k] - rig.spring * x1 - weight - pull, rig.damping, rub, h / rig.motor)
             if two:
                 v2 = _slid(v2, pull, rig.load_damping, rig.load_friction, h / load)
             x1, x2 = x1 + 0.5 * h * v1, x2 + 0.5 * h * v2
@@ -229,6 +239,43 @@ def drifting(seed: int) -> tuple[Rig, list[Recording]]:
     return _logs(rig, [levels(rng, 1200, 50, 1.0) for _ in range(3)], seed)
 
 
+def arm(seed: int) -> tuple[Rig, list[Recording]]:
+    """An arm under gravity that swings by up to a radian."""
+    rng = np.random.default_rng(seed)
+    J, T = rng.uniform(0.05, 0.2), 0.005
+    turn = 2 * np.pi * rng.uniform(0.6, 1.2)
+    rig = Rig(T, J, 0.6 * J, friction=0.03 * J * turn**2, gravity=J * turn**2, quantum=3e-4, delay=T)
+    rig.truth.update({"mass": J, "damping": 0.6 * J})
+    return _logs(rig, [levels(rng, 1500, 100, size * J * turn**2) for size in (0.4, 0.6)], seed)
+
+
+def by_size(seed: int) -> tuple[Rig, list[Recording]]:
+    """A motor whose force falls with the size of the command; its mass is that of small commands."""
+    rng = np.random.default_rng(seed)
+    J, tau, T = 1e-3, rng.uniform(0.05, 0.2), 2e-3
+    rig = Rig(T, J, J / tau, friction=0.05, curve=rng.uniform(0.05, 0.3), delay=1.3 * T, quantum=1.5e-3)
+    rig.truth.update({"mass": J, "damping": J / tau})
+    return _logs(rig, [levels(rng, 1500, 60, 1.0) for _ in range(3)], seed)
+
+
+def measured_command(seed: int) -> tuple[Rig, list[Recording]]:
+    """A motor whose measured current, with its noise, is recorded as command."""
+    rng = np.random.default_rng(seed)
+    J, tau, T = 1e-3, rng.uniform(0.05, 0.2), 2e-3
+    rig = Rig(T, J, J / tau, friction=0.08, delay=0.5 * T, quantum=1.5e-3, command_noise=rng.uniform(0.02, 0.1))
+    rig.truth.update({"mass": J, "damping": J / tau, "friction.coulomb": 0.08})
+    return _logs(rig, [levels(rng, 1500, 60, 1.0) for _ in range(3)], seed)
+
+
+def switched_on(seed: int) -> tuple[Rig, list[Recording]]:
+    """A motor whose drive does not act during the first rows."""
+    rng = np.random.default_rng(seed)
+    J, tau, T = 1e-3, rng.uniform(0.05, 0.2), 2e-3
+    rig = Rig(T, J, J / tau, friction=0.05, off=int(rng.integers(150, 500)), delay=1.3 * T, quantum=1.5e-3)
+    rig.truth.update({"mass": J, "damping": J / tau, "friction.coulomb": 0.05})
+    return _logs(rig, [levels(rng, 1500, 60, 1.0) for _ in range(3)], seed)
+
+
 KINDS: dict[str, Kind] = {
     "motor": motor,
     "plateau": plateau,
@@ -242,5 +289,9 @@ KINDS: dict[str, Kind] = {
     "rough": rough,
     "ground spring": ground_spring,
     "drifting": drifting,
+    "arm under gravity": arm,
+    "gain by size": by_size,
+    "measured command": measured_command,
+    "switched on late": switched_on,
 }
 """Kinds of rigs, by a seed that chooses their numbers."""

@@ -201,6 +201,11 @@ def reasons(
             "The gain of the drive differs by direction, so that no single value per unit of command "
             "describes it. The mass of each direction is given instead."
         )
+    elif "curvature" in choice.fit.device.numbers and "mass" in names:
+        forces = (
+            "The gain of the drive differs by the size of the command, so that no single value per unit of command "
+            "describes it. The masses for small and large commands are given instead."
+        )
     result = dict.fromkeys(sorted(names), forces)
     wide = {
         "delay_samples": "The interval of the delay is wider than the delay. Record larger steps of the command, use a "

@@ -104,8 +104,9 @@ class Identification:
         Names of all recordings.
     drive : dict of str to Interval
         "positive" and "negative": mass per unit of a positive and of a negative command. "asymmetry": half the
-        difference between both gains, divided by their mean. Empty if the gain does not depend on the direction, or
-        if no device explains the logs.
+        difference between both gains, divided by their mean. "small" and "large": mass per unit of a small command and
+        of the largest one. "curvature": share of the force that is missing at the largest command. Empty if the gain
+        depends on neither direction nor size, or if no device explains the logs.
     covariance : float64, shape (P, P)
         Covariance of the parameters, in the order of `parameters`.
     folds : list of dict of str to float
@@ -241,18 +242,25 @@ def _shows_inertia(errors: Errors) -> bool:
 
 
 def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
-    """Return the mass per unit of command for each direction, and the asymmetry.
+    """Return the mass per unit of command for each direction and for small and large commands, with the asymmetry and
+    the curvature.
 
-    The result is empty without an asymmetry.
+    The result is empty if the gain depends on neither.
     """
-    if "asymmetry" not in errors.numbers:
-        return {}
-    mass = ESTIMATED["mass"].quantity(units)
-    return {
-        "asymmetry": errors.interval(lambda n: n["asymmetry"]),
-        "positive": errors.interval(lambda n: mass(n) / (1 + n["asymmetry"])),
-        "negative": errors.interval(lambda n: mass(n) / (1 - n["asymmetry"])),
-    }
+    mass, quantities = ESTIMATED["mass"].quantity(units), dict[str, Quantity]()
+    if "asymmetry" in errors.numbers:
+        quantities |= {
+            "asymmetry": lambda n: n["asymmetry"],
+            "positive": lambda n: mass(n) / (1 + n["asymmetry"]),
+            "negative": lambda n: mass(n) / (1 - n["asymmetry"]),
+        }
+    if "curvature" in errors.numbers:
+        quantities |= {
+            "curvature": lambda n: n["curvature"],
+            "small": mass,
+            "large": lambda n: mass(n) / (1 - n["curvature"]),
+        }
+    return {name: errors.interval(quantity) for name, quantity in quantities.items()}
 
 
 def _misfit(replay: list[Replay], where: str, *, known: bool) -> str:
@@ -290,10 +298,13 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
-    if asymmetry := abs(choice.fit.device.numbers.get("asymmetry", 0.0)):
+    numbers = choice.fit.device.numbers
+    asymmetry, large = abs(numbers.get("asymmetry", 0.0)), 1 - numbers.get("curvature", 0.0)
+    # extend from the value per unit of command at the largest gain to the value at the smallest gain
+    least, most = (1 - asymmetry) * min(large, 1.0), (1 + asymmetry) * max(large, 1.0)
+    if most > least:
         for name in ({"mass"} | PER_MASS) & result.keys():
-            # extend from the value per unit of command of the stronger direction to the value of the weaker direction
-            ends = result[name].low / (1 + asymmetry), result[name].high / (1 - asymmetry)
+            ends = result[name].low / most, result[name].high / least
             result[name] = replace(
                 result[name], low=min(ends[0], result[name].low), high=max(ends[1], result[name].high)
             )

@@ -40,6 +40,7 @@ SCATTERED = ("delay", "coulomb", "force")
 LIMITS = {
     "limit": (1e-3, 1.0),
     "asymmetry": (-0.95, 0.95),
+    "curvature": (-1.0, 0.6),
     "gain": (1e-12, np.inf),
     "delta": (-0.01, 2.0),
     "gamma": (-1e-4, 2.0),
@@ -61,6 +62,7 @@ BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
 LARGEST_STEP = {
     "limit": 0.05,
     "asymmetry": 0.2,
+    "curvature": 0.1,
     "delta": 0.2,
     "gamma": 0.2,
     "delay": 1.5,

@@ -64,6 +64,11 @@ def _asymmetries(_: dict[str, float]) -> list[dict[str, float]]:
     return [{"asymmetry": share} for share in (-0.5, -0.2, 0.2, 0.5)]
 
 
+def _curvatures(_: dict[str, float]) -> list[dict[str, float]]:
+    """Return candidates of the share of the force that is missing at the largest command."""
+    return [{"curvature": share} for share in (-0.2, 0.1, 0.25)]
+
+
 def _lags(numbers: dict[str, float]) -> list[dict[str, float]]:
     """Return candidates of the lag [samples]. Each replaces an equal part of the delay."""
     return [{"lag": lag, "delay": max(numbers["delay"] - lag, 0.0)} for lag in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)]
@@ -99,6 +104,7 @@ def _load_dampings(numbers: dict[str, float]) -> list[dict[str, float]]:
 PARTS: dict[str, Part] = {
     "saturation": Part(("limit",), _largest_forces, near="limit"),
     "gain by direction": Part(("asymmetry",), _asymmetries),
+    "gain by size": Part(("curvature",), _curvatures),
     "lag": Part(("lag",), _lags, size="lag"),
     "mode": Part(
         ("mode_frequency", "mode_damping_ratio", "load_mass_fraction"),

@@ -40,6 +40,9 @@ _SHOWN = 6
 
 UNEXPLAINED = "The command alone does not explain the motion: another force acts, or the model lacks a part."
 
+DRIVEN = ("positive", "negative", "small", "large")
+"""Commands for which the mass is given if the gain of the drive differs between them."""
+
 COMBINATIONS = {
     "acceleration": "acceleration by the largest command, including friction and constant force",
     "damping_per_mass": "damping over mass",
@@ -172,10 +175,12 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
     if parts[False]:
         yield f"neither found nor excluded by these logs: {parts[False]}"
     if (drive := document["drive"]) is not None:
-        ways = (f"{_with_interval(each)} for {way} commands" for way, each in drive.items() if way != "asymmetry")
+        ways = (f"{_with_interval(drive[way])} for {way} commands" for way in DRIVEN if way in drive)
         inertia = "Mass" if document["motion"] == "translation" else "Inertia"
-        yield f"The gain of the drive differs by direction. {inertia} per unit of command: {', '.join(ways)}."
-        yield "  The intervals above include both. Record the force, or calibrate the drive in each direction."
+        kinds = [kind for number, kind in (("asymmetry", "direction"), ("curvature", "size")) if number in drive]
+        where = "in each direction" if kinds == ["direction"] else "at several sizes of the command"
+        yield f"The gain of the drive differs by {_words(kinds)}. {inertia} per unit of command: {', '.join(ways)}."
+        yield f"  The intervals above include both. Record the force, or calibrate the drive {where}."
     if document["assumed_none"]:
         yield f"assumed zero, because the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:

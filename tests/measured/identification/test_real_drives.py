@@ -6,18 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from real_drives import KINDS, Rig, levels
+from real_drives import KINDS, Rig, levels, square, two_carts
 
 from pipeline.measured.identification.drive import DRIVE, applied_command
+from pipeline.measured.identification.free_search import EXPLORED_ROWS, WHITE_ERRORS, informative
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.likelihood import Device
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.replay import follows, medians, replays
+from pipeline.measured.identification.segments import segments_of
 
 INTEGRATED = 1e-3
 """Relative error of the small steps of a rig."""
 
-FAST = ("plateau", "ground spring", "gain by direction", "two carts")
+FAST = ("plateau", "ground spring", "gain by direction", "gain by size", "two carts")
 
 
 def checked(kind: str, seed: int) -> tuple[int, int]:
@@ -79,7 +81,7 @@ def test_a_drive_with_two_gains_gives_two_masses_and_an_interval_over_both():
 
 
 def test_derivatives_of_the_applied_command_are_those_of_differences():
-    command, numbers = np.linspace(-2, 2, 41), {"limit": 1.03, "asymmetry": -0.3}
+    command, numbers = np.linspace(-2, 2, 41), {"limit": 1.03, "asymmetry": -0.3, "curvature": 0.1}
     _, *slopes = applied_command(command, numbers)
     for name, slope in zip(DRIVE, slopes, strict=True):
         ends = (applied_command(command, numbers | {name: numbers[name] + by})[0] for by in (1e-6, -1e-6))
@@ -109,3 +111,38 @@ def test_friction_along_the_way_is_named_by_its_place():
     assert found.parameters["mass"].low < 0.4 < found.parameters["mass"].high
     assert found.parameters["stiffness"].low < 160.0 < found.parameters["stiffness"].high
     assert "position" in found.departure
+
+
+def test_eight_logs_show_a_slow_mode():
+    rig, _ = two_carts(1, load_friction=True)
+    rng = np.random.default_rng(8)
+    found = identified(
+        [rig.log(str(i), square(rng, 700, 170, size), i) for i, size in enumerate(rng.uniform(1.5, 2.5, 8))]
+    )
+    assert found.parts["mode"] > 0
+    for name, value in rig.truth.items():
+        assert found.parameters[name].value == pytest.approx(value, rel=2e-3), name
+
+
+def test_a_gain_that_falls_with_the_command_gives_the_mass_of_small_and_of_large_commands():
+    rng = np.random.default_rng(4)
+    rig = Rig(2e-3, 1e-3, 1e-2, friction=0.05, curve=0.2, quantum=1e-3)
+    found = identified([rig.log(str(i), levels(rng, 900, 60, 1.0), i) for i in range(2)])
+    share = 0.2 * found.units.command**2
+    assert found.drive["small"].value == pytest.approx(1e-3, rel=0.01)
+    assert found.drive["curvature"].value == pytest.approx(share, abs=0.02)
+    mass = found.parameters["mass"]
+    assert mass.low <= 1e-3 < found.drive["large"].value <= mass.high
+
+
+def test_informative_rows_are_those_with_motion_in_every_order_of_the_logs():
+    rng = np.random.default_rng(2)
+    rig = Rig(0.004, 0.6, 8.0, quantum=1e-5)
+    still = [rig.log(f"still {i}", np.full(6000, 1e-3), i) for i in range(3)]
+    moves = [rig.log(f"moves {i}", levels(rng, 6000, 80, 2.0), i) for i in range(2)]
+    chosen = []
+    for logs in (still + moves, moves[::-1] + still):
+        some = informative(segments_of(logs, LogUnits.of(logs), 3, False, WHITE_ERRORS))
+        chosen.append({logs[trial].name for trial in some.trial})
+        assert EXPLORED_ROWS <= some.rows.sum() < 2 * EXPLORED_ROWS
+    assert chosen[0] == chosen[1] <= {"moves 0", "moves 1"}
