@@ -71,20 +71,23 @@ class OwnEstimates:
         """Return the variance between groups along slopes (Q, p), or 0 where chance explains it.
 
         The statistic q = sum w_g (v_g - mean)^2 of G estimates v_g with weights w_g = 1/e_g^2 has the mean G - 1.
-        A larger one gives the variance (q - G + 1)/(sum w - sum w^2/sum w).
+        A larger one gives the variance (q - G + 1)/(sum w - sum w^2/sum w). Weights are relative to the smallest one.
 
         Source: DerSimonian and Laird 1986, "Meta-analysis in clinical trials".
         """
         from scipy.special import chdtri
 
         values = self.steps @ slopes.T
-        weight = 1 / np.maximum(np.einsum("qi,gij,qj->gq", slopes, self.covariance, slopes), 1e-300)
-        total = weight.sum(axis=0)
+        squares = np.einsum("qi,gij,qj->gq", slopes, self.covariance, slopes)
+        # a group without information has neither an estimate nor an error
+        informed, largest = squares > 0, np.maximum(squares.max(axis=0), 1e-300)
+        weight = np.where(informed, largest / np.where(informed, squares, 1.0), 0.0)
+        total, chance = np.maximum(weight.sum(axis=0), 1.0), np.maximum(informed.sum(axis=0) - 1.0, 0.0)
         mean = (weight * values).sum(axis=0) / total
-        chance = len(values) - 1.0
-        statistic = (weight * (values - mean) ** 2).sum(axis=0)
-        between = (statistic - chance) / np.maximum(total - (weight**2).sum(axis=0) / total, 1e-300)
-        return np.where(statistic > chdtri(max(chance, 1.0), BY_CHANCE), between, 0.0)
+        statistic = (weight * (values - mean) ** 2).sum(axis=0) / largest
+        spread = np.maximum((total - (weight**2).sum(axis=0) / total) / largest, 1e-300)
+        disagree = (chance > 0) & (statistic > chdtri(np.maximum(chance, 1.0), BY_CHANCE))
+        return np.where(disagree, (statistic - chance) / spread, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
