@@ -389,9 +389,11 @@ def _next(
     K, B = unit_of("stiffness", campaign.motion), unit_of("damping", campaign.motion)
     at = f"B = {column.damping:g} {B}"
     if bracket.again:
-        repeated = ", ".join(f"{value:g}" for value in bracket.again)
         if column.note == "weak":
-            why = f"the verdict at {repeated} {K} is hardly distinguishable from noise"
+            weak = "verdict is"
+            if len(bracket.again) > 1:
+                weak = f"verdicts at {listed([f'{value:g}' for value in bracket.again])} {K} are"
+            why = f"repeat it, because the {weak} hardly distinguishable from noise"
         elif bracket.even:
             even = ", ".join(f"{value:g}" for value in bracket.even)
             why = f"logs contradict each other at {at}: equal numbers of stable and unstable trials at {even} {K}; "

@@ -472,7 +472,7 @@ class AnswerEstimate(Quantity):
     that were not used for the fit, and ``limits_off_percent`` is the median error of its limits. If measured limits are
     less accurate, ``limits_known_percent`` is the half-width of their intervals. ``damping`` is the damping of the
     largest limit. ``at_last_damping`` is true if it is the largest tested damping, so that a larger limit may exist
-    beyond it.
+    beyond it. ``bracketed`` is true if the ends of the interval are a stable and an unstable trial.
     """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
@@ -481,6 +481,7 @@ class AnswerEstimate(Quantity):
     limits_known_percent: float | None = None
     damping: float | None = None
     at_last_damping: bool = False
+    bracketed: bool = False
 
 
 class ReachableCost(Record):
@@ -556,7 +557,8 @@ class Answer(Record):
     """First screen: recommended wall, its certainty, whether theory predicts it, reasons for deviations, and the next
     step.
 
-    ``experiment`` is the experiment described. If no wall is recommended, ``safest`` is the stable tested wall whose
+    ``experiment`` is the experiment described. The wall was chosen from ``wall_trials`` neighbouring good trials, or by
+    itself for the reason in ``wall_reason``. If no wall is recommended, ``safest`` is the stable tested wall whose
     motion decays fastest. ``spacing_percent`` is the spacing of the tested walls if theory's optimum lies between them.
     If ``next`` is null without ``next_reason``, verdicts bracket the limits at ``limits_told`` of the ``limits_wanted``
     dampings, and cannot bracket the others.
@@ -565,6 +567,7 @@ class Answer(Record):
     experiment: str
     wall: UsePoint | None
     wall_reason: str = ""
+    wall_trials: int = 0
     safest: TestedWall | None = None
     spacing_percent: float | None = None
     estimates: tuple[AnswerEstimate, ...] = ()

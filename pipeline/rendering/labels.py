@@ -276,7 +276,7 @@ def answer_texts(estimate: AnswerEstimate) -> tuple[str, str]:
     interval narrower than `TIGHT` on both sides of its value is one relative number, because equal digits say nothing.
 
     >>> answer_texts(AnswerEstimate(name="mass", value=0.1900002, low=0.1899991, high=0.1900013, unit="kg"))
-    ('0.1900 kg', '± < 0.001 %')
+    ('0.1900 kg', 'within 0.001 %')
     >>> answer_texts(AnswerEstimate(name="damping", value=4.5e-6, low=0.0, high=4.71e-5, unit="Ns/m"))
     ('none', 'below 4.71e−05 Ns/m')
     """
@@ -324,7 +324,7 @@ def relative_text(value: float, low: float, high: float) -> str:
     percent = 100 * max(high - value, value - low) / abs(value) if value else math.inf
     if not 0 <= percent < TIGHT:
         return ""
-    return "± < 0.001 %" if percent < 1e-3 else f"± {significant(_towards(percent, 1, math.ceil), 1)} %"
+    return "within 0.001 %" if percent < 1e-3 else f"± {significant(_towards(percent, 1, math.ceil), 1)} %"
 
 
 def fixed_digits(value: float, digits: int) -> str:

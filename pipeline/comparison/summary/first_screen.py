@@ -30,6 +30,7 @@ from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.campaign import TRIALS, Campaign, PlanOptions, campaign_of, forecast_of
+from pipeline.planning.loop_limits import linear_limits
 from pipeline.planning.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
@@ -44,7 +45,15 @@ from pipeline.records.results import (
     ReachableCost,
     TestedWall,
 )
-from pipeline.rendering.labels import Units, estimate_texts, quantity_name, share_text, significant, unit_text
+from pipeline.rendering.labels import (
+    Units,
+    estimate_texts,
+    percent_text,
+    quantity_name,
+    share_text,
+    significant,
+    unit_text,
+)
 from pipeline.simulation.simulate import applied_delay_moments
 from pipeline.theory.reachable import reachable
 
@@ -126,6 +135,7 @@ def answer(
         experiment=result.experiment,
         wall=wall,
         wall_reason=result.use_reason or "",
+        wall_trials=result.use.trials if result.use else 0,
         safest=None if wall is not None or misled else _safest(stages),
         spacing_percent=_spacing(result, rows, stages),
         estimates=_estimates(result, data.units, limit=not misled),
@@ -206,6 +216,7 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
                 large_motion=point.stiffness_large_motion,
                 damping=point.damping,
                 at_last_damping=_ends_at_last_damping(result),
+                bracketed=point.low is None and point.stable is not None and point.unstable is not None,
             )
         )
     replay = result.replay
@@ -327,7 +338,8 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
     if not unknown and (damping := _untested_damping(result)) is not None:
         unknown = [damping]
     at = f"; record more, for example at B = {listed([f'{B:g}' for B in unknown[:3]])}" if unknown else ""
-    text = f"{counted(distance.dampings, 'limit')} to compare, {FEWEST_COMPARISONS} are needed{at}"
+    near_zero = " (those near K = 0 are left out)" if distance.near_zero else ""
+    text = f"{counted(distance.dampings, 'limit')} to compare{near_zero}, {FEWEST_COMPARISONS} are needed{at}"
     if distance.bounded:
         text += f". {distance.agreeing} of {distance.bounded} agree with theory within their interval"
     best = max(result.loop_boundary or (), key=lambda limit: limit.stiffness, default=None)
@@ -358,14 +370,24 @@ def _ends_at_last_damping(result: ExperimentNumbers) -> bool:
 
 
 def _with_delay_of_theory(result: ExperimentNumbers) -> list[Cause]:
-    """Return the causes. A cause in a jittering delay also states by how much theory's constant delay differs."""
+    """Return the causes. The sentence on a jittering delay also states by how much theory's constant delay differs."""
     theory, delay = result.scores[0].parameters.loop.apparent() if result.scores else None, result.delay
-    if theory is None or delay.low is None or delay.high is None or delay.low <= theory.delay_samples <= delay.high:
+    if theory is None or delay.value is None or delay.low is None or delay.high is None:
         return list(result.causes)
-    constant = f"theory uses a constant d = {significant(theory.delay_samples, 3)}, the logs give "
-    constant += " to ".join(estimate_texts(delay)[1:])
+    if delay.low <= theory.delay_samples <= delay.high:
+        return list(result.causes)
+    damping = np.array([point.damping for point in result.boundary])
+    constant = linear_limits(theory, damping)
+    ratio = linear_limits(replace(theory, delay_samples=delay.value), damping)[constant > 0] / constant[constant > 0]
+    change = percent_text(100 * (float(np.median(ratio)) - 1)) if len(ratio) else "an unknown number of"
+    sentence = (
+        f"The delay jitters and acts like {significant(delay.value, 3)} samples, theory uses "
+        f"{significant(theory.delay_samples, 3)}: this changes limits by {change} %."
+    )
+    jitter = result.estimates.get("jitter_samples")
+    deviation = "" if jitter is None or jitter.value is None else f"deviation {significant(jitter.value, 2)}, "
     return [
-        Cause(code=cause.code, sentence=cause.sentence, evidence=f"{cause.evidence}; {constant}")
+        Cause(code=cause.code, sentence=sentence, evidence=f"jitter: standard {deviation}{cause.evidence}")
         if cause.code == "delay_jitter"
         else cause
         for cause in result.causes

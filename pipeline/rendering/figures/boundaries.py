@@ -139,8 +139,10 @@ def answer_figure(
     K, B, verdict = trials
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
     rubs = result.loop_boundary and any(cause.code == "coulomb_friction" for cause in result.causes)
-    series += [by_theory(theory, "without friction" if rubs else "limit by theory")] if theory is not None else []
-    series += [_identified(result, "limit with friction")] if rubs else []
+    series += (
+        [by_theory(theory, "theory without friction" if rubs else "limit by theory")] if theory is not None else []
+    )
+    series += [_identified(result, "theory with friction")] if rubs else []
     if result.use is not None:
         u = result.use
         corners = [(u.stiffness_low, u.damping_low), (u.stiffness_high, u.damping_low)]

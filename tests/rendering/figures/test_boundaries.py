@@ -164,8 +164,8 @@ def test_answer_shows_the_limits_with_friction_that_it_tells_of() -> None:
     nothing = np.array([]), np.array([]), np.array([])
     (panel,) = answer_figure(result, theory(), "translation", 0, nothing).panels
     found = {s.label: s.x.tolist() for s in panel.series}
-    assert found["limit with friction"] == [900, 900]
-    assert "without friction" in found
+    assert found["theory with friction"] == [900, 900]
+    assert "theory without friction" in found
 
 
 def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:

@@ -218,7 +218,7 @@ def test_experiments_are_compared_in_one_table_that_begins_with_wall_and_verdict
     assert [column.name for column in table.columns][:5] == names
     first, second, _ = cells(table)
     assert [first[name] for name in names] == ["1", "4.5", "0.25", "partly", "yes"]
-    assert (first["mass"], first["delay_samples"]) == ("0.580 0.570 to 0.600", "4.000 ± < 0.001 %")
+    assert (first["mass"], first["delay_samples"]) == ("0.580 0.570 to 0.600", "4.000 within 0.001 %")
     assert [second[name] for name in (*names[1:], "mass")] == ["–", "–", "not known", "not known", "–"]
     assert all(cell.why for cell in table.rows[1] if cell.text == "–"), "reasons in place of dashes"
     alone = answered(result).model_copy(update={"experiments": answered(result).experiments[:1]})
