@@ -262,8 +262,8 @@ median half width relative to the truth.
 |---|---|---|---|---|---|---|
 """
 AFTER = """
-In italics are kinds that the model does not contain: their truth is that of the device's own number. `jitter` is
-the [delay of the applied command](definitions.md#measured), {jitter}.
+Kinds in italics contain an effect that the model lacks. Their true value is the parameter of the simulated device.
+`jitter` is the [delay of the applied command](definitions.md#measured), {jitter}.
 
 All kinds inside the model: {inside}. Outside: {outside}.
 

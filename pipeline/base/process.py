@@ -50,7 +50,7 @@ class _NoPandas:
     @staticmethod
     def find_spec(name: str, *_: object) -> None:
         if name == "pandas":
-            raise ModuleNotFoundError("pandas is left out while pyarrow looks for it")
+            raise ModuleNotFoundError("pandas is hidden from pyarrow")
 
 
 def without_pandas(pyarrow: Any) -> None:

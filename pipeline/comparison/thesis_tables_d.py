@@ -164,7 +164,10 @@ class TableBuilder:
         values = {name: getattr(point, name) if point else None for name in _NUMBERS}
         stated = {f"published_{name}": getattr(published, name) if published else None for name in _NUMBERS}
         stated["published_deviation_percent"] = published_deviation(published) if published else None
-        notes = (note, published.erratum if published else None)
+        erratum = published.erratum if published else None
+        if erratum is not None and own != self.data.scene.device:
+            erratum = f"Published value, for the device {own}: {erratum}"
+        notes = (note, erratum)
         return ComparisonRow(
             table=table.name,
             criterion=criterion,

@@ -151,8 +151,8 @@ class Loop:
             )
         if mode is not None and mode.load_damping > self.damping:
             mistakes.append(
-                f"loop.mode.load_damping: found {mode.load_damping:g}; must be at most the damping of both sides, "
-                f"{self.damping:g}"
+                f"loop.mode.load_damping: found {mode.load_damping:g}; must not exceed the total damping of motor "
+                f"and load side, {self.damping:g}"
             )
         if isinstance(velocity, Kalman):
             try:

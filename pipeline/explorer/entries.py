@@ -52,7 +52,7 @@ def device_entries(devices: Iterable[Device], by: str = "", only: str | None = N
 def measured_entries(result: ComparisonResult, only: str | None = None) -> list[Entry]:
     """Return an entry for each experiment of a comparison whose loop is known from its logs or from the device file.
 
-    With a name (``only``), the entries are those of the experiment of this name.
+    If ``only`` is given, return only the entry of the experiment of this name.
 
     A drive whose commands are in volts or counts has no entry, because the page uses N or Nm.
     """
@@ -74,7 +74,7 @@ def measured_entries(result: ComparisonResult, only: str | None = None) -> list[
 
 
 def with_trials(entry: Entry, walls: Sequence[tuple[float, float, bool]]) -> Entry:
-    """Return an entry to which trials are added. A trial consists of stiffness, damping, and whether it was stable."""
+    """Return an entry with trials added. A trial consists of stiffness, damping, and whether it was stable."""
     return {**entry, "trials": [[stiffness, damping, int(stable)] for stiffness, damping, stable in walls]}
 
 

@@ -190,7 +190,7 @@ def _read_again(
     """Ingest the logs of damaged files again, from their paths and with the profiles that read them first."""
     for profile in sorted({row["profile"] for row in rows}):
         logs = {path_of_text(row["source_path"]) for row in rows if row["profile"] == profile}
-        with suppress(ProfileError):  # the profile belongs to a lab
+        with suppress(ProfileError):  # without the lab's own profile, these logs are not read again
             ingest(sorted(logs), processed, profile or None, say=say, damaged=faults)
 
 

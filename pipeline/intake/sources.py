@@ -107,7 +107,7 @@ class Notices:
     Parameters
     ----------
     folders : list of (Path, str)
-        Folders that were not searched, with the reason, which is that the folder is a link or cannot be read.
+        Folders that were not searched, each with the reason (a link, or unreadable).
     ignored : list of Path
         Files in searched folders that are not logs, according to their names or the caller's patterns.
     """

@@ -195,7 +195,7 @@ def accepted_logs(
 ) -> list[Accepted]:
     """Return the trials of a source.
 
-    A trial whose command follows other gains than the header states is marked and has a warning.
+    If the command of a trial was computed with other gains than those in the header, it is flagged with a warning.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ class NormalisedLoop:
 
     @classmethod
     def ideal(cls, gamma: float, delta: float, delay: float) -> NormalisedLoop:
-        """Return the loop of a mass with damper and spring, with the plain difference as velocity."""
+        """Return the loop of a mass with damper and spring, with the backward difference as velocity."""
         return cls(Plant(1.0, delta, gamma), delay)
 
     @classmethod

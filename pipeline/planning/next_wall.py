@@ -436,8 +436,9 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
 def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     """Return a forecast that is corrected by its errors so far.
 
-    The errors at dampings with both ends of a bracket, shape (n, 2), are interpolated by a Gaussian process over
-    damping (kriging). Its standard deviation is the misfit, and its length is `SMOOTH` of the range.
+    ``ends`` (n, 2) contains the bracket at each damping. At dampings with a closed bracket, the errors of the forecast
+    are interpolated over damping by a Gaussian process (kriging). Its standard deviation is the misfit, and its length
+    is `SMOOTH` of the range.
     """
     low, high = ends.T
     largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value is valid if all are zero
@@ -518,7 +519,7 @@ def _wall_to_try(
             return DampingState(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
     if often and of.low is None and len(inside) < 2 * VOTES:
-        # Undecided walls are near the limit. Verdicts farther away enclose it.
+        # Undecided walls are near the limit. Verdicts farther away bracket it.
         softer = APART * float(inside.stiffness.min())
         stiffer = blind and not goal.gentle and len(inside) == 2 * VOTES - 1
         lowest = task.low if task.low > goal.lowest else inf

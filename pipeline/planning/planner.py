@@ -341,9 +341,9 @@ def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
     if rig.factor != 1:
         remarks.append(f"the rig sets {rig.factor:g} times the requested K; next walls are divided by this factor")
     if rig.highest < inf:
-        remarks.append(f"the rig sets no K above {rig.highest:g} {K}")
+        remarks.append(f"the rig limits K to at most {rig.highest:g} {K}")
     if rig.lowest > 0:
-        remarks.append(f"the rig sets no K below {rig.lowest:g} {K}")
+        remarks.append(f"the rig limits K to at least {rig.lowest:g} {K}")
     return remarks
 
 

@@ -96,7 +96,7 @@ def isolated(place: str, kind: str, size: int, name: str, *more: Any, imports: s
     *more
         Further arguments, such as the content.
     imports : str
-        Modules that the function imports, separated by blanks. Their import time does not count.
+        Modules that the function imports, separated by blanks. Their import time does not count towards the limit.
 
     Returns
     -------

@@ -86,7 +86,7 @@ def moves_before_command(samples: Samples) -> Finding | None:
     shift = None if late is None else f"{late} rows earlier"
     if early is not None:
         edge, row = early
-        found = f"The position leaves its rest in row {row}, {edge - row} rows before the command changes (row {edge})."
+        found = f"The position starts to move in row {row}, {edge - row} rows before the command changes (row {edge})."
         return _noncausal(samples, found, shift or f"at least {edge - row} rows earlier", row)
     if shift is not None:
         found = f"The command obeys the wall with the position of {late} rows before: the command was logged late."

@@ -2,8 +2,8 @@
 
 A step at time t moves a free device with the lag tau by the acceleration times z^2/2 - tau z + tau^2 (1 - exp(-z/tau)),
 with z = k - t, from t on. A ramp of n rows with a zero-order hold is the mean of n such steps. Both models are compared
-around each ramp. A cubic in time and friction model all other motion. Ramps that were sent have a common delay. A step
-inside an interpolated ramp has a separate delay.
+around each ramp. A cubic in time and friction model all other motion. Ramps that the controller sent share one delay. A
+step inside an interpolated ramp has a separate delay.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ _LIMITS = np.array(
         *(travel.HARDER, travel.STILL[0], travel.STILL[1] / THIRD_MEDIAN, travel.STILL[2]),
     ]
 )
-"""Limits of the checks in the order in which `_found_in` reads them. They are arguments because machine code contains
-fixed copies of constants."""
+"""Limits of the checks in the order in which `_found_in` reads them. They are passed as arguments because compiled code
+would contain fixed copies of constants."""
 
 
 def screened(logs: Sequence[Samples]) -> list[int]:

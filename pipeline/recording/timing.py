@@ -103,8 +103,8 @@ def missing_rows(samples: Samples) -> Finding | None:
     return samples.finding(
         "missing_rows",
         "note",
-        f"{lost} of {len(samples) + lost} rows are missing in the time stamps, first after row {gaps[0]}, "
-        f"up to {longest} in succession.",
+        f"According to the time stamps, {lost} of {len(samples) + lost} rows are missing. The first gap is after row "
+        f"{gaps[0]}, and the longest gap has {longest} rows.",
         "Record without lost rows: use a faster disk, a larger buffer or a lower rate.",
         first_row=int(gaps[0]),
         rows=lost,

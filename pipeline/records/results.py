@@ -487,9 +487,10 @@ class AnswerEstimate(Quantity):
 class ReachableCost(Record):
     """Best settling time (2 %) that the delay allows, and the best settling time of the tested walls [samples].
 
-    ``delay_samples`` is the total delay from command to force, including an actuator's lag. ``per_sample`` is the gain
-    from one sample less of delay. ``within`` is the largest relative error of the rule for a device without damping;
-    damping only lowers the settling time. ``reached`` is null if no tested wall has a settling time.
+    ``best`` follows from the delay by a rule, and ``optimum`` is the exact optimum of theory for this loop (null if it
+    was not computed). ``delay_samples`` is the total delay from command to force, with an actuator lag. ``per_sample``
+    is the gain from one sample less of delay. ``within`` is the largest relative error of the rule for a device without
+    damping; damping only lowers the settling time. ``reached`` is null if no tested wall has a settling time.
 
     Source: Hulin 2017, eqs. 5.19 and 5.20, Table 5.1.
     """
@@ -499,6 +500,7 @@ class ReachableCost(Record):
     reached: float | None
     per_sample: float
     within: float
+    optimum: float | None = None
 
 
 class Prediction(Record):
@@ -509,7 +511,8 @@ class Prediction(Record):
     ``percent_with_friction`` is the distance from the device with its friction, null if limits lie on both sides of it.
     Of ``bounded`` limits with an interval, ``above`` and ``below`` deviate from theory by more than this interval.
     ``safe`` is true if all walls that are stable in theory are stable. ``reason`` states why the agreement is unknown,
-    if ``code`` is "unknown". ``delay_samples`` is the delay of the theory to which the limits are compared, and
+    if ``code`` is "unknown". ``costs`` is the number of compared costs, and ``costs_experiments`` that of their
+    experiments. ``delay_samples`` is the delay of the theory to which the limits are compared, and
     ``of_file`` is true if its parameters are those of the device file instead of estimates from the logs.
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
@@ -531,6 +534,7 @@ class Prediction(Record):
     safe: bool = False
     costs: int = 0
     costs_percent: float | None = None
+    costs_experiments: int = 0
     delay_samples: float | None = None
     of_file: bool = False
     reason: str = ""

@@ -203,7 +203,7 @@ COLUMNS: dict[str, Column] = {
     "low": Column(_F, "N/m", "Nm/rad", "lower end of the 95 % interval of the limit", True),
     "high": Column(_F, "N/m", "Nm/rad", "upper end of the 95 % interval of the limit", True),
     "trials": _same(_I, "", "number of trials with K > 0 at this damping"),
-    "undecided": _same(_I, "", "number of undecided trials among them below the largest stable stiffness"),
+    "undecided": _same(_I, "", "number of these trials that are undecided and below the largest stable stiffness"),
 }
 
 _NAMES = {

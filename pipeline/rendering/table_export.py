@@ -1,4 +1,4 @@
-"""Write the tables of a comparison to files. CSV and JSON have all digits. Markdown and LaTeX are as printed."""
+"""Write the tables of a comparison to files. CSV and JSON have all digits, Markdown and LaTeX those of the report."""
 
 from __future__ import annotations
 

@@ -104,10 +104,10 @@ class DesignAnswer:
             lines.append(f"  ({len(self.changes) - _SHOWN} more: --json)")
         if any("sampling_period_s" in change.after for change in self.changes[:_SHOWN]):
             lines.append(
-                "  (the delay counts in samples: it is shorter in time with a shorter sampling period. One of a"
+                "  (The delay keeps its number of samples, so a shorter sampling period also shortens it in seconds."
             )
             lines.append(
-                "  fixed time makes another rig: `identify --period` writes its file, or keep sampling_period_s)"
+                "  If it is fixed in seconds, write a device file with `identify --period`, or keep sampling_period_s.)"
             )
         lines += [f"  {name} alone: {why}" for name, why in self.out_of_reach.items()]
         if not reached and not self.changes:

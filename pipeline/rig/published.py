@@ -96,7 +96,7 @@ CONDITIONS = (
         "Minsky et al. 1990",
         "Minsky, Ouh-young, Steele, Brooks, Behensky: Feeling and seeing, Computer Graphics 24 (2)",
         "stability",
-        "sampling as a delay, slow motion; a hand's stiffness is counted as part of the wall's",
+        "sampling modelled as a delay; slow motion; the stiffness of a hand is added to that of the wall",
         _minsky,
     ),
     Condition(

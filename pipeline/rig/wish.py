@@ -197,7 +197,7 @@ def _between(axis: Floats, value: float) -> Floats:
 
 
 def _corners(loop: Loop, tolerance: float) -> list[Loop]:
-    """Return the rigs at the corners of the tolerance. The load of a mode keeps its share of the mass."""
+    """Return the rigs at the corners of the tolerances. The load of a mode keeps its share of the mass."""
     if tolerance == 0:
         return [loop]
     rigs = []

@@ -56,7 +56,9 @@ def keep(name: str, text: str) -> Path:
     """
     folder = user_device_folder()
     if folder is None:
-        raise Problem(409, f"The server has no folder for device files. Start it with {USER_FOLDER_VARIABLE}.")
+        raise Problem(
+            409, f"The server has no folder for device files. Set {USER_FOLDER_VARIABLE} to a folder, and restart it."
+        )
     trial = folder / f".{folder_name(name)}.checked"
     write_text(trial, text)
     try:

@@ -30,8 +30,8 @@ class Part(NamedTuple):
 PARTS = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
 """Devices of the demo, with half the dampings and half the stiffness steps.
 
-They have a quarter of the trials, and their maps look like the full ones. The first device deviates from theory as the
-real device may (docs/falcon.md).
+They have a quarter of the trials, and their maps look like the full ones. The first device deviates from theory in the
+way that the real device may (docs/falcon.md).
 """
 
 

@@ -1,5 +1,4 @@
-"""Make the decisions of `pipeline start` on the contents of a folder of logs, keys that the data prove, and open
-questions.
+"""Decide for `pipeline start` what a folder contains, which profile keys follow from the data, and what remains open.
 
 The decisions depend only on the folder. `pipeline.shell.commands.cli_start` asks the user, calls functions and prints.
 """
@@ -108,7 +107,7 @@ class Proposal:
         return {place: answer for place, answer in self.answers.items() if answer.question}
 
     def answered(self, given: Mapping[str, Any]) -> Proposal:
-        """Return the proposal after questions were answered."""
+        """Return a proposal that includes the given answers."""
         answers = {place: Answer(value, "as answered") for place, value in given.items()}
         return replace(self, answers=self.answers | answers)
 

@@ -222,7 +222,7 @@ def _drawn() -> tuple[list[tuple[int, ...]], Floats, Floats]:
 
 
 def _slots(setup: Setup, delays: Integers | None) -> Integers:
-    """Return the row (from 1) of the command applied in each part of the interval after each row, (parts, rows)."""
+    """Return the row (from 1) of the command applied in each part of each sampling interval, shape (parts, rows)."""
     if delays is not None:
         slots = applied_delays(delays) + 1
         return slots[None]

@@ -54,8 +54,8 @@ DRIFT = "free runs drift because no wall corrects them; `pipeline compare` repla
 """Remark in a document whose free runs come from logs of walls, because a drift spoils their fit."""
 
 SHIFTED = (
-    "the command of each log belongs to another row than its position, or to another sampling period, so that neither "
-    "delay nor limits can be estimated. `pipeline compare` lists the finding for each log; record the logs again"
+    "in each log, the command is shifted by rows relative to the position, or the sampling period is wrong, so that "
+    "neither delay nor limits can be estimated. `pipeline compare` lists the finding for each log. Record them again"
 )
 """Message for logs of walls that are all rejected because no device can be identified from them."""
 

@@ -591,12 +591,12 @@ class CircleCondition:
         return total(product(binomial(1), plain), -self.delay * product(over, self.turn))
 
     def beta(self, s: Decimal) -> Decimal:
-        """Return beta at a place. It is infinite at a pole of beta."""
+        """Return beta at the point s of the curve. It is infinite at a pole of beta."""
         bottom = value_at(self.turn, s)
         return -value_at(self.twist, s) / ((1 + s) ** self.delay * bottom) if bottom else Decimal("inf")
 
     def alpha(self, s: Decimal, beta: Decimal) -> Decimal:
-        """Return alpha at a place for its beta."""
+        """Return alpha at the point s of the curve, given beta at s."""
         stretch = value_at(self.stretch, s) / ((1 + s) ** self.delay * value_at(self.size, s))
         return Decimal(-stretch - beta * value_at(self.level, s) / value_at(self.filter, s))
 

@@ -84,7 +84,7 @@ OUTWEIGHED = 0.99
 
 WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 24, 1 << 22
 """Initial and largest number of samples that are simulated before the end of an envelope. An envelope may be far above
-the motion. An eighth of the squared sample limit is a further limit."""
+the motion. The window is also limited to an eighth of the square of the largest number of samples of a response."""
 
 CLIMB_SAMPLES, MIN_JUMP_SAMPLES = 32, 2.0
 """Number of samples between two checks whether a response may exceed its peak, and smallest number of skipped

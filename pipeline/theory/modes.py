@@ -27,7 +27,7 @@ STILL_REPRODUCED = 1e-11
 
 
 def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[Complexes, Complexes]:
-    """Return poles, shape (n, modes), and the part of each mode in the states at sample 0 of steps.
+    """Return poles, shape (n, modes), and the modal components of the state at sample 0 of a step response.
 
     The parts have the shape (n, modes, states). States are those of a march, followed by the wall forces of the last
     samples, newest first. Values are nan if the eigenvectors do not span the states.

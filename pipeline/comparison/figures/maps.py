@@ -44,7 +44,7 @@ POINTS = 101
 """Number of grid points along each axis of a drawn map. A finer grid does not visibly change the contours."""
 
 FEW_NEIGHBOURS = 9
-"""Number of trials used to smooth a cost. A plane over more trials would fill valleys of the cost."""
+"""Number of trials used to smooth a cost. A plane fitted to more trials would smooth out valleys."""
 
 FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
 """Smallest number of stable trials with a cost, and smallest share of all stable trials, for which contours are

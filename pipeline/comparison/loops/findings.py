@@ -169,7 +169,7 @@ def judge_loop(
     of_file : Loop or None
         Loop of the device file, or None.
     trial : StepTrial
-        Usual trial of the experiment.
+        Step and duration of a typical trial.
 
     Notes
     -----

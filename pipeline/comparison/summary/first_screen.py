@@ -141,7 +141,7 @@ def answer(
         estimates=_estimates(result, data.units, limit=not misled),
         estimates_reason=_doubt(result),
         predicts=_prediction(result, rows, "" if not misled else WRONG_RECORDING if fault else OTHER_GAINS),
-        reachable=None if misled else _reachable(result),
+        reachable=None if misled else _reachable(result, rows),
         causes=tuple(causes[:MOST_CAUSES]),
         next=step.wall,
         next_reason=step.reason,
@@ -297,6 +297,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         costs=len(costs),
         costs_percent=percent,
         optimal_costs=None if percent is None else _graded(*(percent <= most for most in COSTS_WITHIN)),
+        costs_experiments=len({row.experiment for row in rows if row.deviation and row.deviation.steady}),
         dampings=len(result.boundary),
         delay_samples=None if theory is None else theory.parameters.loop.apparent().delay_samples,
         of_file=theory is not None and theory.basis == "device file",
@@ -351,8 +352,8 @@ def _too_few_limits(result: ExperimentNumbers, distance: DistanceScore) -> str:
 def _untested_damping(result: ExperimentNumbers) -> float | None:
     """Return the untested damping whose limit is most informative, or None if fewer than two dampings are tested.
 
-    If the largest limit is at the largest tested damping, it lies beyond it, since larger limits may exist there.
-    Otherwise it is in the middle of the widest gap.
+    If the largest limit is at the largest tested damping, return a larger damping, because the limit may still rise.
+    Otherwise, return the middle of the widest gap.
     """
     B = np.array([point.damping for point in result.boundary])
     if len(B) < 2:
@@ -398,8 +399,11 @@ def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:
     return "yes" if well else "partly" if partly else "no"
 
 
-def _reachable(result: ExperimentNumbers) -> ReachableCost | None:
-    """Return the lowest cost that the delay of an experiment allows, or None if delay or period is unknown."""
+def _reachable(result: ExperimentNumbers, rows: Sequence[ComparisonRow]) -> ReachableCost | None:
+    """Return the lowest cost that the delay of an experiment allows, or None if delay or period is unknown.
+
+    The optimum of theory is that of the rows, which includes damping and operator of the loop.
+    """
     period, loop = result.sampling_period_s, result.loop
     delay = loop.delay_samples.value if loop is not None and loop.delay_samples is not None else result.delay.value
     if delay is None or period is None:
@@ -415,6 +419,15 @@ def _reachable(result: ExperimentNumbers) -> ReachableCost | None:
         reached=None if best is None else best.cost,
         per_sample=rule.per_sample,
         within=rule.within,
+        optimum=next(
+            (
+                row.cost / (1 + row.deviation_percent / 100)
+                for row in rows
+                if row.experiment == result.experiment and row.criterion == "settle_2pct"
+                if row.cost is not None and row.deviation_percent is not None
+            ),
+            None,
+        ),
     )
 
 

@@ -391,8 +391,8 @@ def whitened(
         standard deviation of the force per unit of command.
     requested : codes, places, constants, sizes
         ``codes`` (p,) of the columns. ``places`` of stiffness, lag and delay among the parameters of the shape, or -1.
-        ``constants``: stiffness, lag, delay, variance of a reading, and number of rows before a segment whose commands
-        affect the lagged force. ``sizes`` (q,) of the unknown initial values.
+        ``constants``: stiffness, lag, delay, variance of a reading, and number of rows before a segment in which
+        commands still affect the lagged force. ``sizes`` (q,) of the unknown initial values.
 
     Returns
     -------

@@ -59,7 +59,7 @@ def follows(fit_percent: float | None, naive_percent: float | None) -> bool:
 
 
 def medians(replay: Sequence[Replay]) -> tuple[float | None, float | None]:
-    """Return the median fits of the device and of a motion without the command, or None if no log contains motion."""
+    """Return the median fits of the device and of the naive prediction without the command, or None without motion."""
     fits = np.array([each[1:] for each in replay if np.isfinite(each.fit_percent)])
     return (float(np.median(fits[:, 0])), float(np.median(fits[:, 1]))) if len(fits) else (None, None)
 

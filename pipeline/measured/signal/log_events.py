@@ -130,9 +130,9 @@ def first_clipped(trial: Trial) -> tuple[int, float]:
 
     Notes
     -----
-    A clipped command equals the largest one of the log in two rows or more. It is closer to zero than the wall law
-    requires, by more than rounding. A velocity filter also causes deviations from the wall law, but its extremes differ
-    from each other.
+    A command is clipped if it has the largest value of the log in at least two rows, and is closer to zero than the
+    wall law requires, by more than rounding. A velocity filter also causes deviations from the wall law, but its
+    extremes differ from each other.
     """
     size = np.abs(trial.command)
     largest = float(size.max())

@@ -93,7 +93,10 @@ def read_stamps(time: Floats, period: float) -> Stamps:
 
 
 def _scatter(values: Floats) -> float:
-    """Return the standard deviation of most values. Among scattering stamps, a gap is located within a few rows."""
+    """Return a robust standard deviation, from the median absolute deviation.
+
+    If the stamps scatter, a gap can be located only to within a few rows, and these rows must not affect the result.
+    """
     return float(np.median(np.abs(values - np.median(values))) / NORMAL_QUARTILE)
 
 

@@ -236,7 +236,7 @@ def _split(layout: TextLayout, contents: FileColumns, line: str, row: int) -> li
 def _rows(
     layout: Profile, contents: FileColumns, lines: list[str], first: int, names: list[str], places: list[int]
 ) -> tuple[list[int], list[list[str]]]:
-    """Return the numbers of the rows, and the cells by column. An incomplete last row is omitted, and its text kept."""
+    """Return the row numbers, and the cells of each column. An incomplete last row is omitted, and its text kept."""
     row, cells, width = list[int](), list[list[str]](), len(names)
     for number, line in enumerate(lines[first:], start=first + 1):
         if not line.strip(" \t") and layout.blank_lines == "refuse":

@@ -78,10 +78,10 @@ class TrialPage:
     trials, responses : int
         Number of trials, and number of trials with a response in the page.
     places : dict
-        ``(experiment, trial id)`` to the trial's reference in the page.
+        Map of ``(experiment, trial id)`` to the reference of the trial in the page.
     limits : dict
-        ``(experiment, damping, stiffness)`` to the reference of the boundary trial there; the stiffness is that of the
-        table of limits.
+        Map of ``(experiment, damping, stiffness)`` to the reference of that boundary trial. The stiffness is that of
+        the table of limits.
     """
 
     content: JsonObject
@@ -765,9 +765,9 @@ def _shapes(result: ComparisonResult) -> Table | None:
             excluded = line.excludes_theory
             row["curvature"] = None if excluded is None else YES_OR_NO[not excluded]
         rows.append(row)
-    stiffest = "limits from the stiffest wall on"
+    stiffest = "limits at or above the damping of the largest limit"
     few = f"fewer than four {stiffest}"
-    curved = f"fewer than five {stiffest}, or theory has none at one of their dampings"
+    curved = f"fewer than five {stiffest}, or theory predicts no limit at one of these dampings"
     columns = [Column("experiment")]
     for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
         columns.append(interval_column(name, label, "samples", group="delay d"))
@@ -782,8 +782,8 @@ def _shapes(result: ComparisonResult) -> Table | None:
     )
     if table is not None:
         table.mark(
-            "A pure delay with which an ideal loop of this mass and damping has these limits. It is longer than that "
-            "of the logs by what a lag or a velocity filter costs; friction and jitter move it, too."
+            "Pure delay with which an ideal loop of this mass and damping has these limits. A lag or a velocity filter "
+            "makes it longer than the delay of the logs. Friction makes it shorter, as does jitter near the origin."
         )
     return table
 
@@ -817,7 +817,7 @@ def _rules(result: ComparisonResult) -> Table | None:
         Column("best", "least", "samples", of_delay, digits(3), why="no delay is known"),
         Column("reached", "reached", "samples", of_delay, digits(3), why="no trial settled"),
         Column(
-            "per_sample", "saved by a sample less of delay", "samples", of_delay, digits(2), why="no delay is known"
+            "per_sample", "saved per sample of delay removed", "samples", of_delay, digits(2), why="no delay is known"
         ),
     )
     table = table_of("rules", "Design rules", columns, [row for row in rows if len(row) > 1], _name)

@@ -1,1 +1,1 @@
-"""REST: routes, their answers, forms of samples, theory in a separate process."""
+"""REST interface: routes, answers, formats of samples, and theory computed in a separate process."""

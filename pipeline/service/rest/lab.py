@@ -125,7 +125,7 @@ def put_device(service: Shared, who: Who, device: Segment, asked: DeviceText) ->
 
 @lab.delete("/devices/{device}/file", status_code=204, response_class=Response, responses=answers.NAMED)
 def remove_device(service: Shared, who: Who, device: Segment) -> Response:
-    """Remove the lab's file of a device; a shipped one is used again."""
+    """Remove the lab's file of a device. A shipped file of this device is used again."""
     device_files.remove(device)
     service.database.note(who, "removed a device file", {"device": device})
     return Response(status_code=204)

@@ -296,7 +296,7 @@ class _Maker:
             low, high = PLAUSIBLE_PERIODS
             fits = [unit for unit in ("s", "ms", "us", "ns") if low <= pace * UNITS[unit].factor <= high]
             if len(fits) == 1:
-                self.evidence.append(f"time is in {fits[0]}: its rows are {pace:g} apart")
+                self.evidence.append(f"time is in {fits[0]}: consecutive stamps differ by {pace:g}")
                 return fits[0]
             either = " or ".join(f"{column}:{unit}" for unit in fits) or f"{column}:s"
             raise UsageError(f"--time {column}: the rows are {pace:g} apart, but no unit is stated. Write {either}.")

@@ -88,7 +88,7 @@ def _number(value: Scalar | None) -> float | None:
 def place_of(
     inside: Mapping[tuple[str, str], Numbers], followed: Sequence[float], names: Sequence[str]
 ) -> tuple[str, str] | None:
-    """Return table and name of numbers that are proportional to the gains of the commands, or None if there are none.
+    """Return table and name of the numbers that are proportional to the gains of the commands, or None without any.
 
     A usual name of the condition is preferred. For any other name, enough different values are required, so that
     agreement by chance is excluded.

@@ -287,7 +287,10 @@ def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
             unit = Answer(unit.value, question=f"the file states {unit.value!r} for {name!r}. Is this right?")
         found[f"{place}.unit"] = unit
         if role == "position" and getattr(find_unit(str(unit.value)), "quantity", "") in SPEEDS:
-            words = f'{name!r} is a velocity. Is it integrated by "difference" or by "trapezoid"?'
+            words = (
+                f'{name!r} is a velocity. Is it computed from differences of the position ("difference"), or is it an '
+                'instantaneous velocity, for example of a tachometer ("trapezoid")?'
+            )
             found[f"{place}.integrate"] = Answer("difference", question=words)
         if role != "time":
             found[f"{place}.sign"] = _sign(sample, role, names, law)

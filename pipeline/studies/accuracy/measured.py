@@ -48,13 +48,13 @@ WINDOWS_MS = (5, 10, 15, 30, 80)
 """Windows of the momentum balance [ms]. A delay of 4 samples fills a window of 5 ms."""
 
 QUANTA = (2e-6, 10e-6, 60e-6)
-"""Sensor resolutions [m]. The shipped Falcon has 2 um, encoders of haptic devices have 10 to 60 um."""
+"""Sensor resolutions [m]. The shipped Falcon has 2 um. Encoders of haptic devices have 10 to 60 um."""
 
 SENSOR = Sensor(quantum=2e-6, noise=0.5e-6)
 """Sensor of the shipped Falcon [m]. With other resolutions, the noise is also a quarter of the resolution."""
 
 SLOWEST, SLOWEST_COST = 0.999, 0.985
-"""Largest spectral radius of a trial, and of a trial with costs. 0.3 % of the motion remains at its end."""
+"""Largest spectral radius of a trial, and of a trial with costs. 0.3 % of the motion remains at the end of a trial."""
 
 LONGEST = 20000
 """Number of samples within which the exact responses settle. A radius of `SLOWEST_COST` needs 1,000."""
@@ -154,7 +154,7 @@ def _delay(name: str, logs: Logs, lengths: tuple[int, ...]) -> Table:
     usual, words = logs.shortened(USUAL_ROWS), ("{} rows", lengths)
 
     def by_first_change() -> Values:
-        """Return the middle of the period of the first position change (6.3)."""
+        """Return the middle of the sampling period in which the position first changes (6.3)."""
         factor = np.array([first_change(trial, response).delay_samples for trial, response, _ in usual.measured])
         return {name: np.where(factor >= 0, factor + 0.5, np.nan)}
 
