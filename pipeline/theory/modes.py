@@ -18,9 +18,6 @@ Complexes = NDArray[np.complex128]
 _LONGEST = 8
 """Largest number of states without delayed forces for which polynomials are accurate."""
 
-_ORDINARY = 0.2
-"""Normalised stiffness and damping of an ordinary wall at a delay of 0, whose poles are distinct."""
-
 STILL_REPRODUCED = 1e-11
 """Largest difference between a state and its modes, relative to its motion. It may grow by this amount in every
 `march.ROUNDED_SAMPLES`."""
@@ -40,14 +37,6 @@ def by_eigenvectors(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> tuple[
     state, basis = (vectors * amplitude[:, None, :]).transpose(0, 2, 1), own_basis(loop)[0]
     state[..., : len(basis)] = state[..., : len(basis)] @ basis.T
     return pole, np.ascontiguousarray(state)
-
-
-@lru_cache(maxsize=64)
-def first_guess(loop: NormalisedLoop) -> Complexes:
-    """Return z - 1 of all poles of an ordinary wall, from which the search for the poles of other walls starts."""
-    delay = loop.oldest_force + 1
-    wall = np.array([_ORDINARY / delay**2 - loop.gamma]), np.array([_ORDINARY / delay])
-    return np.asarray(np.linalg.eigvals(loop.matrix(*wall)).ravel() - 1.0 + 0j)
 
 
 def none(loop: NormalisedLoop) -> tuple[Complexes, Complexes]:

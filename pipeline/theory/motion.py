@@ -159,16 +159,11 @@ def _motion(loop: NormalisedLoop, duration: float) -> tuple[Digits, Digits, Floa
         for _ in range(DEGREE):
             whole, push = transition @ whole, transition @ push + gain
             rows.append(np.append(sensor @ whole, sensor @ push))
-        return whole, push, as_floats(_interpolation(loop.digits) @ np.array(rows, dtype=object))
+        return whole, push, as_floats(_through(np.array(rows, dtype=object)))
 
 
-@lru_cache(maxsize=16)
-def _interpolation(digits: int) -> Digits:
-    """Return the matrix from values at equidistant points of [0, 1] to coefficients of the polynomial through them.
-
-    It follows from Newton's differences, with a number of digits.
-    """
-    values = as_exact(np.eye(DEGREE + 1))
+def _through(values: Digits) -> Digits:
+    """Return coefficients of the polynomials through values at equidistant points of [0, 1] (Newton's differences)."""
     differences = [values[0]]
     for order in range(1, len(values)):
         values = (values[1:] - values[:-1]) / order

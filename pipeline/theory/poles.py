@@ -45,7 +45,7 @@ def poles(loop: NormalisedLoop, alpha: object, beta: object) -> Complexes:
     a, b = as_points(alpha, beta)
     found, left = np.empty((len(a), loop.states), np.complex128), np.arange(len(a))
     if len(a) > _FEW and len(modal := modes.polynomials(loop)[0]):
-        known, guess = np.empty(len(a), np.bool_), modes.first_guess(loop).copy()
+        known, guess = np.empty(len(a), np.bool_), np.linalg.eigvals(loop.matrix(a[:1], b[:1]))[0] - 1.0 + 0j
         walls, work = (np.ascontiguousarray(a), np.ascontiguousarray(b)), np.empty(len(modal))
         with np.errstate(all="ignore"):  # a failing search may overflow
             march.poles_of_walls(modes.polynomials(loop), walls, (guess, found, known, work))

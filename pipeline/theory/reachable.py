@@ -20,19 +20,6 @@ WITHIN = ((2.0, 0.012), (1.0, 0.026), (0.0, 0.091))
 """Pairs of a smallest delay and the largest relative error of the polynomial for such delays (5.20). A test checks
 them."""
 
-FACTORS = {
-    "settle_1pct": 5.81624002561948,
-    "settle_2pct": 4.89921687271821,
-    "settle_5pct": 3.7735022791287256,
-    "energy_step_w0": 2.7544898436382326,
-    "energy_step_w1": 4.403781719894262,
-    "energy_step_w2": 11.000639643009023,
-    "energy_impulse_w0": 2.146687624848448,
-    "energy_impulse_w1": 5.692595816020124,
-    "energy_impulse_w2": 20.303811138725727,
-}
-"""Factors of usual criteria as computed by `scaling_factor`, which takes 0.3 s for each. A test recomputes them."""
-
 SAMPLED = 3.0
 """Factor of these errors for costs of samples only."""
 
@@ -108,4 +95,4 @@ def reachable(criterion: str, delay_samples: float) -> Reachable:
 @lru_cache(maxsize=64)
 def _factor(criterion: str) -> float:
     """Return the factor of a criterion from its optimum at a delay of eight samples (Table 5.1)."""
-    return FACTORS.get(criterion) or scaling_factor(criterion)
+    return scaling_factor(criterion)

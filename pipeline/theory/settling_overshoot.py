@@ -172,7 +172,8 @@ def _walls(loop: NormalisedLoop, alpha: Floats, beta: Floats) -> Arrays:
     basis, inverse = own_basis(loop)
     own = len(basis)
     laws, start = loop.law(alpha, beta)[:, :own] @ inverse, basis @ loop.starts(np.ones(1), "step")[0, :own]
-    return alpha, beta, laws, _levers(loop, alpha), start, modes.first_guess(loop).copy()
+    guess = np.linalg.eigvals(loop.matrix(alpha[:1], beta[:1])).ravel() - 1.0 + 0j
+    return alpha, beta, laws, _levers(loop, alpha), start, guess
 
 
 def _work(loop: NormalisedLoop, interval: Arrays, count: int) -> Arrays:

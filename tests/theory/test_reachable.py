@@ -9,9 +9,9 @@ import state_matrix
 import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.theory.optimum import optimal_point, scaling_factor
+from pipeline.theory.optimum import optimal_point
 from pipeline.theory.poles import pole_settling_time
-from pipeline.theory.reachable import FACTORS, WITHIN, reachable
+from pipeline.theory.reachable import WITHIN, reachable
 
 DELAYS = np.concatenate([np.linspace(0.0, 4.0, 17), np.geomspace(4.5, 60.0, 23)])
 
@@ -38,11 +38,6 @@ def test_reachable_energies_are_those_of_the_optima_at_40_delays():
 def test_reachable_costs_are_those_of_the_optima(criterion):
     for error, within in errors_of(criterion, DELAYS[DELAYS < 24]):
         assert abs(error) < within
-
-
-@pytest.mark.parametrize("criterion", FACTORS)
-def test_stored_factors_are_those_of_the_optima(criterion):
-    assert FACTORS[criterion] == pytest.approx(scaling_factor(criterion), rel=1e-9)
 
 
 def test_a_sample_less_of_delay_saves_five_samples_of_settling():
