@@ -398,10 +398,6 @@ _SHRINK = 0.35
 LEVELS = 20
 """Number of levels of a line search, 0.35^20 = 1e-9 of a first step."""
 
-_AHEAD = 3
-"""Number of levels by which the inner search of a plane is ahead of the outer one. Its steps are then 0.35^3 = 4 % of
-those between the lines that are compared."""
-
 
 @dataclass(frozen=True, eq=False)
 class LineOptima:
@@ -435,21 +431,7 @@ def search_lines(
         Cost above which the minimum of a line is not needed, relative to the lowest cost of all lines and ``known``.
     known : float
     """
-    return _search_lines(lambda _: cost, low, high, coarse, starts, levels, dear, known)
-
-
-def _search_lines(
-    at_level: Callable[[int], LineCost],
-    low: Floats,
-    high: Floats,
-    coarse: int,
-    starts: int,
-    levels: int,
-    dear: float | None = None,
-    known: float = np.inf,
-) -> LineOptima:
-    """Return the smallest cost of each line, from a cost for each level. The centre of a level is evaluated again."""
-    lines, cost = len(low), at_level(0)
+    lines = len(low)
     share = np.linspace(0.0, 1.0, coarse)
     places = low[:, None] + share * (high - low)[:, None]
     first = np.inf if dear is None else dear * known
@@ -466,14 +448,12 @@ def _search_lines(
     half = 2 * (high - low)[line] / (coarse - 1)
     offsets = np.linspace(-1.0, 1.0, _FINE)
     row = np.arange(len(line))
-    for level in range(levels):
+    for _ in range(levels):
         if not len(line):
             break
         around = centre[:, None] + half[:, None] * offsets
         enough = np.inf if dear is None else dear * min(known, best.min())
-        found = at_level(level)(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(
-            around.shape
-        )
+        found = cost(np.repeat(line, _FINE), around.ravel(), float(min(best.max(), enough))).reshape(around.shape)
         index = found.argmin(axis=1)
         better = found[row, index] < best
         centre = np.where(better, around[row, index], centre)
@@ -524,22 +504,22 @@ def search_plane(
         Number of refinements.
     """
 
-    def best_of(first: Floats, depth: int) -> LineOptima:
+    def best_of(first: Floats) -> LineOptima:
         count = len(first)
         return search_lines(
             lambda line, place, best: cost(first[line], place, best),
             np.full(count, low[1]),
             np.full(count, high[1]),
             coarse=coarse[1],
-            levels=min(depth, levels),
+            levels=levels,
         )
 
-    def at_level(level: int) -> LineCost:
-        return lambda _, first, __: best_of(first, level + _AHEAD).cost
+    def outer(_: Integers, first: Floats, __: float) -> Floats:
+        return best_of(first).cost
 
-    found = _search_lines(at_level, low[:1], high[:1], coarse=coarse[0], starts=2, levels=levels)
-    inner = best_of(found.place, levels)
-    return float(found.place[0]), float(inner.place[0]), float(inner.cost[0])
+    found = search_lines(outer, low[:1], high[:1], coarse=coarse[0], starts=2, levels=levels)
+    inner = best_of(found.place)
+    return float(found.place[0]), float(inner.place[0]), float(found.cost[0])
 
 
 def extents(
