@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from general_loop import general_loop, vibration
 from independent import discrete_settling, simulate
+from scipy.optimize import minimize
 
 from pipeline.base.errors import ParameterError
 from pipeline.device.loop import Loop
@@ -282,3 +283,19 @@ def test_a_mode_settles_soonest_far_below_its_limit() -> None:
     loop = general_loop(0.0, 0.00382, 2.884, **vibration(0.379, 0.00532, 0.00124, True))
     best = optimal_point(loop, "settle_2pct")
     assert best.alpha < 0.05 * float(stiffness_limit(loop, best.beta)[0])
+
+
+@pytest.mark.parametrize("delay", [0.5, 1, 2, 4])
+def test_no_simplex_finds_a_smaller_pole_radius_by_eigenvalues(delay):
+    """The minimum is a corner where three poles meet, which a coarse search misses by 1e-4."""
+    loop = NormalisedLoop.ideal(0.0, 0.0, float(delay))
+    best = optimal_point(loop, "pole_radius")
+
+    def radius(wall):
+        return float(np.abs(np.linalg.eigvals(loop.matrix(wall[:1], wall[1:]))).max())
+
+    options = {"xatol": 1e-12, "fatol": 1e-14, "maxiter": 4000}
+    starts = [np.array([best.alpha, best.beta]) * factor for factor in (0.97, 0.99, 1.01, 1.03)]
+    found = min(minimize(radius, start, method="Nelder-Mead", options=options).fun for start in starts)
+    assert best.cost <= found
+    assert best.cost == pytest.approx(found, abs=1e-6)
