@@ -257,7 +257,7 @@ MODE = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15}
     ("parts", "message"),
     [
         ({"mode": MODE | {"mass": 0.5}}, r"mode\.mass: found 0\.5; must be below the mass of both sides, 0\.5"),
-        ({"mode": MODE | {"load_damping": 4}}, r"mode\.load_damping: found 4; must be at most the damping.*, 3"),
+        ({"mode": MODE | {"load_damping": 4}}, r"mode\.load_damping: found 4; must not exceed the total damping.*, 3"),
         (
             {"mode": MODE | {"mass": 1e-8, "damping_ratio": 0}},
             r"mode\.mass: found 1e-08, below 1e-06.*leave the mode out",
