@@ -87,7 +87,7 @@ def test_map_is_a_grid_over_the_stable_region():
         ({"mode": {"frequency_hz": 60.0, "damping_ratio": 0.1, "mass": 0.6}}, "mode.mass: found 0.6"),
         (
             {"mode": {"frequency_hz": 60.0, "damping_ratio": 0.1, "mass": 0.1, "load_damping": 4.1}},
-            "load_damping: found 4.1; must be at most the damping of both sides, 4",
+            "load_damping: found 4.1; must not exceed the total damping of motor and load side, 4",
         ),
         ({"operator": {"damping": 5.0}}, "operator.mass = .*Field required"),
     ],
