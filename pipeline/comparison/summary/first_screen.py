@@ -371,24 +371,25 @@ def _ends_at_last_damping(result: ExperimentNumbers) -> bool:
 
 
 def _with_delay_of_theory(result: ExperimentNumbers) -> list[Cause]:
-    """Return the causes. The sentence on a jittering delay also states by how much theory's constant delay differs."""
+    """Return the causes. A jittering delay is compared with the constant delay of theory if it excludes this delay.
+
+    The sentence then contains the median change of theory's limits at the tested dampings with the delay of the logs.
+    """
     theory, delay = result.scores[0].parameters.loop.apparent() if result.scores else None, result.delay
     if theory is None or delay.value is None or delay.low is None or delay.high is None:
         return list(result.causes)
-    if delay.low <= theory.delay_samples <= delay.high:
-        return list(result.causes)
     damping = np.array([point.damping for point in result.boundary])
     constant = linear_limits(theory, damping)
-    ratio = linear_limits(replace(theory, delay_samples=delay.value), damping)[constant > 0] / constant[constant > 0]
-    change = percent_text(100 * (float(np.median(ratio)) - 1)) if len(ratio) else "an unknown number of"
+    if delay.low <= theory.delay_samples <= delay.high or not (constant > 0).any():
+        return list(result.causes)
+    jittering = linear_limits(replace(theory, delay_samples=delay.value), damping)
+    change = float(np.median(jittering[constant > 0] / constant[constant > 0])) - 1
     sentence = (
         f"The delay jitters and acts like {significant(delay.value, 3)} samples, theory uses "
-        f"{significant(theory.delay_samples, 3)}: this changes limits by {change} %."
+        f"{significant(theory.delay_samples, 3)}: this changes limits by {percent_text(100 * change)} %."
     )
-    jitter = result.estimates.get("jitter_samples")
-    deviation = "" if jitter is None or jitter.value is None else f"deviation {significant(jitter.value, 2)}, "
     return [
-        Cause(code=cause.code, sentence=sentence, evidence=f"jitter: standard {deviation}{cause.evidence}")
+        Cause(code=cause.code, sentence=sentence, evidence=f"standard deviation of the jitter, {cause.evidence}")
         if cause.code == "delay_jitter"
         else cause
         for cause in result.causes
