@@ -304,7 +304,8 @@ class StraightBound(Record):
     """Line K <= stiffness + slope B through the measured limits, starting at the stiffest wall (6.5), in SI.
 
     ``limits`` is the number of limits, from ``damping_first`` to ``damping_last``. A parabola through them has the
-    ``curvature``. The curvature of theory's limits is ``curvature_theory``.
+    ``curvature``. The curvature of theory's limits is ``curvature_theory``. Both use only the dampings at which theory
+    has a stable wall, the largest of which is ``curvature_last``.
     """
 
     stiffness: float
@@ -318,6 +319,14 @@ class StraightBound(Record):
     curvature_low: float | None = None
     curvature_high: float | None = None
     curvature_theory: float | None = None
+    curvature_last: float | None = None
+
+    @property
+    def is_straight(self) -> bool | None:
+        """Whether the interval of the measured curvature includes zero. None if it is unknown."""
+        if self.curvature_low is None or self.curvature_high is None:
+            return None
+        return self.curvature_low <= 0 <= self.curvature_high
 
     @property
     def excludes_theory(self) -> bool | None:

@@ -98,3 +98,26 @@ def test_a_straight_upper_part_is_found_and_excludes_the_curvature_of_theory():
     curved = straight_bound(result_of(damping, theory, 60.0), basis_of(delay_samples=3.0))
     assert not curved.excludes_theory
     assert curved.curvature == pytest.approx(curved.curvature_theory, rel=1e-6)
+
+
+def test_curvatures_are_compared_where_theory_has_a_stable_wall():
+    """Numpy's own fit at the common dampings is the second method. The limits go on where those of theory end."""
+    damping = np.linspace(130.0, 205.0, 6)
+    shorter = Loop(mass=MASS, damping=DAMPING, sampling_period_s=T, delay_samples=3.0)
+    theory = linear_limits(shorter.replace({"delay_samples": 4.0}), damping)
+    stable = theory > 0
+    assert 4 <= stable.sum() < 6
+    limits = linear_limits(shorter, damping)
+    assert limits.argmax() == 0
+    found = straight_bound(result_of(damping, limits, 1.0), basis_of(delay_samples=4.0))
+    assert found.curvature_last == damping[stable].max() < found.damping_last
+    for measured, name in ((limits, "curvature"), (theory, "curvature_theory")):
+        fit = np.polynomial.Polynomial.fit(damping[stable], measured[stable], 2).convert()
+        assert getattr(found, name) == pytest.approx(fit.coef[2], rel=1e-6)
+
+
+def test_without_four_limits_of_theory_only_the_measured_curvature_is_known():
+    damping = np.linspace(140.0, 300.0, 6)
+    found = straight_bound(result_of(damping, 40_000 - 100 * damping, 50.0), basis_of(delay_samples=4.0))
+    assert found.is_straight
+    assert (found.curvature_theory, found.excludes_theory) == (None, None)

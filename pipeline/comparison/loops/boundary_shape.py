@@ -24,7 +24,7 @@ NEAR = 0.5
 """Largest damping near the origin, relative to that of the stiffest wall. In the thesis it is 50 of 94 Ns/m."""
 
 FEWEST = 3
-"""Smallest number of limits for a delay estimate. A line has one more parameter and needs one more limit."""
+"""Smallest number of limits for a delay estimate. A line and a parabola need one more limit."""
 
 DELAYS = np.concatenate([np.linspace(0, 4, 17), np.geomspace(4.5, LARGEST_DELAY, 24)])
 """Grid of delays [samples] for the search of the least-squares delay."""
@@ -185,7 +185,6 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
 
     The result is None if there are fewer than four limits.
 
-
     Parameters
     ----------
     result : MeasuredExperiment
@@ -196,7 +195,7 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
     -----
     The line is K <= stiffness + slope B (6.5), by least squares weighted by the intervals of the limits. The confidence
     intervals include the scatter about the line. The curvature is half the second derivative of a parabola through the
-    same limits.
+    same limits. It is compared with theory at the dampings where theory has a stable wall.
     """
     limits = _limits(result)
     if not len(limits):
@@ -207,17 +206,32 @@ def straight_bound(result: MeasuredExperiment, basis: LoopBasis | None) -> Strai
     line, reach = _polynomial(upper, upper.stiffness, 1)
     bound = {"stiffness": line[0], "slope": line[1], "slope_low": line[1] - reach[1], "slope_high": line[1] + reach[1]}
     bound |= {"damping_first": upper.damping.min(), "damping_last": upper.damping.max()}
-    curvature: dict[str, float] = {}
-    if len(upper) > FEWEST + 1:
-        parabola, reach = _polynomial(upper, upper.stiffness, 2)
-        ends = parabola[2] - reach[2], parabola[2] + reach[2]
-        curvature = {"curvature": parabola[2], "curvature_low": ends[0], "curvature_high": ends[1]}
-        if basis is not None:
-            theory = linear_limits(basis.loop, upper.damping)
-            if (theory > 0).all():
-                curvature["curvature_theory"] = _polynomial(upper, theory, 2)[0][2]
+    curvature = _curvature(upper, None if basis is None else linear_limits(basis.loop, upper.damping))
     numbers = {name: float(value) for name, value in (bound | curvature).items()}
     return StraightBound(**numbers, limits=len(upper))
+
+
+def _curvature(upper: _Limits, theory: Floats | None) -> dict[str, float]:
+    """Return the curvature of measured limits with its interval, and that of theory at the same dampings.
+
+    Dampings at which theory has no stable wall are left out if enough others remain. The result is empty for too few
+    limits.
+    """
+    stable = np.zeros(len(upper), dtype=np.bool_) if theory is None else theory > 0
+    compared = theory is not None and int(stable.sum()) > FEWEST
+    shown = upper.part(stable) if compared else upper
+    if len(shown) <= FEWEST:
+        return {}
+    parabola, reach = _polynomial(shown, shown.stiffness, 2)
+    found = {
+        "curvature": parabola[2],
+        "curvature_low": parabola[2] - reach[2],
+        "curvature_high": parabola[2] + reach[2],
+    }
+    if theory is None or not compared:
+        return found
+    of_theory = _polynomial(shown, theory[stable], 2)[0][2]
+    return found | {"curvature_theory": of_theory, "curvature_last": shown.damping.max()}
 
 
 def _polynomial(limits: _Limits, stiffness: Floats, degree: int) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
-from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop
+from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop, StraightBound
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
     MISSING,
@@ -123,10 +123,6 @@ def _published_cost(value: float, row: Row) -> str:
 
 def _of_experiment(row: Row) -> str:
     return f"experiment {row['experiment']}"
-
-
-YES_OR_NO = {True: "yes", False: "no"}
-"""Words for a known truth value."""
 
 
 def _name(row: Row) -> str:
@@ -762,12 +758,13 @@ def _shapes(result: ComparisonResult) -> Table | None:
             sign = "+" if line.slope >= 0 else "\N{MINUS SIGN}"
             row["line"] = f"K = {stiffness_text(line.stiffness)} {sign} {significant(abs(line.slope), 3)} B"
             row["dampings"] = f"{line.damping_first:g} to {line.damping_last:g}"
-            excluded = line.excludes_theory
-            row["curvature"] = None if excluded is None else YES_OR_NO[not excluded]
+            row |= {"curvature": line.curvature, "curvature_theory": line.curvature_theory, "shape": shape_words(line)}
+            row |= {"curvature_low": line.curvature_low, "curvature_high": line.curvature_high}
+            row["compared"] = _compared(line)
         rows.append(row)
     stiffest = "limits at or above the damping of the largest limit"
     few = f"fewer than four {stiffest}"
-    curved = f"fewer than five {stiffest}, or theory predicts no limit at one of these dampings"
+    curved = f"theory has a stable wall at fewer than four of the {stiffest}"
     columns = [Column("experiment")]
     for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
         columns.append(interval_column(name, label, "samples", group="delay d"))
@@ -775,7 +772,9 @@ def _shapes(result: ComparisonResult) -> Table | None:
         Column("line", "line", group=stiffest, why=few),
         interval_column("slope", "slope", f"{units.stiffness} per {units.damping}", group=stiffest, why=few),
         Column("dampings", "dampings", units.damping, stiffest, why=few),
-        Column("curvature", "curved as theory", group=stiffest, why=curved),
+        interval_column("curvature", "curvature", f"{units.stiffness} per ({units.damping})²", group=stiffest, why=few),
+        Column("curvature_theory", "of theory", group=stiffest, show=digits(3), why=curved),
+        Column("shape", "shape", group=stiffest, why=few, aside=lambda row: row.get("compared", "")),
     ]
     table = table_of(
         "shapes", "Delay and line that the measured boundary implies, with 95 % intervals", columns, rows, _name
@@ -786,6 +785,28 @@ def _shapes(result: ComparisonResult) -> Table | None:
             "makes it longer than the delay of the logs. Friction makes it shorter, as does jitter near the origin."
         )
     return table
+
+
+def shape_words(line: StraightBound) -> str | None:
+    """Return whether a measured boundary is straight, and whether theory's curvature is excluded, in words.
+
+    The result is None if the curvature is unknown.
+    """
+    if line.is_straight is None:
+        return None
+    found = "straight" if line.is_straight else "curved"
+    if line.excludes_theory is None:
+        return f"{found}; no curvature of theory to compare"
+    if line.excludes_theory:
+        return f"{found}; theory's curvature is excluded"
+    return "straight or curved as theory: not decided" if line.is_straight else "curved as theory"
+
+
+def _compared(line: StraightBound) -> str:
+    """Return up to which damping the curvatures are compared, if theory has no stable wall beyond. Otherwise empty."""
+    if line.curvature_last is None or line.curvature_last >= line.damping_last:
+        return ""
+    return f"up to B = {line.curvature_last:g}: beyond it, theory has no stable wall"
 
 
 def _rules(result: ComparisonResult) -> Table | None:

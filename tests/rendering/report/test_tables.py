@@ -10,14 +10,17 @@ import pytest
 from report_data import estimate, report_data
 
 from pipeline.device.parts import LoopTable
+from pipeline.records.findings import Quantity
 from pipeline.records.results import (
     Answer,
     AnswerEstimate,
     ComparisonResult,
     HeaderLine,
+    ImpliedDelay,
     Prediction,
     ReachableCost,
     SourcedLoop,
+    StraightBound,
     Truth,
     TruthHeld,
     UsePoint,
@@ -248,3 +251,40 @@ def test_optima_state_how_far_they_lie_from_those_of_theory(result: ComparisonRe
     table = tables_of(result.model_copy(update={"tables": rows}))["optima"][0]
     shown = {cell.name: cell.aside for name, row in table.blocks[0][1] if "experiment_1" in name for cell in row}
     assert (shown["stiffness"], shown["damping"]) == ("−20 %", "+4 %")
+
+
+@pytest.mark.parametrize(
+    ("curvature", "theory", "words"),
+    [
+        ((-1.0, 1.0), -2.0, "straight; theory's curvature is excluded"),
+        ((-3.0, 1.0), -2.0, "straight or curved as theory: not decided"),
+        ((-3.0, -1.0), -2.0, "curved as theory"),
+        ((-3.0, -1.0), -5.0, "curved; theory's curvature is excluded"),
+        ((-1.0, 1.0), None, "straight; no curvature of theory to compare"),
+        ((-3.0, -1.0), None, "curved; no curvature of theory to compare"),
+    ],
+)
+def test_the_shape_of_a_boundary_is_stated_in_words(result: ComparisonResult, curvature, theory, words) -> None:
+    low, high = curvature
+    line = StraightBound(
+        stiffness=38_000,
+        slope=-230,
+        slope_low=-250,
+        slope_high=-210,
+        damping_first=96,
+        damping_last=160,
+        limits=6,
+        curvature=0.5 * (low + high),
+        curvature_low=low,
+        curvature_high=high,
+        curvature_theory=theory,
+        curvature_last=None if theory is None else 144,
+    )
+    none = Quantity(value=None, unit="samples")
+    bent = result.experiments[0].model_copy(
+        update={"straight_bound": line, "implied_delay": ImpliedDelay(origin=none, whole=none)}
+    )
+    (table,) = tables_of(result.model_copy(update={"experiments": (bent,)}))["shapes"]
+    (shown,) = cells(table)
+    assert words in shown["shape"]
+    assert ("beyond it" in shown["shape"]) is (theory is not None)
