@@ -16,12 +16,6 @@ from pipeline.base.wording import counted
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.trials import Booleans, Floats
 
-NARROW = 1.25
-"""Smallest gain margin of a wall to use (stability limit divided by stiffness).
-
-An error of a quarter in mass or delay moves the limit by this factor.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Stretches:

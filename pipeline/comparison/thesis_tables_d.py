@@ -17,6 +17,7 @@ from pipeline.records.findings import Optimum, holds
 from pipeline.records.models import ComparisonRow, Deviation, TableLayout
 from pipeline.records.results import ExperimentNumbers, SourcedLoop
 from pipeline.rendering.figures.overview import DampedCosts
+from pipeline.rendering.labels import overshoot_note
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
 _NUMBERS = ("stiffness", "damping", "cost")
@@ -115,7 +116,17 @@ class TableBuilder:
         found, why = predictions.get(theory, criterion + kind), predictions.why(theory, criterion + kind)
         condition = "theory_discrete" if kind else "theory_continuous"
         note = why if found is None else None if table.kind == "delay" else _region_note(found)
-        return self._row(table, criterion, condition, theory.loop.delay_samples, found, note)
+        about = {"theory_mass": theory.loop.apparent().mass, "theory_damping": theory.loop.apparent().damping}
+        return self._row(
+            table,
+            criterion,
+            condition,
+            theory.loop.delay_samples,
+            found,
+            note,
+            theory_source=theory.source,
+            **about,
+        )
 
     def _measured_row(
         self,
@@ -191,6 +202,8 @@ def _region_note(prediction: Prediction) -> str | None:
 
 
 def _optimum_note(criterion: str, optimum: Optimum) -> str | None:
+    if (note := overshoot_note(optimum)) is not None:
+        return note
     if optimum.ties > 1 and criterion_of(criterion).family.whole:
         return f"{optimum.ties} trials have this cost. The values are those of the trial nearest to their middle."
     return None

@@ -36,6 +36,12 @@ def holds(low: float, value: float, high: float) -> bool:
     return low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high)
 
 
+NARROW = 1.25
+"""Smallest gain margin of a wall to use (stability limit divided by stiffness).
+
+An error of a quarter in mass or delay moves the limit by this factor.
+"""
+
 MATTERS = 0.02
 """Smallest relative change of a result that is reported.
 
@@ -176,6 +182,21 @@ class BoundaryPoint(Record):
         return Limit(damping=self.damping, stiffness=value, low=low, high=high, censored=self.censored)
 
 
+class DampingRange(Record):
+    """Dampings around a wall at which its stiffness is stable, by the lower ends of the measured limits.
+
+    ``low`` and ``high`` are the ends of the range. An end is the limit if ``low_is_limit`` or ``high_is_limit`` is
+    true. Otherwise the tested range ends there, or the next limit is unknown. ``margin`` is the smaller of high/B and
+    B/low, a lower bound of the factor by which the damping can change. It is null for a wall without damping.
+    """
+
+    low: float
+    high: float
+    low_is_limit: bool
+    high_is_limit: bool
+    margin: float | None
+
+
 class NearOptimum(Record):
     """Box around the ``trials`` that are nearly as good as the best: at most 5 % more cost or 5 % less stiffness."""
 
@@ -192,7 +213,9 @@ class Optimum(Record):
     ``trials`` is the number of trials with this cost. ``passive`` states whether the wall is passive over the whole
     range of an adequate loop, and is None if that is unknown. ``near`` is the box of walls that are nearly as good; it
     has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping divided by
-    the stiffness, or None without a limit. ``scatter_percent`` is the scatter of single trials in the map of this cost.
+    the stiffness, or None without a limit. ``damping_range`` contains the dampings at which this stiffness is stable.
+    ``scatter_percent`` is the scatter of single trials in the map of this cost. For the overshoot, ``resolution`` is
+    the apparent overshoot due to sensor and noise in this log, and ``free_of_overshoot`` whether it explains the cost.
     """
 
     stiffness: float
@@ -207,7 +230,28 @@ class Optimum(Record):
     passive: bool | None = None
     near: NearOptimum | None = None
     margin: float | None = None
+    damping_range: DampingRange | None = None
     scatter_percent: float | None = None
+    resolution: float | None = None
+    free_of_overshoot: bool | None = None
+
+    @property
+    def at_border(self) -> bool | None:
+        """Whether the wall is close to the stability limit (6.2.4), or None if that is unknown.
+
+        It is close if the limit may be less than `NARROW` times away, in stiffness or in damping. It is unknown if no
+        limit is known, or if the tested dampings end less than `NARROW` times away.
+        """
+        around = self.damping_range
+        if self.margin is None or self.margin < NARROW:
+            return None if self.margin is None else True
+        if around is None:
+            return None
+        close = [around.low * NARROW > self.damping, around.high < NARROW * self.damping]
+        is_limit = [around.low_is_limit, around.high_is_limit]
+        if any(map(all, zip(close, is_limit, strict=True))):
+            return True
+        return None if any(close) else False
 
 
 FindingCode = Literal[

@@ -211,7 +211,8 @@ class ComparisonRow(Record):
 
     ``experiment`` and ``trial_id`` name the trial of a measured row. In rows of theory they are null, and so are the
     deviations of cost, stiffness and damping from discrete theory. ``published_deviation_percent`` is the deviation of
-    a printed measurement from the printed theory.
+    a printed measurement from the printed theory. ``theory_mass``, ``theory_damping`` and ``theory_source`` state the
+    device of a row of theory.
     """
 
     table: str
@@ -233,6 +234,9 @@ class ComparisonRow(Record):
     note: str | None = None
     experiment: str | None = None
     trial_id: str | None = None
+    theory_mass: float | None = None
+    theory_damping: float | None = None
+    theory_source: str | None = None
 
 
 FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trend", "trials"]

@@ -15,6 +15,7 @@ from pipeline.device.loop import Loop
 from pipeline.device.parts import LoopTable
 from pipeline.records.findings import (
     BoundaryPoint,
+    DampingRange,
     Estimate,
     ExcludedTrial,
     FindingCode,
@@ -437,7 +438,8 @@ STIFFEST = "stiffness"
 class UsePoint(Record):
     """Recommended tested wall of a region, with the costs of its trial and the ratio of the limit to its stiffness.
 
-    ``margin_large_motion`` is this ratio for large motions, if friction was found. ``better`` names the trial of the
+    ``damping_range`` contains the dampings at which this stiffness is stable.
+    ``margin_large_motion`` is the ratio for large motions, if friction was found. ``better`` names the trial of the
     least cost, and why it was not chosen. It is empty if this trial has the least cost.
     """
 
@@ -446,6 +448,7 @@ class UsePoint(Record):
     trial_id: str
     costs: dict[str, float]
     margin: float
+    damping_range: DampingRange | None = None
     margin_large_motion: float | None = None
     better: str = ""
 

@@ -10,9 +10,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from pipeline.device.parameters import MOTIONS
+from pipeline.device.parameters import MOTIONS, unit_of
 from pipeline.records.criteria import criterion_of
-from pipeline.records.findings import BoundaryPoint, NearOptimum, Optimum, Quantity, Record
+from pipeline.records.findings import BoundaryPoint, DampingRange, NearOptimum, Optimum, Quantity, Record
 from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.records.tables import COLUMNS, unit_of_column
@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # importing pandas takes half a second
 
 TEXTS = """
     table criterion condition note experiment trial_id quantity unit method reason warning basis score code sentence
-    evidence source adequate key text tags log since kind what line theory name device title motion grip verdict
+    evidence source theory_source adequate key text tags log since kind what line theory name device title motion grip
+    verdict
 """
 """Text columns. Their missing values are None instead of NaN."""
 
@@ -37,7 +38,9 @@ _BOUNDARY = """
     experiment damping stable unstable censored stiffness low high trials undecided stiffness_large_motion truth
 """
 _NEAR = " ".join(f"near_{name}" for name in NearOptimum.model_fields)
-_OPTIMA = f"experiment criterion {' '.join(Optimum.model_fields).replace('near', _NEAR)} cost_s reason"
+_RANGE = " ".join(f"damping_range_{name}" for name in DampingRange.model_fields)
+_OPTIMUM = " ".join(Optimum.model_fields).replace("near", _NEAR).replace("damping_range", _RANGE)
+_OPTIMA = f"experiment criterion {_OPTIMUM} cost_s reason"
 _SCORES = "experiment basis score quantity value low high reason"
 _PARTS = tuple(Deviation.model_fields)
 _TABLES = [n for name in ComparisonRow.model_fields for n in (_PARTS if name == "deviation" else (name,))] + ["cost_s"]
@@ -109,6 +112,8 @@ def units_of_tables(motion: Motion) -> dict[str, str]:
     return {
         **wall,
         **{f"published_{name}": u for name, u in wall.items()},
+        "theory_mass": unit_of("mass", motion),
+        "theory_damping": wall["damping"],
         **percent,
         "delay_samples": "samples",
         "cost_s": "s",
@@ -148,6 +153,7 @@ def optima_frame(results: Iterable[ExperimentNumbers], motion: Motion) -> pd.Dat
         rows += [{"experiment": e.experiment, "criterion": name, "reason": why} for name, why in e.missing.items()]
     wall = units_of(("stiffness", "damping"), {motion})
     near = {f"near_{name}_{end}": unit for name, unit in wall.items() for end in ("low", "high")}
+    near |= {f"damping_range_{end}": wall["damping"] for end in ("low", "high")}
     return frame_of(_OPTIMA, rows, wall | near | {"cost_s": "s", "scatter_percent": "%"})
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pipeline.base.wording import true_minus
 from pipeline.device.parameters import ESTIMATE_PARAMETERS, MOTIONS, PARAMETERS, Dimension, Motion, unit_of
 from pipeline.records.criteria import CRITERIA, criterion_of, is_criterion
-from pipeline.records.findings import Estimate
+from pipeline.records.findings import DampingRange, Estimate, Optimum
 from pipeline.records.results import AnswerEstimate
 
 MISSING = "–"
@@ -175,6 +175,37 @@ def at_most(value: float) -> str:
     ('2.06', '18.6', '0')
     """
     return significant(_towards(value, DIGITS, math.ceil), DIGITS)
+
+
+def overshoot_note(best: Optimum) -> str | None:
+    """Return whether the optimum by overshoot is free of overshoot, with the threshold. None for other optima.
+
+    >>> overshoot_note(Optimum(stiffness=1, damping=1, cost=0.0081, resolution=0.0092, free_of_overshoot=True))
+    'Without overshoot: up to 0.92 % is within the resolution of this log (5.12).'
+    """
+    if best.resolution is None or best.free_of_overshoot is None:
+        return None
+    threshold = f"{at_least(100 * best.resolution)} %"
+    if best.free_of_overshoot:
+        return f"Without overshoot: up to {threshold} is within the resolution of this log (5.12)."
+    return (
+        f"No stable trial is without overshoot; the resolution of this log is {threshold}. This is the least overshoot."
+    )
+
+
+def damping_range_text(around: DampingRange) -> str:
+    """Return the dampings at which a stiffness is stable. Ends are rounded inwards.
+
+    An open end is marked, except that of no damping.
+
+    >>> damping_range_text(DampingRange(low=22.31, high=184, low_is_limit=True, high_is_limit=False, margin=1.2))
+    '22.4 to at least 184'
+    >>> damping_range_text(DampingRange(low=0, high=101.18, low_is_limit=False, high_is_limit=True, margin=1.2))
+    '0 to 101'
+    """
+    low = f"{'' if around.low_is_limit or around.low == 0 else 'at most '}{_shortest(at_most(around.low))}"
+    high = _shortest(significant(_towards(around.high, DIGITS, math.floor), DIGITS))
+    return f"{low} to {'' if around.high_is_limit else 'at least '}{high}"
 
 
 def _towards(value: float, digits: int, whole: Callable[[float], int]) -> float:

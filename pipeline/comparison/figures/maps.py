@@ -247,7 +247,8 @@ def map_figure(table: str, criterion: str, maps: Sequence[CostMap], units: Units
     top = family.levels[-1] if family.levels else FRONT_RANGE * max(lowest, default=1.0)
     levels = _levels(criterion, maps)
     lines = (
-        "every 10 percentage points; the heavy line surrounds the region without overshoot (theory: 0.1 %)"
+        "every 10 percentage points; the heavy line surrounds the region without overshoot (theory: 0.1 %; dots: "
+        "trials within the resolution of their log, 1 % at most)"
         if family is OVERSHOOT
         else f"equal levels in all panels, two for each doubling of {cost_text(criterion, levels[_FROM_OPTIMUM])}"
         if levels.size

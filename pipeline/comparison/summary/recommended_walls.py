@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
+from pipeline.comparison.limits import MeasuredLimits, measured_limits
 from pipeline.device.parameters import unit_of
+from pipeline.measured.experiment.optimum_place import damping_range
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.findings import Optimum
+from pipeline.records.findings import NARROW, Optimum
 from pipeline.records.results import STIFFEST, CostRange, MeasuredExperiment, UsePoint, UseRegion
 from pipeline.records.trials import Booleans, Floats
 from pipeline.rendering.labels import at_least, cost_range_text, criterion_name, damping_text, stiffness_text
@@ -227,6 +228,7 @@ def _described(
             trial_id=str(stages.texts("response", "trial_id")[best]),
             costs={name: float(cost[best]) for name, cost in costs.items() if np.isfinite(cost[best])},
             margin=float(rooms[best] / tested.stiffness[best]),
+            damping_range=damping_range(result.boundary, float(tested.stiffness[best]), float(tested.damping[best])),
             margin_large_motion=linear[float(tested.damping[best])] / float(tested.stiffness[best]) if linear else None,
             better=_not_chosen(criterion, tested, best, limits, result, stages.texts("response", "trial_id")),
         ),

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from pipeline.records.findings import NearOptimum
+from pipeline.records.findings import BoundaryPoint, DampingRange, NearOptimum
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAR = 0.05
@@ -104,3 +106,60 @@ def _step_of(values: Floats) -> float:
     """Return the median distance between neighbouring tested values, or 1 if there is only one value."""
     levels = np.unique(values)
     return float(np.median(np.diff(levels))) if len(levels) > 1 else 1.0
+
+
+def damping_range(boundary: Sequence[BoundaryPoint], stiffness: float, damping: float) -> DampingRange | None:
+    """Return the dampings around a wall at which its stiffness is stable, or None if no limit is known there.
+
+    Parameters
+    ----------
+    boundary : sequence of BoundaryPoint
+        Measured limits in order of damping.
+    stiffness, damping : float
+        K [N/m, Nm/rad] and B [Ns/m, Nms/rad] of the wall.
+
+    Notes
+    -----
+    The lower ends of the limits are interpolated linearly. The range ends at the first damping on each side where they
+    fall to the stiffness, or at the last damping before an unknown limit.
+    """
+    B = np.array([point.damping for point in boundary])
+    K = np.array([_lower_end(point, stiffness) for point in boundary])
+    above, below = int(np.searchsorted(B, damping)), int(np.searchsorted(B, damping, side="right")) - 1
+    if below < 0 or above == len(B) or np.isnan(K[[below, above]]).any():
+        return None
+    at = float(np.interp(damping, B[[below, above]], K[[below, above]]))
+    low, low_is_limit = _end(stiffness, damping, at, B[below::-1], K[below::-1])
+    high, high_is_limit = _end(stiffness, damping, at, B[above:], K[above:])
+    factors = [high / damping] if damping > 0 else []
+    factors += [damping / low] if low > 0 else []
+    return DampingRange(
+        low=low,
+        high=high,
+        low_is_limit=low_is_limit,
+        high_is_limit=high_is_limit,
+        margin=min(factors) if factors else None,
+    )
+
+
+def _lower_end(point: BoundaryPoint, stiffness: float) -> float:
+    """Return the lower end of a limit, 0 if the stiffness is above an unstable trial without a limit, or NaN."""
+    if point.limit is not None:
+        return point.limit.low
+    return 0.0 if point.unstable is not None and point.unstable <= stiffness else np.nan
+
+
+def _end(stiffness: float, damping: float, limit: float, dampings: Floats, limits: Floats) -> tuple[float, bool]:
+    """Return the damping at which the limits fall to a stiffness, from a damping and its limit in one direction.
+
+    The second value is False if they do not fall to it before they are unknown.
+    """
+    last = damping
+    for B, K in zip(dampings.tolist(), limits.tolist(), strict=True):
+        if np.isnan(K):
+            return last, False
+        if stiffness > K:
+            share = (limit - stiffness) / (limit - K) if limit > stiffness else 0.0
+            return last + share * (B - last), True
+        last, limit = B, K
+    return last, False

@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.base.json_object import JsonObject
 from pipeline.base.wording import counted
-from pipeline.records.findings import DRIFTS, Estimate, holds
+from pipeline.records.findings import DRIFTS, NARROW, Estimate, Optimum, holds
 from pipeline.records.results import ComparisonResult, ExperimentResult, SourcedLoop, StraightBound
 from pipeline.rendering.frames import flat, frames
 from pipeline.rendering.labels import (
@@ -23,9 +23,11 @@ from pipeline.rendering.labels import (
     cost_text,
     criterion_label,
     criterion_name,
+    damping_range_text,
     damping_text,
     estimate_texts,
     interval_texts,
+    overshoot_note,
     percent_text,
     printed_scale,
     published_text,
@@ -113,6 +115,14 @@ _share, _stiffness, _damping = _by(share_text), _by(stiffness_text), _by(damping
 _published, _of_share = _by(published_text), _by(lambda share: percent_text(100 * share))
 
 
+def _at_least(value: float, _: Row) -> str:
+    return f"≥ {at_least(value)}"
+
+
+def _yes_or_no(value: bool, _: Row) -> str:
+    return "yes" if value else "no"
+
+
 def _cost(value: float, row: Row) -> str:
     return cost_text(row["criterion"], value)
 
@@ -142,7 +152,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "overview": _overview(result),
         "scores": _scores(result, units.stiffness),
         "experiments": _experiments(result),
-        "measured_optima": _measured_optima(f["optima"], units, place),
+        "measured_optima": _measured_optima(f["optima"], result, units, place),
         "boundary": _boundary(f["boundary"], units, trials),
         "methods": _methods(f["estimates"], result),
         "loops": _loops(result),
@@ -168,31 +178,58 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     return tables | _optima(f["tables"], units, place)
 
 
-def _measured_optima(rows: Sequence[Row], units: Units, place: Callable[[Row], str]) -> Table | None:
-    return table_of(
+BORDER = "distance from the stability limit"
+"""Head of the columns that state how far a wall is from the limit, in stiffness and in damping."""
+
+NEAR_BORDER = (
+    "Distances are lower bounds: by the lower end of the limit at this damping, and by the dampings at which this "
+    f"stiffness is stable. Close: the limit may be less than {NARROW} times away, so that an error of a quarter in "
+    "mass or delay can make the wall unstable."
+)
+
+
+def _measured_optima(
+    rows: Sequence[Row], result: ComparisonResult, units: Units, place: Callable[[Row], str]
+) -> Table | None:
+    best = {(e.experiment, name): found for e in result.experiments for name, found in e.optimum.items()}
+    table = table_of(
         "optima",
         "Trials with the least cost",
         (
             Column("criterion_label", "criterion"),
             Column("stiffness", "stiffness", units.stiffness, show=_stiffness, notes=_at_edge, linked=True),
             Column("damping", "damping", units.damping, show=_damping, linked=True),
-            Column("cost", "cost, 95 %", show=_cost, ends=("cost_low", "cost_high"), linked=True),
+            Column(
+                "cost",
+                "cost, 95 %",
+                show=_cost,
+                ends=("cost_low", "cost_high"),
+                linked=True,
+                notes=lambda row: [overshoot_note(best[row["experiment"], row["criterion"]])],
+            ),
             Column("ties", "equal trials", show=_number),
             Column("trials", "trials with this cost", show=_number),
             Column("near_stiffness", "stiffness", units.stiffness, "within 5 %", show=_text),
             Column("near_damping", "damping", units.damping, "within 5 %", show=_text),
+            Column("margin", "limit over K", "", BORDER, _at_least, why="no limit is known there"),
             Column(
-                "margin", "limit over K", show=lambda value, _: f"≥ {at_least(value)}", why="no limit is known there"
+                "damping_margin",
+                "limit over B",
+                "",
+                BORDER,
+                _at_least,
+                aside=lambda row: row["stable_dampings"],
+                why="no limit is known there, or no damping",
             ),
+            Column("at_border", "close to it", "", BORDER, _yes_or_no, why="the tested dampings end too near"),
             Column("scatter_percent", "scatter of one trial", "%", show=digits(2), why="too few trials", optional=True),
-            Column(
-                "passive", show=lambda value, _: "yes" if value else "no", why="needs an adequate loop", optional=True
-            ),
+            Column("passive", show=_yes_or_no, why="needs an adequate loop", optional=True),
         ),
         [
             row
             | {"criterion_label": criterion_label(row["criterion"])}
             | {f"near_{axis}": _near(row, axis, show) for axis, show in _NEAR_TEXTS.items()}
+            | _border(best[row["experiment"], row["criterion"]])
             for row in rows
             if row["cost"] is not None
         ],
@@ -200,6 +237,19 @@ def _measured_optima(rows: Sequence[Row], units: Units, place: Callable[[Row], s
         _of_experiment,
         place,
     )
+    if table is not None:
+        table.mark(NEAR_BORDER)
+    return table
+
+
+def _border(best: Optimum) -> Row:
+    """Return the distance of an optimum from the limit in damping, and whether it is close to the limit."""
+    around = best.damping_range
+    return {
+        "damping_margin": around and around.margin,
+        "stable_dampings": f"stable from {damping_range_text(around)}" if around else "",
+        "at_border": best.at_border,
+    }
 
 
 _NEAR_TEXTS = {"stiffness": stiffness_text, "damping": damping_text}
@@ -504,7 +554,7 @@ def _theory(theory: SourcedLoop | None, result: ComparisonResult) -> str:
     return ", ".join(text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
 
 
-def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dict[str, list[Table]]:
+def _optima(rows: Sequence[Row], units: Units, place: Callable[[Row], str]) -> dict[str, list[Table]]:
     """Return tables like D.1 to D.5, and tables over delay like D.6."""
     found: dict[str, list[Table]] = {"optima": [], "delay_tables": []}
     for name in dict.fromkeys(row["table"] for row in rows):
@@ -553,8 +603,23 @@ def _optima(rows: Sequence[Row], units: Any, place: Callable[[Row], str]) -> dic
             lambda row: criterion_label(row["criterion"]),
             place,
         )
+        if table is not None:
+            table.mark(*_theory_notes(own, units, swept=swept))
         found["delay_tables" if swept else "optima"] += [table] if table else []
     return found
+
+
+def _theory_notes(rows: Sequence[Row], units: Units, *, swept: bool) -> list[str]:
+    """Return with which mass, damping and delay the rows of theory were computed, once for each device."""
+    notes = []
+    for row in rows:
+        if row["theory_mass"] is None or row["delay_samples"] is None:
+            continue
+        m, b = significant(row["theory_mass"], 3), significant(row["theory_damping"], 3)
+        delay = "the delay d of the row" if swept else f"d = {significant(row['delay_samples'], 3)}"
+        source = row["theory_source"]
+        notes.append(f"Theory: m = {m} {units.mass}, b = {b} {units.damping}, {delay} ({source}).")
+    return list(dict.fromkeys(notes))
 
 
 def _delay_form(rows: Sequence[Row]) -> Table | None:
@@ -905,6 +970,9 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         row: Row = {"experiment": e.experiment, "reason": e.use_reason, "note": use_note(e)}
         if e.use is not None:
             row |= flat(e.use) | {"trial_id": e.use.point.trial_id}
+            if stable := e.use.point.damping_range:
+                row |= {"point_damping_margin": stable.margin}
+                row |= {"stable_dampings": f"stable from {damping_range_text(stable)}"}
             for name, cost in e.use.costs.items():
                 row |= {name: cost.median, f"{name}_low": cost.low, f"{name}_high": cost.high}
         rows.append(row)
@@ -918,6 +986,14 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         Column("point_stiffness", "K", units.stiffness, "wall to set", _stiffness, linked=True),
         Column("point_damping", "B", units.damping, "wall to set", _damping, linked=True),
         Column("point_margin", "limit over K, at least", group="wall to set", show=digits(2)),
+        Column(
+            "point_damping_margin",
+            "limit over B, at least",
+            group="wall to set",
+            show=digits(2),
+            aside=lambda row: row.get("stable_dampings", ""),
+            why="no limit is known there, or no damping",
+        ),
         Column("stiffness_low", "K", units.stiffness, around, between("stiffness", stiffness_text)),
         Column("damping_low", "B", units.damping, around, between("damping", damping_text)),
         Column("trials", group=around, show=_number),

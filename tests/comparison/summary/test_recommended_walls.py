@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.comparison.limits import NARROW, MeasuredLimits, measured_limits
+from pipeline.comparison.limits import MeasuredLimits, measured_limits
 from pipeline.comparison.summary.recommended_walls import (
     CALM,
     FAR,
@@ -20,7 +20,7 @@ from pipeline.comparison.summary.recommended_walls import (
     room_at,
 )
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.findings import Optimum
+from pipeline.records.findings import NARROW, Optimum
 from pipeline.records.results import STIFFEST
 
 

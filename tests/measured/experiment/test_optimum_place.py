@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good
+from pipeline.measured.experiment.optimum_place import cost_scatter, damping_range, near_optimum, nearly_as_good
+from pipeline.records.findings import BoundaryPoint, DampingRange, Optimum
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.optimum import optimal_point
 
@@ -67,3 +68,62 @@ def test_few_trials_have_no_scatter():
     assert cost_scatter(values, values, values) is None
     # on one line a parabola is still one of these trials
     assert cost_scatter(np.full(25, 3.0), np.arange(25.0), np.zeros(25)) == pytest.approx(0.0, abs=1e-9)
+
+
+def point(damping, low, censored=False):
+    """Limit with a lower end. Without one, no trial decides."""
+    known = low is not None
+    return BoundaryPoint(
+        damping=damping,
+        stable=low,
+        unstable=None if censored or not known else low + 400,
+        censored=censored,
+        estimate=None if censored or not known else low + 200,
+        low=low,
+        high=None if censored or not known else low + 400,
+    )
+
+
+def test_the_range_of_stable_dampings_is_that_of_a_dense_search():
+    rng = np.random.default_rng(7)
+    for _ in range(40):
+        B = np.sort(rng.choice(np.arange(0.0, 200.0, 4.0), 9, replace=False))
+        K = rng.uniform(500.0, 9000.0, 9)
+        at = int(rng.integers(0, 9))
+        stiffness = float(rng.uniform(0.3, 1.0) * K[at])
+        found = damping_range([point(*each) for each in zip(B.tolist(), K.tolist(), strict=True)], stiffness, B[at])
+        dense = np.linspace(B[0], B[-1], 400_001)
+        stable = np.interp(dense, B, K) >= stiffness
+        here = int(np.searchsorted(dense, B[at]))
+        below, above = np.flatnonzero(~stable[:here]), np.flatnonzero(~stable[here:])
+        low = dense[below[-1] + 1] if len(below) else B[0]
+        high = dense[here + above[0]] if len(above) else B[-1]
+        assert (found.low, found.high) == pytest.approx((low, high), abs=2e-3)
+        assert (found.low_is_limit, found.high_is_limit) == (len(below) > 0, len(above) > 0)
+
+
+def test_a_range_ends_where_no_limit_is_known():
+    points = [point(0.0, 4000.0), point(20.0, 4000.0), point(40.0, 5000.0, censored=True), point(60.0, None)]
+    found = damping_range(points, 3000.0, 20.0)
+    assert (found.low, found.high, found.low_is_limit, found.high_is_limit) == (0.0, 40.0, False, False)
+    assert found.margin == 2.0, "no damping at all is not an end"
+    assert damping_range(points, 3000.0, 0.0).margin is None
+    assert damping_range(points, 3000.0, 60.0) is None
+    assert damping_range(points, 3000.0, 80.0) is None
+    assert damping_range([], 3000.0, 20.0) is None
+
+
+@pytest.mark.parametrize(
+    ("margin", "low", "high", "close"),
+    [(2.0, 50.0, 200.0, False), (1.2, 50.0, 200.0, True), (2.0, 90.0, 200.0, True), (2.0, 50.0, 110.0, True),
+     (None, 50.0, 200.0, None)],
+)  # fmt: skip
+def test_an_optimum_is_close_to_the_border_in_stiffness_or_in_damping(margin, low, high, close):
+    around = DampingRange(low=low, high=high, low_is_limit=True, high_is_limit=True, margin=1.0)
+    best = Optimum(stiffness=1000.0, damping=100.0, cost=20.0, margin=margin, damping_range=around)
+    assert best.at_border is close
+    untested = around.model_copy(update={"low_is_limit": False, "high_is_limit": False})
+    by_stiffness = True if margin == 1.2 else None
+    if close is not False:
+        assert best.model_copy(update={"damping_range": untested}).at_border is by_stiffness, "the tested range ends"
+    assert best.model_copy(update={"damping_range": None}).at_border is by_stiffness

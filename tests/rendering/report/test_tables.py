@@ -10,7 +10,7 @@ import pytest
 from report_data import estimate, report_data
 
 from pipeline.device.parts import LoopTable
-from pipeline.records.findings import Quantity
+from pipeline.records.findings import Optimum, Quantity
 from pipeline.records.results import (
     Answer,
     AnswerEstimate,
@@ -288,3 +288,22 @@ def test_the_shape_of_a_boundary_is_stated_in_words(result: ComparisonResult, cu
     (shown,) = cells(table)
     assert words in shown["shape"]
     assert ("beyond it" in shown["shape"]) is (theory is not None)
+
+
+def test_a_table_states_once_with_which_device_theory_was_computed(result: ComparisonResult) -> None:
+    device = {"theory_mass": 0.58, "theory_damping": 4.0, "theory_source": "device file falcon", "delay_samples": 4.0}
+    rows = [row.model_copy(update=device if row.condition.startswith("theory") else {}) for row in result.tables]
+    table = tables_of(result.model_copy(update={"tables": tuple(rows)}))["optima"][0]
+    about = [note for note in table.notes if note.startswith("Theory:")]
+    assert about == ["Theory: m = 0.580 kg, b = 4 Ns/m, d = 4 (device file falcon)."]
+    without = tables_of(result)["optima"][0]
+    assert not any(note.startswith("Theory:") for note in without.notes)
+
+
+@pytest.mark.parametrize(("free", "words"), [(True, "Without overshoot: up to 0.92 %"), (False, "No stable trial is")])
+def test_an_optimum_by_overshoot_states_its_threshold(result: ComparisonResult, free, words) -> None:
+    best = Optimum(stiffness=6800, damping=128, cost=0.0081, trial_id="a", trials=9, resolution=0.0092,
+                   free_of_overshoot=free)  # fmt: skip
+    first = result.experiments[0].model_copy(update={"optimum": {"overshoot": best}})
+    (table,) = tables_of(result.model_copy(update={"experiments": (first,)}))["measured_optima"]
+    assert any(note.startswith(words) for note in table.notes)
