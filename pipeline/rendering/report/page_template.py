@@ -26,7 +26,6 @@ FILTERS = {
     "damping": labels.damping_text,
     "digits": labels.significant,
     "at_least": labels.at_least,
-    "damping_range": labels.damping_range_text,
     "at_most": labels.at_most,
     "capitalised": lambda text: text[:1].upper() + text[1:],
     "size": labels.size_text,

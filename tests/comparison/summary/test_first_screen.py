@@ -64,8 +64,7 @@ def test_lines_stand_in_the_order_of_the_questions(result):
     assert f"K = {point.stiffness:g} N/m, B = {point.damping:g} Ns/m (experiment 1)" in result.summary[0]
     samples = point.costs["settle_2pct"]
     assert f"settling time (2 %) {samples:g} samples = {samples:g} ms" in result.summary[0]
-    assert f"stability limit at least {at_least(point.margin)} × K, stable B " in result.summary[0]
-    assert point.damping_range.low <= point.damping <= point.damping_range.high
+    assert f"stability limit at least {at_least(point.margin)} × K" in result.summary[0]
 
 
 def test_without_a_device_nothing_deviates_as_far_as_is_known(result):
