@@ -604,7 +604,7 @@ def device_text(document: dict[str, Any], name: str) -> str:
         about_delay = f"at T = {document['sampling_period_s']:g} s: {delay['low']:.6g} to {delay['high']:.6g} (95 %)"
         about_delay = f"mean of jitter_samples; in force {about_delay}" if loop.jitter_samples else about_delay
     lines = [
-        f"# Identified from {document['trials']} logs, {document['rows']} rows. Free runs: {numbers['reason']}.",
+        f"# Identified from {document['trials']} logs, {document['rows']} rows. {numbers['reason']}.",
         *([f"# {document['velocity_filter']}"] if document["velocity_filter"] else []),
         *(f"# {path}" for path in document["source"][:20]),
         f'name = "{name}"',
