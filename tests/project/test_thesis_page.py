@@ -141,7 +141,7 @@ def test_the_conclusions_have_the_numbers_of_the_demo(demo_documents):
     scatter = [e["optimum"]["energy_step_w2"]["scatter_percent"] for e in (first, hand)]
     damping = next(s["damping"]["deviation_percent"] for s in hand["scores"])
     expected = {
-        "optimal costs, not the boundary's course": f"costs {predicts['optimal_costs']} "
+        "optimal costs, not the boundary's shape": f"costs {predicts['optimal_costs']} "
         f"({predicts['costs_percent']:.1f} %), "
         f"boundary {predicts['boundary']}: {predicts['above']} of {predicts['bounded']} limits",
         "not the optimum's place": f"{settling['stiffness_deviation_percent']:.0f} %, "
