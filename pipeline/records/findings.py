@@ -185,9 +185,10 @@ class BoundaryPoint(Record):
 class DampingRange(Record):
     """Dampings around a wall at which its stiffness is stable, by the lower ends of the measured limits.
 
-    ``low`` and ``high`` are the ends of the range. An end is the limit if ``low_is_limit`` or ``high_is_limit`` is
-    true. Otherwise the tested range ends there, or the next limit is unknown. ``margin`` is the smaller of high/B and
-    B/low, a lower bound of the factor by which the damping can change. It is null for a wall without damping.
+    ``low`` and ``high`` are the ends of the range [Ns/m, Nms/rad]. An end is the limit if ``low_is_limit`` or
+    ``high_is_limit`` is true. Otherwise the tested range ends there, or the next limit is unknown. ``margin`` is the
+    smaller of high/B and B/low, a lower bound of the factor by which the damping can change. It is null for a wall
+    without damping.
     """
 
     low: float
@@ -215,7 +216,8 @@ class Optimum(Record):
     has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping divided by
     the stiffness, or None without a limit. ``damping_range`` contains the dampings at which this stiffness is stable.
     ``scatter_percent`` is the scatter of single trials in the map of this cost. For the overshoot, ``resolution`` is
-    the apparent overshoot due to sensor and noise in this log, and ``free_of_overshoot`` whether it explains the cost.
+    the apparent overshoot due to sensor and noise in this log, as a fraction. ``free_of_overshoot`` states whether some
+    stable trial overshoots by no more than its resolution.
     """
 
     stiffness: float

@@ -305,8 +305,9 @@ class StraightBound(Record):
     """Line K <= stiffness + slope B through the measured limits, starting at the stiffest wall (6.5), in SI.
 
     ``limits`` is the number of limits, from ``damping_first`` to ``damping_last``. A parabola through them has the
-    ``curvature``. The curvature of theory's limits is ``curvature_theory``. Both use only the dampings at which theory
-    has a stable wall, the largest of which is ``curvature_last``.
+    ``curvature``. The curvature of theory's limits is ``curvature_theory``. It is null if theory has a stable wall at
+    fewer than four of these dampings. Otherwise, both curvatures use only such dampings, the largest of which is
+    ``curvature_last``.
     """
 
     stiffness: float

@@ -189,7 +189,8 @@ def overshoot_note(best: Optimum) -> str | None:
     if best.free_of_overshoot:
         return f"Without overshoot: up to {threshold} is within the resolution of this log (5.12)."
     return (
-        f"No stable trial is without overshoot; the resolution of this log is {threshold}. This is the least overshoot."
+        f"No stable trial is known to be without overshoot; the resolution of this log is {threshold}. "
+        "This is the least overshoot."
     )
 
 

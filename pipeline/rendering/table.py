@@ -138,6 +138,13 @@ class Table:
         spans = [(group, len(list(same))) for group, same in groupby(column.group for column in self.columns)]
         return spans if any(group for group, _ in spans) else []
 
+    @property
+    def footnotes(self) -> list[tuple[str, str]]:
+        """Return each note with its mark, which is empty for a note on the whole table, to which no cell refers."""
+        used = {mark for row in self.rows for cell in row for mark in cell.marks}
+        marks = [footnote(index) for index in range(len(self.notes))]
+        return [(mark if mark in used else "", note) for mark, note in zip(marks, self.notes, strict=True)]
+
     def mark(self, *notes: str | None) -> tuple[str, ...]:
         """Return the footnote marks (a, b, c ...) of notes. Equal notes share a mark."""
         given = [note for note in notes if note]

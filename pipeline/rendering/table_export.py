@@ -13,7 +13,7 @@ from pipeline.base.json_object import JsonObject
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import frames
 from pipeline.rendering.report.report import printed_tables
-from pipeline.rendering.table import Table, footnote, records
+from pipeline.rendering.table import Table, records
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -115,7 +115,7 @@ def markdown_text(table: Table) -> str:
     heads = [_markdown(column.head) for column in table.columns]
     lines = [f"**{_markdown(table.caption)}**", "", heads, ["---:" if c.show else ":---" for c in table.columns]]
     lines += [list(row) for row in printed.to_numpy()]
-    notes = [f"{footnote(n)}) {_markdown(note)}  " for n, note in enumerate(table.notes)]
+    notes = [f"{f'{mark}) ' if mark else ''}{_markdown(note)}  " for mark, note in table.footnotes]
     return (
         "\n".join(
             line if isinstance(line, str) else f"| {' | '.join(line)} |" for line in [*lines, "", *notes]
@@ -135,10 +135,8 @@ def latex_text(table: Table, label: str) -> str:
         index=False, escape=False, column_format=f"@{{}}{kinds}@{{}}", longtable=long,
         caption=_latex(table.caption), label=f"tab:{name}", position=None if long else "t",
     )  # fmt: skip
-    notes = [
-        rf"\par\raggedright\footnotesize\textsuperscript{{{footnote(n)}}}{_latex(note)}"
-        for n, note in enumerate(table.notes)
-    ]
+    marked = ((rf"\textsuperscript{{{mark}}}" if mark else " ", _latex(note)) for mark, note in table.footnotes)
+    notes = [rf"\par\raggedright\footnotesize{mark}{note}" for mark, note in marked]
     body, end, rest = text.rpartition("\\end{longtable}\n" if long else "\\end{table}\n")
     notes_text = "\n".join(notes) + "\n" if notes else ""
     packages = f"% \\usepackage{{booktabs{',longtable' if long else ''}}}\n"

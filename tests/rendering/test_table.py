@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.rendering.table import Column, Table, footnote, table_of, word_table
+from pipeline.rendering.table_export import latex_text, markdown_text
 
 COLUMNS = (
     Column("name"),
@@ -46,3 +47,16 @@ def test_a_table_without_rows_is_none() -> None:
     assert word_table("t", "c", ("a", "b"), []) is None
     found = word_table("t", "c", ("a", "b"), [("1", "x")])
     assert [cell.text for cell in found.rows[0]] == ["1", "x"]
+
+
+def test_a_note_on_the_whole_table_has_no_mark() -> None:
+    """A letter without a reference in a cell would send the reader on a search."""
+    columns = [Column("name"), Column("value", show=lambda value, _: f"{value:g}", notes=lambda row: [row["note"]])]
+    rows = [{"name": "a", "value": 5.0, "note": "of a cell"}, {"name": "b", "value": 6.0, "note": None}]
+    table = table_of("t", "caption", columns, rows, lambda row: row["name"])
+    table.mark("of the table")
+    assert table.footnotes == [("a", "of a cell"), ("", "of the table")]
+    assert markdown_text(table).endswith("a) of a cell  \nof the table\n")
+    latex = latex_text(table, "t")
+    assert r"\textsuperscript{a}of a cell" in latex
+    assert r"\footnotesize of the table" in latex

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.comparison.limits import MeasuredLimits, measured_limits
 from pipeline.device.parameters import unit_of
-from pipeline.measured.experiment.optimum_place import damping_range
+from pipeline.measured.experiment.optimum_place import stable_damping_range
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.findings import NARROW, Optimum
 from pipeline.records.results import STIFFEST, CostRange, MeasuredExperiment, UsePoint, UseRegion
@@ -228,7 +228,9 @@ def _described(
             trial_id=str(stages.texts("response", "trial_id")[best]),
             costs={name: float(cost[best]) for name, cost in costs.items() if np.isfinite(cost[best])},
             margin=float(rooms[best] / tested.stiffness[best]),
-            damping_range=damping_range(result.boundary, float(tested.stiffness[best]), float(tested.damping[best])),
+            damping_range=stable_damping_range(
+                result.boundary, float(tested.stiffness[best]), float(tested.damping[best])
+            ),
             margin_large_motion=linear[float(tested.damping[best])] / float(tested.stiffness[best]) if linear else None,
             better=_not_chosen(criterion, tested, best, limits, result, stages.texts("response", "trial_id")),
         ),

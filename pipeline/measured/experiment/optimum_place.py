@@ -108,7 +108,7 @@ def _step_of(values: Floats) -> float:
     return float(np.median(np.diff(levels))) if len(levels) > 1 else 1.0
 
 
-def damping_range(boundary: Sequence[BoundaryPoint], stiffness: float, damping: float) -> DampingRange | None:
+def stable_damping_range(boundary: Sequence[BoundaryPoint], stiffness: float, damping: float) -> DampingRange | None:
     """Return the dampings around a wall at which its stiffness is stable, or None if no limit is known there.
 
     Parameters
@@ -118,10 +118,16 @@ def damping_range(boundary: Sequence[BoundaryPoint], stiffness: float, damping: 
     stiffness, damping : float
         K [N/m, Nm/rad] and B [Ns/m, Nms/rad] of the wall.
 
+    Returns
+    -------
+    DampingRange or None
+        Ends in the unit of ``damping``.
+
     Notes
     -----
-    The lower ends of the limits are interpolated linearly. The range ends at the first damping on each side where they
-    fall to the stiffness, or at the last damping before an unknown limit.
+    The lower ends of the limits, a lower bound of the boundary of Hulin 2017, sec. 6.1.3, are interpolated linearly.
+    The range ends at the first damping on each side where they fall to the stiffness, or at the last damping before an
+    unknown limit.
     """
     B = np.array([point.damping for point in boundary])
     K = np.array([_lower_end(point, stiffness) for point in boundary])

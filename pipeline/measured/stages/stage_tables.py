@@ -25,7 +25,7 @@ from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.base.wording import commonest
 from pipeline.device.parameters import Motion
 from pipeline.measured.experiment.best_trial import choose_optimum, without_overshoot
-from pipeline.measured.experiment.optimum_place import cost_scatter, damping_range, near_optimum, nearly_as_good
+from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good, stable_damping_range
 from pipeline.measured.experiment.stored import Verdicts
 from pipeline.measured.stages.stage_needs import NEEDS, SPRUNG, cost_column
 from pipeline.records.criteria import criterion_of
@@ -424,7 +424,7 @@ class ExperimentStages:
         place: dict[str, object] = {
             "near": near_optimum(near, K, B),
             "margin": None if point is None or point.low is None else point.low / best.stiffness,
-            "damping_range": damping_range(limits, best.stiffness, best.damping),
+            "damping_range": stable_damping_range(limits, best.stiffness, best.damping),
             "scatter_percent": cost_scatter(decided, K, B),
         }
         trial = trials.index(str(best.trial_id))

@@ -30,7 +30,7 @@ from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.report import page_template, report_parts
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.tables import NO_TRIALS, TrialPage, tables_of
-from pipeline.rendering.table import Table, footnote, marked, word_table
+from pipeline.rendering.table import Table, marked, word_table
 
 SEVERAL = ("optima", "delay_tables")
 """Names that denote any number of tables."""
@@ -107,7 +107,6 @@ def render(data: ReportData) -> str:
         explorer=explorer.panel(entries) if entries else "",
         explorer_style=explorer.style() if entries else "",
         plot_style=page_template.script_text(page_template.PLOT_STYLE) if trials else "",
-        footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=figures,
         figure_json=page_template.json_text({"figures": pack(numbers)}) if numbers else "",

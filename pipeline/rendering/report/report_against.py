@@ -25,7 +25,7 @@ from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, criterion_name, interval_texts, percent_text, significant, unit_text
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.tables import digits
-from pipeline.rendering.table import Column, Row, Table, footnote, marked, table_of
+from pipeline.rendering.table import Column, Row, Table, marked, table_of
 
 _four = digits(4)
 
@@ -51,7 +51,7 @@ def render(page: AgainstPage) -> str:
         parts.append({"pair": pair, "figure": drawn, "tables": pair_tables(pair, page.motion, index)})
     sides = [side for pair in page.result.pairs for side in (pair.first, pair.second) if side.simulated]
     simulated = list(dict.fromkeys(side.label for side in sides))
-    content = {"result": page.result, "parts": parts, "footnote": footnote, "simulated": simulated}
+    content = {"result": page.result, "parts": parts, "simulated": simulated}
     return unbroken(fill_template("report_against.html.j2", **content))
 
 

@@ -213,7 +213,7 @@ def _measured_optima(
             Column("near_damping", "damping", units.damping, "within 5 %", show=_text),
             Column("margin", "limit over K", "", BORDER, _at_least, why="no limit is known there"),
             Column(
-                "damping_margin",
+                "damping_range_margin",
                 "limit over B",
                 "",
                 BORDER,
@@ -243,10 +243,9 @@ def _measured_optima(
 
 
 def _border(best: Optimum) -> Row:
-    """Return the distance of an optimum from the limit in damping, and whether it is close to the limit."""
+    """Return at which dampings the stiffness of an optimum is stable, and whether it is close to the limit."""
     around = best.damping_range
     return {
-        "damping_margin": around and around.margin,
         "stable_dampings": f"stable from {damping_range_text(around)}" if around else "",
         "at_border": best.at_border,
     }
@@ -971,7 +970,6 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         if e.use is not None:
             row |= flat(e.use) | {"trial_id": e.use.point.trial_id}
             if stable := e.use.point.damping_range:
-                row |= {"point_damping_margin": stable.margin}
                 row |= {"stable_dampings": f"stable from {damping_range_text(stable)}"}
             for name, cost in e.use.costs.items():
                 row |= {name: cost.median, f"{name}_low": cost.low, f"{name}_high": cost.high}
@@ -987,7 +985,7 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         Column("point_damping", "B", units.damping, "wall to set", _damping, linked=True),
         Column("point_margin", "limit over K, at least", group="wall to set", show=digits(2)),
         Column(
-            "point_damping_margin",
+            "point_damping_range_margin",
             "limit over B, at least",
             group="wall to set",
             show=digits(2),

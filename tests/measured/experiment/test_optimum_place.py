@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.measured.experiment.optimum_place import cost_scatter, damping_range, near_optimum, nearly_as_good
+from pipeline.measured.experiment.optimum_place import cost_scatter, near_optimum, nearly_as_good, stable_damping_range
 from pipeline.records.findings import BoundaryPoint, DampingRange, Optimum
 from pipeline.theory.costs import point_costs_by_name
 from pipeline.theory.optimum import optimal_point
@@ -91,7 +91,9 @@ def test_the_range_of_stable_dampings_is_that_of_a_dense_search():
         K = rng.uniform(500.0, 9000.0, 9)
         at = int(rng.integers(0, 9))
         stiffness = float(rng.uniform(0.3, 1.0) * K[at])
-        found = damping_range([point(*each) for each in zip(B.tolist(), K.tolist(), strict=True)], stiffness, B[at])
+        found = stable_damping_range(
+            [point(*each) for each in zip(B.tolist(), K.tolist(), strict=True)], stiffness, B[at]
+        )
         dense = np.linspace(B[0], B[-1], 400_001)
         stable = np.interp(dense, B, K) >= stiffness
         here = int(np.searchsorted(dense, B[at]))
@@ -104,13 +106,13 @@ def test_the_range_of_stable_dampings_is_that_of_a_dense_search():
 
 def test_a_range_ends_where_no_limit_is_known():
     points = [point(0.0, 4000.0), point(20.0, 4000.0), point(40.0, 5000.0, censored=True), point(60.0, None)]
-    found = damping_range(points, 3000.0, 20.0)
+    found = stable_damping_range(points, 3000.0, 20.0)
     assert (found.low, found.high, found.low_is_limit, found.high_is_limit) == (0.0, 40.0, False, False)
     assert found.margin == 2.0, "no damping at all is not an end"
-    assert damping_range(points, 3000.0, 0.0).margin is None
-    assert damping_range(points, 3000.0, 60.0) is None
-    assert damping_range(points, 3000.0, 80.0) is None
-    assert damping_range([], 3000.0, 20.0) is None
+    assert stable_damping_range(points, 3000.0, 0.0).margin is None
+    assert stable_damping_range(points, 3000.0, 60.0) is None
+    assert stable_damping_range(points, 3000.0, 80.0) is None
+    assert stable_damping_range([], 3000.0, 20.0) is None
 
 
 @pytest.mark.parametrize(
