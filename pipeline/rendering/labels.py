@@ -159,13 +159,13 @@ def significant(value: float, digits: int) -> str:
     return decimal(round(value, digits - 1 - size), max(digits - 1 - size, 0))
 
 
-def at_least(value: float) -> str:
-    """Return a lower bound with two digits, rounded down.
+def at_least(value: float, digits: int = 2) -> str:
+    """Return a lower bound with so many significant digits, rounded down.
 
     >>> at_least(2.057), at_least(0.0999), at_least(0.0)
     ('2', '0.099', '0')
     """
-    return significant(_towards(value, 2, math.floor), 2)
+    return significant(_towards(value, digits, math.floor), digits)
 
 
 def at_most(value: float) -> str:
@@ -205,7 +205,7 @@ def damping_range_text(around: DampingRange) -> str:
     '0 to 101'
     """
     low = f"{'' if around.low_is_limit or around.low == 0 else 'at most '}{_shortest(at_most(around.low))}"
-    high = _shortest(significant(_towards(around.high, DIGITS, math.floor), DIGITS))
+    high = _shortest(at_least(around.high, DIGITS))
     return f"{low} to {'' if around.high_is_limit else 'at least '}{high}"
 
 

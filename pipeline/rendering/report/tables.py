@@ -116,7 +116,7 @@ _published, _of_share = _by(published_text), _by(lambda share: percent_text(100 
 
 
 def _at_least(value: float, _: Row) -> str:
-    return f"≥ {at_least(value)}"
+    return f"≥ {at_least(value, 3)}"  # as many digits as NARROW
 
 
 def _yes_or_no(value: bool, _: Row) -> str:
@@ -983,12 +983,12 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
         Column("experiment", notes=lambda row: [row["note"]]),
         Column("point_stiffness", "K", units.stiffness, "wall to set", _stiffness, linked=True),
         Column("point_damping", "B", units.damping, "wall to set", _damping, linked=True),
-        Column("point_margin", "limit over K, at least", group="wall to set", show=digits(2)),
+        Column("point_margin", "limit over K, at least", group="wall to set", show=_by(at_least)),
         Column(
             "point_damping_range_margin",
             "limit over B, at least",
             group="wall to set",
-            show=digits(2),
+            show=_by(at_least),
             aside=lambda row: row.get("stable_dampings", ""),
             why="no limit is known there, or no damping",
         ),
@@ -999,7 +999,7 @@ def _use(result: ComparisonResult, place: Callable[[Row], str]) -> Table | None:
             Column(name, criterion_label(name), "", around, _cost_of(name), (f"{name}_low", f"{name}_high"))
             for name in names
         ),
-        Column("margin", "limit over K, at least", group=around, show=digits(2)),
+        Column("margin", "limit over K, at least", group=around, show=_by(at_least)),
     )
     caption = "Recommended walls, and the good walls around them"
     return table_of("use", caption, columns, rows if names else [], _name, trial=place)

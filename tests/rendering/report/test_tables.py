@@ -10,11 +10,12 @@ import pytest
 from report_data import estimate, report_data
 
 from pipeline.device.parts import LoopTable
-from pipeline.records.findings import Optimum, Quantity
+from pipeline.records.findings import DampingRange, Optimum, Quantity
 from pipeline.records.results import (
     Answer,
     AnswerEstimate,
     ComparisonResult,
+    CostRange,
     HeaderLine,
     ImpliedDelay,
     Prediction,
@@ -307,3 +308,22 @@ def test_an_optimum_by_overshoot_states_its_threshold(result: ComparisonResult, 
     first = result.experiments[0].model_copy(update={"optimum": {"overshoot": best}})
     (table,) = tables_of(result.model_copy(update={"experiments": (first,)}))["measured_optima"]
     assert any(note.startswith(words) for note in table.notes)
+
+
+def test_a_distance_from_the_limit_is_rounded_down_and_agrees_with_its_word(result: ComparisonResult) -> None:
+    """1.286 is not close to the limit (1.25), so it must not be printed as 1.2; 1.457 is not at least 1.5."""
+    around = DampingRange(low=35.0, high=145.7, low_is_limit=True, high_is_limit=True, margin=1.286)
+    best = Optimum(stiffness=7200, damping=113.3, cost=24, trial_id="a", trials=9, margin=1.286, damping_range=around)
+    first = answered(result).experiments[0]
+    assert first.use is not None
+    point = first.use.point.model_copy(update={"margin": 1.457, "damping_range": around})
+    costs = {"settle_2pct": CostRange(median=24, low=22, high=30, trials=6)}
+    use = first.use.model_copy(update={"point": point, "costs": costs})
+    first = first.model_copy(update={"optimum": {"settle_2pct": best}, "use": use})
+    tables = tables_of(result.model_copy(update={"experiments": (first,)}))
+    (optimum,) = cells(tables["measured_optima"][0])
+    assert optimum["margin"] == "≥ 1.28"
+    assert optimum["at_border"] == "no"
+    (wall,) = cells(tables["use"][0])
+    assert wall["point_margin"] == "1.4"
+    assert wall["point_damping_range_margin"].startswith("1.2")
