@@ -396,10 +396,10 @@ def family_table(kept: Path) -> Iterator[str]:
             tried.append(number)
     yield "\n### Families\n"
     yield (
-        f"Best of {min(tried)} to {max(tried)} devices of each family: misfit, and rms distance of the limits at "
-        "B = 104 to 160 from the line [kN/m].\n"
+        f"The table lists the best of {min(tried)} to {max(tried)} devices of each family. It gives the misfit, and "
+        "the rms distance of the limits at B = 104 to 160 from the line [kN/m].\n"
     )
-    yield "| parts beside jitter | " + " | ".join(f"{falcon}: misfit | line" for falcon in FALCONS) + " |"
+    yield "| parts in addition to jitter | " + " | ".join(f"{falcon}: misfit | line" for falcon in FALCONS) + " |"
     yield "|---" * (1 + 2 * len(FALCONS)) + "|"
     for family, cells in rows.items():
         yield f"| {family} | " + " | ".join(cells) + " |"
@@ -469,10 +469,10 @@ def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, 
 
 def decisive(kept: Path, count: int = 3) -> Iterator[str]:
     """Yield the lines of a table of what further measurements would show of each of the best devices."""
-    yield "\n### What would tell them apart\n"
+    yield "\n### What would distinguish them\n"
     yield (
-        "Limit at B = 24 [N/m] by step (none: above 23,750); frequency of just unstable trials [Hz] by B; scatter of "
-        "K Δx − F_0 [N].\n"
+        "The table gives the limit at B = 24 [N/m] for each step (none: above 23,750), the frequency of just unstable "
+        "trials [Hz] for each B, and the scatter of K Δx − F_0 [N].\n"
     )
     yield "| device | 2 / 8 / 16 N | B = 104 / 128 / 152 | scatter |"
     yield "|---" * 4 + "|"
