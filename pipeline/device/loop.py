@@ -290,7 +290,7 @@ class Loop:
                 changes[name] = value / unit
             else:
                 part = changes.get(parameter.part, getattr(self, parameter.part))
-                changes[parameter.part] = part.model_copy(update={parameter.key: value / unit})
+                changes[parameter.part] = {**dict(part), parameter.key: value / unit}
         return self._changed(**changes | others)
 
     def _changed(self, **changes: Any) -> Loop:
