@@ -187,8 +187,10 @@ def saturated(seed: int) -> tuple[Rig, list[Recording]]:
     return _logs(rig, ramps, seed)
 
 
-def two_carts(seed: int, *, load_friction: bool = False, load_damping: bool = True) -> tuple[Rig, list[Recording]]:
-    """Two carts on a soft spring, with friction on the motor, and perhaps on the load."""
+def two_carts(
+    seed: int, *, load_friction: bool = False, load_damping: bool = True, drift: float = 0.0
+) -> tuple[Rig, list[Recording]]:
+    """Two carts on a soft spring, with friction on the motor, and perhaps on the load and a slow unmodelled force."""
     rng = np.random.default_rng(seed)
     motor_mass, load = rng.uniform(0.4, 0.8), rng.uniform(0.15, 0.5)
     turn = 2 * np.pi * rng.uniform(1.5, 6)
@@ -206,6 +208,7 @@ def two_carts(seed: int, *, load_friction: bool = False, load_damping: bool = Tr
         load_damping=of_load,
         load_friction=0.15 if load_friction else 0.0,
         delay=0.5 * T,
+        drift=drift,
         quantum=5e-6,
     )
     rig.truth.update({"mass": motor_mass + load, "damping": b, "mode.frequency_hz": turn / 2 / np.pi})
@@ -286,6 +289,7 @@ KINDS: dict[str, Kind] = {
     "two carts": lambda seed: two_carts(seed, load_damping=False),
     "load damping": two_carts,
     "load friction": lambda seed: two_carts(seed, load_friction=True),
+    "load and drift": lambda seed: two_carts(seed, drift=0.055),
     "rough": rough,
     "ground spring": ground_spring,
     "drifting": drifting,

@@ -82,6 +82,9 @@ not change any decision."""
 FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
 
+IMITATING = {"gain by direction", "gain by size"}
+"""Parts that may imitate a slow mode or friction in the first search, and are tried again without after the last."""
+
 LEFT = 0.5
 """Largest share of the random force's variance that may remain after a part is added. It was 0.85 for a force limit
 that imitated a stiffening hand, and less than 0.01 for real parts."""
@@ -258,6 +261,7 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     if set(parts) - {"friction", "stiffness"}:
         segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
     segments, fit, parts = _swinging((some, units, lead), segments, fit, parts)
+    fit, parts = _without_imitations(segments, fit, parts)
     device = fit.device
     found = device.numbers, device.noise, device.reading
     chosen = ChosenParts(*found, units, lead, parts, assumed, bounds, segments.free)
@@ -541,6 +545,21 @@ def _pruned(
         fit = refined(segments, replace(fit.device, numbers=left, effects=None), far=False)
         parts = {key: value for key, value in parts.items() if key != name}
     return segments, fit, parts
+
+
+def _without_imitations(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
+    """Remove gains of the drive that only imitated a part found after them, and return fit and parts.
+
+    Without its part, a device may follow only one log. If all commands of a log have the same size, a log that is left
+    out then decides on the gain by size of the others.
+    """
+    for name in sorted(IMITATING & parts.keys()):
+        left = {key: value for key, value in fit.device.numbers.items() if key not in PARTS[name].numbers}
+        device = replace(fit.device, numbers=left, effects=None)
+        other = climbed(segments, device) if segments.free else refined(segments, device, far=False)
+        if other.likelihood > fit.likelihood - PARTS[name].threshold:
+            fit, parts = other, {key: value for key, value in parts.items() if key != name}
+    return fit, parts
 
 
 def _loss(fit: Fit, name: str) -> float:

@@ -19,7 +19,7 @@ from pipeline.measured.identification.segments import segments_of
 INTEGRATED = 1e-3
 """Relative error of the small steps of a rig."""
 
-FAST = ("plateau", "ground spring", "gain by direction", "gain by size", "two carts")
+FAST = ("plateau", "ground spring", "gain by direction", "gain by size", "two carts", "load and drift")
 
 
 def checked(kind: str, seed: int) -> tuple[int, int]:
