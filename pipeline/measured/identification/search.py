@@ -20,10 +20,16 @@ from pipeline.measured.identification.likelihood import (
     phases_of,
 )
 from pipeline.measured.identification.noise import WHITE
-from pipeline.measured.identification.noise_search import noise_and_jitter, with_jitter_error
+from pipeline.measured.identification.noise_search import ENOUGH, MEMORIES, noise_and_jitter, with_jitter_error
 from pipeline.measured.identification.scatter import FEWEST, inverse
 from pipeline.measured.identification.segments import Segments
-from pipeline.records.trials import Floats
+from pipeline.records.trials import Floats, Integers
+
+FIRST_FORCES = (1e-8, 1e-6, 1e-4, 1e-2)
+"""Variances of a random force that may be hidden from the search for the noise, relative to that of a reading."""
+
+FORCE_FACTOR = 10**0.5
+"""Ratio of the variances of successive random forces in a search over whole segments."""
 
 FIXED_STEPS = 2
 """Number of initial steps without scatter between trials, before each search for the noise."""
@@ -74,9 +80,9 @@ def refined(
     if far:
         for late in (False, jitters):
             device = _climbed(fitted(segments, device, places[:0]), segments, FIXED_STEPS).device
-            device = replace(device, noise=noise_and_jitter(segments, device, jitters=late)) if noisy else device
+            device = _with_noise(segments, device, places[:0], jitters=late).device if noisy else device
     elif noisy:
-        device = replace(device, noise=noise_and_jitter(segments, device, jitters=jitters))
+        device = _with_noise(segments, device, places, jitters=jitters).device
     start = fitted(segments, device, places)
     found = _climbed(start, segments, steps)
     for number in range(NOISE_ROUNDS if noisy else 0):
@@ -84,8 +90,7 @@ def refined(
         if found.likelihood - start.likelihood < WORTH and not (far and number == 0):
             break
         # motion may be mistaken for noise at the start of the search
-        device = replace(found.device, noise=noise_and_jitter(segments, found.device, jitters=jitters))
-        start = fitted(segments, device, places)
+        start = _with_noise(segments, found.device, places, jitters=jitters)
         again = _climbed(start, segments, steps)
         if again.likelihood <= found.likelihood:
             break
@@ -97,6 +102,35 @@ def refined(
             plain = _climbed(plain, segments, steps)
             found = plain if plain.likelihood > found.likelihood else found
     return found
+
+
+def _with_noise(segments: Segments, device: Device, places: Integers, *, jitters: bool) -> Fit:
+    """Return the fit of a device with the noise that whitens its errors.
+
+    The search for the noise uses short parts of the segments with a constant force each, so that it does not see a
+    force that changes slowly. In many logs, the constant force of each log contains it. For few logs, the random force
+    of maximum likelihood over whole segments is therefore found from there.
+    """
+    fit = fitted(segments, replace(device, noise=noise_and_jitter(segments, device, jitters=jitters)), places)
+    noise = fit.device.noise
+    if segments.trials >= FEWEST or (noise.jitter and not noise.force):
+        return fit
+
+    def with_force(force: float) -> Fit:
+        return fitted(segments, replace(fit.device, noise=replace(noise, force=force), effects=None), places)
+
+    if not noise.force:
+        best = max((with_force(force) for force in FIRST_FORCES), key=lambda each: each.likelihood)
+        if best.likelihood < fit.likelihood + WORTH:
+            return fit
+        fit = best
+    for factor in (FORCE_FACTOR, 1 / FORCE_FACTOR):
+        while MEMORIES[0] < (force := factor * fit.device.noise.force) < MEMORIES[1]:
+            tried = with_force(force)
+            if tried.likelihood < fit.likelihood + ENOUGH:
+                break
+            fit = tried
+    return fit
 
 
 def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
