@@ -10,13 +10,13 @@ from pipeline.records.trials import Floats, Integers
 
 @compiled(
     "f8[::1](Tuple((f8[::1],f8[:,::1],f8[::1])),Tuple((f8[:,:,:,::1],f8[:,:,:,::1],i8[:,::1])),f8[:,::1],"
-    "Tuple((f8,f8[::1])),f8[::1],i8)"
+    "Tuple((f8,f8[::1],f8[::1])),f8[::1],i8)"
 )
 def free_run(
     device: tuple[Floats, Floats, Floats],
     pieces: tuple[Floats, Floats, Integers],
     commands: Floats,
-    forces: tuple[float, Floats],
+    forces: tuple[float, Floats, Floats],
     start: Floats,
     sub_steps: int,
 ) -> Floats:
@@ -30,7 +30,8 @@ def free_run(
     A step covers a whole piece if no side is at rest and no velocity changes its sign. Otherwise, the piece is divided
     into sub-steps. A side at rest stays at rest if the other forces on it, a = A x + b u + f, do not exceed c_i. A side
     whose velocity changes sign in a sub-step stops there if |a| <= c_i. Otherwise, its friction is reversed after the
-    crossing, which is found by interpolation. Without friction, the run is exact.
+    crossing, which is found by interpolation. Without friction and gravity, the run is exact. Gravity acts on the motor
+    with -(a sin q + b cos q), at its angle q in the middle of a step.
 
     Parameters
     ----------
@@ -43,8 +44,9 @@ def free_run(
         rest. ``place`` (P, N) is the kind of each piece of the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
-    forces : f, c
-        Constant force on the motor, and friction of the sides (sides,), per mass of the device.
+    forces : f, c, w
+        Constant force on the motor, and friction of the sides (sides,), per mass of the device. ``w`` is empty without
+        gravity. Otherwise, it contains a, b, the angle of a position of 1, and the angle at the position 0 [rad].
     start : float64, shape (n,)
         State at the first row.
     sub_steps : int
@@ -58,12 +60,13 @@ def free_run(
     >>> F[0], F[1] = [[[1.0, 0.25], [0.0, 1.0]], [[1.0, 0.125], [0.0, 1.0]]], np.eye(2)
     >>> G[0] = [[[0.03125, 0.03125], [0.25, 0.25]], [[0.0078125, 0.0078125], [0.125, 0.125]]]
     >>> device, pieces = (np.array([1.0, 0.0]), np.zeros((1, 2)), np.ones(1)), (F, G, np.zeros((1, 4), np.int64))
-    >>> free_run(device, pieces, np.zeros((1, 4)), (0.0, np.array([2.0])), np.array([0.0, 1.0]), 2).tolist()
+    >>> forces, start = (0.0, np.array([2.0]), np.empty(0)), np.array([0.0, 1.0])
+    >>> free_run(device, pieces, np.zeros((1, 4)), forces, start, 2).tolist()
     [0.0, 0.1875, 0.25, 0.25]
     """
     C, A, b = device
     F, G, place = pieces
-    force, coulomb = forces
+    constant, coulomb, weight = forces
     n, sides, kinds = len(start), len(A), F.shape[1] // 2
     x, moved = start.copy(), np.empty(n)
     free, way, pushed = np.zeros(sides), np.zeros(sides), np.zeros(sides)
@@ -77,7 +80,11 @@ def free_run(
             at, u = place[piece, k], commands[piece, k]
             whole, done = True, 0
             while done < sub_steps:
-                rests = 0
+                rests, force = 0, constant
+                if len(weight):
+                    step = at if whole else kinds + at
+                    angle = weight[3] + weight[2] * (x[0] + 0.5 * F[0, step, 0, 1] * x[1])
+                    force -= weight[0] * np.sin(angle) + weight[1] * np.cos(angle)
                 for side in range(sides):
                     pushed[side] = force if side == 0 else 0.0
                     if coulomb[side] > 0:

@@ -179,6 +179,9 @@ def identified_device(
     usable = ((name, log) for name, log in read if not any(each.leaves_out for each in log.findings))
     trials = [measured_trial(name, log) for name, log in usable]
     recordings = usable_recordings(trials)
+    if motions == {"rotation"} and not any(any(each.wall) for each in recordings):
+        # gravity acts on an arm in free motion; behind a wall, it hardly moves
+        recordings = [replace(each, turns=True) for each in recordings]
     if not recordings:
         raise ParameterError(SHIFTED)
     try:
@@ -348,6 +351,7 @@ def _document(
         "velocity": velocity is not None and velocity.left_out,
         "friction": loop["friction"] is not None and loop["friction"]["value"] > 0,
         "jitter": _jitters(loop),
+        "gravity": bool(found.gravity),
     }
     document: dict[str, Any] = {
         "motion": motion,
@@ -370,6 +374,7 @@ def _document(
             for each in found.combinations
         ],
         "drive": _drive_document(found, motion),
+        "gravity": _gravity_document(found, motion),
         "scatter": {
             ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, motion)}
             for name, value in found.scatter.items()
@@ -434,6 +439,12 @@ def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | N
     masses = dict.fromkeys(("positive", "negative", "small", "large"), _unit("mass", motion))
     units = {"asymmetry": "", "curvature": ""} | masses
     return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
+
+
+def _gravity_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
+    """Return the numbers of `Identification.gravity`, or None if the logs show no gravity."""
+    units = {"torque": _unit("friction.coulomb", motion), "angle": "rad"}
+    return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.gravity.items()} or None
 
 
 def _jitters(loop: dict[str, Any]) -> bool:
@@ -616,6 +627,7 @@ def device_text(document: dict[str, Any], name: str) -> str:
         f"sampling_period_s = {loop.sampling_period_s!r}",
         f"delay_samples = {loop.delay_samples!r}  # {about_delay}",
         *_jitter_lines(document, loop),
+        *_gravity_lines(document),
         f"sensor = {{ noise = {document['noise']!r} }}",
     ]
     parts = []
@@ -643,6 +655,14 @@ def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:
     if loop.jitter_samples:
         return [f"jitter_samples = {list(loop.jitter_samples)}  # {about}"]
     return [f"# The delay jitters, {about}. Omitted: no set of integer delays reproduces this jitter."]
+
+
+def _gravity_lines(document: dict[str, Any]) -> list[str]:
+    """Return the lines of a device file that describe gravity, which it cannot contain."""
+    if (gravity := document["gravity"]) is None:
+        return []
+    torque, angle = (gravity[name]["value"] for name in ("torque", "angle"))
+    return [f"# Omitted: gravity of {torque:.4g} sin(q - {angle:.4g}) Nm, with the recorded angle q in rad."]
 
 
 def _toml(value: str | float | tuple[float, ...]) -> str:

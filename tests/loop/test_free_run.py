@@ -23,13 +23,21 @@ COULOMB = 2.0
 COMMAND = np.repeat([0.0, 6.0, -5.0, 0.6, 4.0], 60)
 
 
-def run(shape: PlantShape, command: Floats, coulomb: tuple[float, float], steps: int, parts: int = 1) -> Floats:
+def run(
+    shape: PlantShape,
+    command: Floats,
+    coulomb: tuple[float, float],
+    steps: int,
+    parts: int = 1,
+    weight: tuple[float, ...] = (),
+) -> Floats:
     """Free run from rest, one command a sample, in parts of each sample."""
     mechanics = Mechanics.of(shape)
     F, G = mechanics.transitions(np.array([1 / parts]), steps)
     place = np.zeros((parts, len(command)), np.int64)
     device, friction = (mechanics.sensor, *mechanics.forces), np.array(coulomb)[: len(mechanics.masses)]
-    return free_run(device, (F, G, place), np.tile(command, (parts, 1)), (0.0, friction), np.zeros(F.shape[-1]), steps)
+    forces, commands = (0.0, friction, np.array(weight)), np.tile(command, (parts, 1))
+    return free_run(device, (F, G, place), commands, forces, np.zeros(F.shape[-1]), steps)
 
 
 def exact(shape: PlantShape, command: Floats, friction: Friction | None) -> Floats:
@@ -55,6 +63,34 @@ def test_with_friction_on_the_motor_it_is_near_the_exact_motion(name: str, steps
     wanted = exact(SHAPES[name], COMMAND, Friction(coulomb=COULOMB))
     error = np.abs(run(SHAPES[name], COMMAND, (COULOMB, 0.0), steps) - wanted).max() / np.abs(wanted).max()
     assert 0 < error < 2e-4 / steps
+
+
+@pytest.mark.parametrize("coulomb", [0.0, 0.05])
+def test_a_pendulum_swings_as_in_an_integration(coulomb: float) -> None:
+    """The position is 10 times the angle, which begins at 2.5 rad, so that gravity is far from a spring.
+
+    A step of a sample has an error of second order, so that a quarter of the step has a sixteenth of it.
+    """
+    sine, cosine, scale, origin = 0.02, 0.005, 0.1, 2.5
+    command = 0.02 * np.repeat([0.0, 1.0, -1.0, 0.3], 100)
+
+    def pushed(time: float, state: Floats) -> list[float]:
+        angle, rubs = origin + scale * state[0], coulomb * 0.02 * np.tanh(state[1] / 1e-4)
+        force = command[min(int(time), len(command) - 1)] - sine * np.sin(angle) - cosine * np.cos(angle)
+        return [state[1], force - 0.004 * state[1] - rubs]
+
+    found, state = [], np.zeros(2)
+    for row in range(len(command)):
+        found.append(state[0])
+        state = solve_ivp(pushed, (row, row + 1 - 1e-12), state, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1]
+    assert np.ptp(found) * scale > 1.0
+    weight = (sine, cosine, scale, origin)
+    whole, fine = (
+        np.abs(run(PlantShape(0.004), command, (coulomb * 0.02, 0.0), 4, parts, weight) - found).max() / np.ptp(found)
+        for parts in (1, 4)
+    )
+    assert whole < 1e-3
+    assert fine < max(whole / 10, 3e-5)
 
 
 def test_friction_on_the_load_is_that_of_an_integration() -> None:

@@ -24,7 +24,7 @@ class Rig:
     ``cogging`` (relative amplitude, angular frequency along the way) changes the friction by place; ``reading`` and
     ``quantum`` are noise and step of the sensor; ``drift`` is the amplitude of a slow unmodelled force. ``gravity`` is
     the torque of a horizontal arm. The force falls by the share ``curve`` at a command of 1. The drive is ``off``
-    for the first rows, and the recorded command has ``command_noise``.
+    for the first rows, and the recorded command has ``command_noise``. A rig that ``slides`` records no angle.
     """
 
     period: float
@@ -49,6 +49,7 @@ class Rig:
     curve: float = 0.0
     off: int = 0
     command_noise: float = 0.0
+    slides: bool = False
     truth: dict[str, float] = field(default_factory=dict)
 
     def log(self, name: str, command: Floats, seed: int = 0) -> Recording:
@@ -65,7 +66,7 @@ class Rig:
         if self.quantum:
             read = np.round(read / self.quantum) * self.quantum
         command = command + self.command_noise * rng.standard_normal(len(command))
-        return Recording(name, time, command, read, T)
+        return Recording(name, time, command, read, T, turns=not self.slides)
 
 
 def _integrated(rig: Rig, time: Floats, forced: Floats, drift: Floats) -> Floats:
@@ -209,6 +210,7 @@ def two_carts(
         load_friction=0.15 if load_friction else 0.0,
         delay=0.5 * T,
         drift=drift,
+        slides=True,
         quantum=5e-6,
     )
     rig.truth.update({"mass": motor_mass + load, "damping": b, "mode.frequency_hz": turn / 2 / np.pi})
@@ -220,7 +222,7 @@ def rough(seed: int) -> tuple[Rig, list[Recording]]:
     """A cart on a spring whose friction changes along the way."""
     rng = np.random.default_rng(seed)
     cogging = rng.uniform(3, 10), rng.uniform(100, 600)
-    rig = Rig(0.009, 0.4, 0.9, friction=0.18, spring=160.0, cogging=cogging, quantum=5e-6)
+    rig = Rig(0.009, 0.4, 0.9, friction=0.18, spring=160.0, cogging=cogging, quantum=5e-6, slides=True)
     rig.truth.update({"mass": 0.4, "stiffness": 160.0, "damping": 0.9})
     return _logs(rig, [levels(rng, 1500, 40, 5.0) for _ in range(2)], seed)
 
@@ -229,7 +231,7 @@ def ground_spring(seed: int) -> tuple[Rig, list[Recording]]:
     """A cart on a spring to ground, with friction."""
     rng = np.random.default_rng(seed)
     mass, turn = rng.uniform(0.3, 1.0), 2 * np.pi * rng.uniform(1.5, 4)
-    rig = Rig(0.006, mass, 0.9, friction=0.18, spring=mass * turn**2, quantum=2e-5, reading=1e-5)
+    rig = Rig(0.006, mass, 0.9, friction=0.18, spring=mass * turn**2, quantum=2e-5, reading=1e-5, slides=True)
     rig.truth.update({"mass": mass, "stiffness": mass * turn**2, "damping": 0.9, "friction.coulomb": 0.18})
     return _logs(rig, [square(rng, 1200, 120, size) for size in (2.0, 3.0)], seed)
 
@@ -248,7 +250,7 @@ def arm(seed: int) -> tuple[Rig, list[Recording]]:
     J, T = rng.uniform(0.05, 0.2), 0.005
     turn = 2 * np.pi * rng.uniform(0.6, 1.2)
     rig = Rig(T, J, 0.6 * J, friction=0.03 * J * turn**2, gravity=J * turn**2, quantum=3e-4, delay=T)
-    rig.truth.update({"mass": J, "damping": 0.6 * J})
+    rig.truth.update({"mass": J, "damping": 0.6 * J, "torque": rig.gravity, "angle": 0.0})
     return _logs(rig, [levels(rng, 1500, 100, size * J * turn**2) for size in (0.4, 0.6)], seed)
 
 

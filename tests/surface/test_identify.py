@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real_drives import KINDS
 from typer.testing import CliRunner
 
 import pipeline
@@ -16,6 +17,7 @@ from pipeline.device_data.devices import read_device
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.stages.stage_device import identification
 from pipeline.shell.cli import application
+from pipeline.shell.commands.cli_device import identified_lines
 from pipeline.surface import identify as surface
 from pipeline.surface.identify import wall_loop
 
@@ -248,3 +250,23 @@ def test_a_refused_log_among_others_is_named_once(tmp_path):
     (line,) = (line for line in shown.output.splitlines() if line.startswith("Refused"))
     assert line.count("bad.csv") == 1
     assert "found 'x'" in line
+
+
+def test_an_arm_swings_under_gravity(tmp_path):
+    rig, logs = KINDS["arm under gravity"](4)
+    for log in logs:
+        rows = "\n".join(
+            f"{float(t)!r},{float(u)!r},{float(x)!r}"
+            for t, u, x in zip(log.time, log.command, log.position, strict=True)
+        )
+        (tmp_path / f"{log.name}.csv").write_text(
+            f"# motion: rotation\ntime_s,command,position\n{rows}\n", encoding="utf-8"
+        )
+    document = pipeline.identify(tmp_path).document
+    for name, value in (("torque", rig.gravity), ("angle", 0.0)):
+        number = document["gravity"][name]
+        assert number["low"] <= value <= number["high"], name
+    assert document["gravity"]["torque"]["high"] < 1.02 * rig.gravity
+    assert "gravity" in document["left_out"]
+    assert "Gravity acts with up to" in "\n".join(identified_lines(document))
+    assert "# Omitted: gravity of" in surface.device_text(document, "arm")

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.identification import kernels
-from pipeline.measured.identification.likelihood import CODES, LIMITS, Device, spread
+from pipeline.measured.identification.likelihood import CODES, GRAVITY, LIMITS, Device, spread
 from pipeline.measured.identification.motion import PlantShape, Transitions
 from pipeline.measured.identification.noise import WHITE, gains_of
 from pipeline.measured.identification.segments import Segments
@@ -44,7 +44,7 @@ RESTING = (
 )
 
 
-BALANCED = ("gain", "delta", "gamma", "coulomb", "force")
+BALANCED = ("gain", "delta", "gamma", "coulomb", "force", *GRAVITY)
 """Numbers that appear in the force balance."""
 
 MOST_SEGMENTS = 60
@@ -123,8 +123,12 @@ def _balances(segments: Segments, names: list[str], delay: float, once: Floats) 
     """Return the products of the columns and the position of each segment without initial state, (S, k + 1, k + 1)."""
     forces = [name for name in names if name != "delta"]
     transitions = Transitions.of(segments, PlantShape(delay=delay))
+    fields = np.zeros((2 + len(GRAVITY), len(segments.time)))
+    fields[-1] = segments.between
+    if GRAVITY[0] in forces:
+        fields[1:-1] = -np.sin(segments.angle), -np.cos(segments.angle)
     columns, _, _ = kernels.whitened(
-        (segments.time, segments.command[None], segments.position, segments.between),
+        (segments.time, segments.command[None], segments.position, fields),
         (
             *(segments.first, segments.behind, segments.begin, segments.edge, segments.direction),
             *(np.zeros((len(segments), 3)), np.zeros((len(segments), len(forces)))),
@@ -229,7 +233,7 @@ def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) ->
     scale = 1 / np.sqrt(np.maximum(np.diagonal(total), 1e-300))
     values, vectors = np.linalg.eigh(total * scale[:, None] * scale[None, :])
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    ways = {"gain": [sign] if sign else [], "force": [1.0, -1.0]}
+    ways = {"gain": [sign] if sign else [], **{name: [1.0, -1.0] for name in ("force", *GRAVITY)}}
     signed = [(place, way) for place, name in enumerate(names) for way in ways.get(name, [1.0])]
     columns = np.stack([way * root[:, place] for place, way in signed], axis=1)
     # if two columns are equal (friction and a constant force in one direction), the solution with small values is taken

@@ -91,6 +91,7 @@ def free_runs(
     F, G = mechanics.transitions(np.append(spans, 0.0), steps)
     device = (mechanics.sensor, *mechanics.forces)
     command = applied_command(segments.command, numbers)[0]
+    gravity = [numbers[name] for name in ("gravity_sine", "gravity_cosine") if name in numbers]
     runs = []
     for s, (first, behind, begin) in enumerate(zip(segments.first, segments.behind, segments.begin, strict=True)):
         gain, (force, *coulomb) = forces[s][0], forces[s][1].tolist()
@@ -102,6 +103,7 @@ def free_runs(
         place = np.where(number < count, kind[piece], len(spans)).astype(np.int64)
         driven = gain * command[np.clip(row - pieces.back[piece], begin, behind - 1)]
         friction = np.array(coulomb[: len(mechanics.masses)])
-        given = device, (F, G, place), driven, (force, friction)
+        weight = np.array([*gravity, segments.scale, segments.origins[segments.trial[s]]] if gravity else [])
+        given = device, (F, G, place), driven, (force, friction, weight)
         runs.append(np.stack([free_run(*given, start.copy(), steps) for start in starts[s]], axis=1))
     return np.concatenate(runs)

@@ -10,7 +10,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
 from pipeline.measured.identification.departures import departure
-from pipeline.measured.identification.estimated import ESTIMATED, Quantity, estimated_names
+from pipeline.measured.identification.estimated import ESTIMATED, Numbers, Quantity, estimated_names
 from pipeline.measured.identification.free_search import SENSED
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
@@ -26,7 +26,7 @@ from pipeline.measured.identification.identifiability import (
     unidentifiable,
 )
 from pipeline.measured.identification.intervals import Errors, Interval, OwnEstimates
-from pipeline.measured.identification.likelihood import groups_of
+from pipeline.measured.identification.likelihood import GRAVITY, groups_of
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
@@ -107,6 +107,9 @@ class Identification:
         difference between both gains, divided by their mean. "small" and "large": mass per unit of a small command and
         of the largest one. "curvature": share of the force that is missing at the largest command. Empty if the gain
         depends on neither direction nor size, or if no device explains the logs.
+    gravity : dict of str to Interval
+        "torque": largest torque of gravity per unit of command [Nm]. "angle": recorded angle at which the device would
+        hang at rest [rad]. Empty without gravity.
     covariance : float64, shape (P, P)
         Covariance of the parameters, in the order of `parameters`.
     folds : list of dict of str to float
@@ -130,6 +133,7 @@ class Identification:
     units: LogUnits
     names: list[str]
     drive: dict[str, Interval]
+    gravity: dict[str, Interval]
     covariance: Floats
     folds: list[dict[str, float]]
     departure: str
@@ -228,6 +232,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         units,
         [each.name for each in recordings],
         {} if misfit else _drive(errors, units),
+        {} if misfit else _gravity(errors, units),
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         where,
@@ -261,6 +266,26 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
             "large": lambda n: mass(n) / (1 - n["curvature"]),
         }
     return {name: errors.interval(quantity) for name, quantity in quantities.items()}
+
+
+def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
+    """Return the largest torque of gravity and the angle at which the device would hang at rest.
+
+    The torque is -(a sin q + b cos q) = -c sin(q - q_0), with c = hypot(a, b) and q_0 = atan2(-b, a).
+    """
+    if GRAVITY[0] not in errors.numbers:
+        return {}
+
+    def angle(n: Numbers) -> float:
+        return float(np.arctan2(-n[GRAVITY[1]], n[GRAVITY[0]]))
+
+    about = angle(errors.numbers)
+
+    def near(n: Numbers) -> float:
+        return about + float(np.remainder(angle(n) - about + np.pi, 2 * np.pi)) - np.pi
+
+    torque = errors.interval(lambda n: float(np.hypot(n[GRAVITY[0]], n[GRAVITY[1]])) / n["gain"] * units.command)
+    return {"torque": torque, "angle": errors.interval(near)}
 
 
 def _misfit(replay: list[Replay], where: str, *, known: bool) -> str:

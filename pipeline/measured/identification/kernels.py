@@ -343,14 +343,14 @@ def filter_gains(
     return gains, spread
 
 
-GAIN, COULOMB, FORCE, SPRING, SHAPE = 0, 1, 2, 3, 4
+GAIN, COULOMB, FORCE, FIELDS, SHAPE = 0, 1, 2, 3, 6
 """Codes of the columns of `whitened`: acceleration per unit of command, due to Coulomb friction, due to a constant
-force, and due to a separate spring. Codes from SHAPE on are parameters of the shape, and negative codes those of the
-drive."""
+force, and due to three forces that depend on the position. Codes from SHAPE on are parameters of the shape, and
+negative codes those of the drive."""
 
 
 @compiled(
-    "Tuple((f8[:,::1],f8[::1],f8))(Tuple((f8[::1],f8[:,::1],f8[::1],f8[::1])),"
+    "Tuple((f8[:,::1],f8[::1],f8))(Tuple((f8[::1],f8[:,::1],f8[::1],f8[:,::1])),"
     "Tuple((i8[::1],i8[::1],i8[::1],i8[::1],f8[::1],f8[:,::1],f8[:,::1])),"
     "Tuple((i8[::1],f8[:,:,::1],f8[:,:,:,::1],f8[:,::1],f8[:,:,::1],f8[::1],f8[:,::1])),"
     "Tuple((i8[::1],i8[::1],i8[::1],f8[::1],f8[:,:,::1],f8[:,:,:,::1])),"
@@ -376,9 +376,10 @@ def whitened(
 
     Parameters
     ----------
-    rows : time, commands, position, spring
+    rows : time, commands, position, fields
         ``commands`` (1 + D, R) contains the applied command and its derivatives along D parameters of the drive.
-        ``spring`` is the position between two rows, for the column SPRING.
+        ``fields`` (1 + F, R) contains the acceleration due to forces that depend on the position, in the interval after
+        each row, and its derivatives along the F numbers of these forces. It is (1, 0) if there are none.
     segments : first, behind, begin, edge, direction, numbers, shifts
         ``direction`` of motion is -1, 0 or 1. ``numbers`` (S, 3) are accelerations per unit of command, due to friction
         and due to a constant force. ``shifts`` (S, p) are deviations of a segment's numbers from the common numbers.
@@ -404,7 +405,7 @@ def whitened(
         Reduction of the log-likelihood due to the standard deviations of the errors and the information on the initial
         states.
     """
-    time, commands, position, spring = rows
+    time, commands, position, fields = rows
     first, behind, begin, edge, direction, numbers, shifts = segments
     kind, F, dF, W, dW, H, dH = motion
     offset, back, age, width, G, dG = pieces
@@ -432,7 +433,7 @@ def whitened(
     e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(3 + drive)
     driven, acting, resting, changed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((drive, n))
     triangle, along, fitted, start = np.zeros((q, q)), np.zeros((q, p + 1)), np.zeros(q), np.zeros(n)
-    filtered, steady = np.any(K != 0), len(spread) == 1
+    filtered, steady, pushed = np.any(K != 0), len(spread) == 1, fields.shape[1] > 0
     row_place, out = 0, 0
     for s in range(S):
         N = behind[s] - first[s]
@@ -493,6 +494,7 @@ def whitened(
                 E[k, col] = e[col] / deviation
             if k == N - 1:
                 break
+            force = direct + fields[0, r] if pushed else direct
             if filtered:
                 for i in range(n):
                     for col in range(T):
@@ -526,7 +528,7 @@ def whitened(
                 if A > 0:
                     c[age[piece]] += late * value * width[piece]
             for i in range(n):
-                moved[i, 0] += driven[i] * own_gain + acting[i] * direct
+                moved[i, 0] += driven[i] * own_gain + acting[i] * force
                 if q:
                     # friction keeps a device at rest against the spring
                     moved[i, L] += gamma * resting[i]
@@ -539,8 +541,8 @@ def whitened(
                         moved[i, linear[j]] += acting[i]
                     elif codes[j] < 0:
                         moved[i, linear[j]] += changed[-1 - codes[j], i] * own_gain
-                    elif codes[j] == SPRING:
-                        moved[i, linear[j]] += acting[i] * spring[r]
+                    elif codes[j] < SHAPE:
+                        moved[i, linear[j]] += acting[i] * fields[1 + codes[j] - FIELDS, r]
             if A:
                 for col in range(T):
                     e[col] = 0.0
@@ -627,6 +629,7 @@ def whitened(
                     D[k, j] = -e_t[j] / deviation
                 if k == N - 1:
                     break
+                force = direct + fields[0, r] if pushed else direct
                 if filtered:
                     for i in range(n):
                         x[i, 0] += gain[i] * error
@@ -650,7 +653,7 @@ def whitened(
                     row = r - back[piece]
                     acts = 1.0 if row >= edge[s] else 0.0
                     value = command[min(max(row, begin[s]), behind[s] - 1)] * acts
-                    driven_by, pushed_by = value * own_gain, direct * acts + gamma * (1.0 - acts) * start[0]
+                    driven_by, pushed_by = value * own_gain, force * acts + gamma * (1.0 - acts) * start[0]
                     for i in range(n):
                         moved[i, 0] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by
                         if places[0] >= 0:

@@ -21,6 +21,9 @@ LINEAR = ("gain", "coulomb", "force")
 """Numbers in which the motion is linear: acceleration per unit of command, due to friction and due to a constant force.
 They are in `LogUnits`, with time in samples."""
 
+GRAVITY = ("gravity_sine", "gravity_cosine")
+"""Accelerations against sine and cosine of the angle of a device that turns. The motion is linear in them, too."""
+
 FREE_STARTS = 3
 """Number of Newton steps for the initial states of free runs, which are linear except for friction."""
 
@@ -188,7 +191,7 @@ CODES = {
     "gain": kernels.GAIN,
     "coulomb": kernels.COULOMB,
     "force": kernels.FORCE,
-    "spring": kernels.SPRING,
+    **{name: kernels.FIELDS + place for place, name in enumerate((*GRAVITY, "spring"))},
     **{name: -1 - place for place, name in enumerate(DRIVE)},
 }
 """Codes of the columns of `kernels.whitened` for the numbers in which the motion is linear, and for the drive."""
@@ -257,7 +260,7 @@ def columns_of(
     commands = applied_command(segments.command, device.numbers)
     gains = gains_of(segments, transitions, noise, commands[0])
     values, known, lost = kernels.whitened(
-        (segments.time, commands, segments.position, segments.position),
+        (segments.time, commands, segments.position, _weight(segments, device)),
         (segments.first, segments.behind, segments.begin, segments.edge, segments.direction, own, shifts),
         transitions.motion,
         transitions.pieces,
@@ -271,6 +274,17 @@ def columns_of(
     )
     ends = np.cumsum(segments.rows + len(sizes))
     return Columns(values, ends - len(sizes) - segments.rows, ends - len(sizes), len(sizes), known, lost, gains[1])
+
+
+def _weight(segments: Segments, device: Device) -> Floats:
+    """Return the acceleration due to gravity and its derivatives along `GRAVITY`, (3, R), or (1, 0) without gravity.
+
+    Its angles are those of the readings, whose errors change it little.
+    """
+    if GRAVITY[0] not in device.numbers:
+        return np.empty((1, 0))
+    columns = np.stack([-np.sin(segments.angle), -np.cos(segments.angle)])
+    return np.concatenate([(np.array([device.numbers[name] for name in GRAVITY]) @ columns)[None], columns])
 
 
 def _unknown_starts(segments: Segments, device: Device, largest: float) -> tuple[Floats, Floats]:
@@ -347,7 +361,9 @@ def _free_columns(segments: Segments, device: Device, names: tuple[str, ...], wh
     for place, name in enumerate(names):
         value = device.numbers[name]
         _, high = LIMITS.get(name, (-np.inf, np.inf))
-        size = device.numbers["gain"] if name in (*LINEAR, "load_coulomb") else 1.0 if name == "delay" else 0.01
+        size = (
+            device.numbers["gain"] if name in (*LINEAR, *GRAVITY, "load_coulomb") else 1.0 if name == "delay" else 0.01
+        )
         step = NUDGE * max(abs(value), 0.1 * size)
         step = -step if value + step > high else step
         nudged = replace(device, numbers=device.numbers | {name: value + step})

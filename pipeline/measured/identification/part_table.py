@@ -36,6 +36,8 @@ class Part:
         Name of the number for which there is a second search near the best start, if there is such a number.
     needs : str
         Name of another part without which this part is not searched for, if there is such a part.
+    turning : bool
+        Whether only a device that turns may have the part.
     """
 
     numbers: tuple[str, ...]
@@ -43,6 +45,7 @@ class Part:
     size: str = ""
     near: str = ""
     needs: str = ""
+    turning: bool = False
 
     @property
     def threshold(self) -> float:
@@ -67,6 +70,15 @@ def _asymmetries(_: dict[str, float]) -> list[dict[str, float]]:
 def _curvatures(_: dict[str, float]) -> list[dict[str, float]]:
     """Return candidates of the share of the force that is missing at the largest command."""
     return [{"curvature": share} for share in (-0.2, 0.1, 0.25)]
+
+
+def _weights(numbers: dict[str, float]) -> list[dict[str, float]]:
+    """Return candidates of gravity, with sizes relative to the largest command and in all directions."""
+    turns = np.arange(8) * (np.pi / 4)
+    sizes = [share * numbers["gain"] for share in (0.1, 0.3, 0.9)]
+    return [
+        {"gravity_sine": size * np.cos(turn), "gravity_cosine": size * np.sin(turn)} for size in sizes for turn in turns
+    ]
 
 
 def _lags(numbers: dict[str, float]) -> list[dict[str, float]]:
@@ -105,6 +117,7 @@ PARTS: dict[str, Part] = {
     "saturation": Part(("limit",), _largest_forces, near="limit"),
     "gain by direction": Part(("asymmetry",), _asymmetries),
     "gain by size": Part(("curvature",), _curvatures),
+    "gravity": Part(("gravity_sine", "gravity_cosine"), _weights, turning=True),
     "lag": Part(("lag",), _lags, size="lag"),
     "mode": Part(
         ("mode_frequency", "mode_damping_ratio", "load_mass_fraction"),

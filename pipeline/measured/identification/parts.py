@@ -16,6 +16,7 @@ from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSE
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     DONE,
+    GRAVITY,
     LIMITS,
     ROUNDED_ROW,
     WORTH,
@@ -27,7 +28,7 @@ from pipeline.measured.identification.likelihood import (
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Part
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
-from pipeline.measured.identification.replay import medians, replays_left_out
+from pipeline.measured.identification.replay import medians, replays, replays_left_out
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.identification.search import climbed, ended, refined
 from pipeline.measured.identification.segments import Segments, segments_of
@@ -74,6 +75,9 @@ BESIDE = 1.92
 
 WEIGHED = 0.1
 """Share of the fitted random force that is assumed in the search for a starting value of a part."""
+
+EXPLAINED = 95.0
+"""Threshold for the fit of free runs without gravity [%]. Above it, gravity is small enough to be added later."""
 
 LOOKED_AT = 9000
 """Number of rows used in the first search for parts, in segments spread over all rows. More rows would
@@ -252,10 +256,14 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     """
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
-    begin = _begin(some, units, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
+    most = int(np.clip(rows // 8, 2, LONGEST_DELAY))
+    begin = _begin(some, units, base, most)
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
     with part_of_work("", 0.1, 0.5):
         fit, segments, parts, bounds = _first(some, units, lead, begin)
+    if segments.scale:
+        heavy = _with_gravity((some, units, most), (*base, *GRAVITY), (segments, fit, lead))
+        lead, fit, segments, parts, bounds = heavy or (lead, fit, segments, parts, bounds)
     with part_of_work("", 0.5, 1.0):
         fit, parts = _further((some, units, lead), segments, fit, parts)
     if set(parts) - {"friction", "stiffness"}:
@@ -266,6 +274,45 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     found = device.numbers, device.noise, device.reading
     chosen = ChosenParts(*found, units, lead, parts, assumed, bounds, segments.free)
     return chosen, fit, float(np.median(segments.rows))
+
+
+def _with_gravity(
+    logs: tuple[list[Recording], LogUnits, int], base: tuple[str, ...], plain: tuple[Segments, Fit, int]
+) -> tuple[int, Fit, Segments, dict[str, float], dict[str, float]] | None:
+    """Return the first fit of an arm under gravity, or None if gravity does not explain the logs.
+
+    Without gravity, no device may be near the one that explains the motion, so that gravity cannot be added later.
+    Free runs of logs left out decide, since both fits may use different rows. For a single log, the random forces
+    decide. The result is the number of rows before a segment, the fit, its segments, parts and bounds (see `_first`).
+    """
+    some, units, most = logs
+    without = _velocity_fit(some, units, plain[2], *plain[:2])
+    if without is None or without > EXPLAINED:
+        return None
+    begin = _begin(some, units, base, most)
+    lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
+    fit, segments, parts, bounds = _first(some, units, lead, begin)
+    found = _velocity_fit(some, units, lead, segments, fit)
+    if "stiffness" in parts:
+        # a spring may take up a few degrees of gravity, and is wild without one of the logs
+        alone = refined(segments, _springless(fit.device), far=False)
+        springless = _velocity_fit(some, units, lead, segments, alone)
+        if found is None or (springless is not None and springless >= found):
+            fit, found = alone, springless
+            parts = {name: gain for name, gain in parts.items() if name != "stiffness"}
+    if found is None or 100 - found > LEFT**0.5 * (100 - without):
+        return None
+    if len(some) == 1 and not _takes_away(plain[1], fit):
+        return None
+    gain = sum(_loss(fit, name, signed=True) for name in GRAVITY)
+    return lead, fit, segments, parts | {"gravity": gain}, bounds
+
+
+def _velocity_fit(some: list[Recording], units: LogUnits, lead: int, segments: Segments, fit: Fit) -> float | None:
+    """Return the median fit of free runs to logs left out [%], or to the log itself if there is only one."""
+    if len(some) == 1:
+        return medians(replays(some, units, lead, replace(fit.device, effects=None)))[0]
+    return medians(replays_left_out(some, units, lead, segments, fit))[0]
 
 
 def _swinging(
@@ -562,10 +609,13 @@ def _without_imitations(segments: Segments, fit: Fit, parts: dict[str, float]) -
     return fit, parts
 
 
-def _loss(fit: Fit, name: str) -> float:
-    """Return the loss of likelihood if a nonnegative number in which the motion is linear is set to 0."""
+def _loss(fit: Fit, name: str, *, signed: bool = False) -> float:
+    """Return the loss of likelihood if a number in which the motion is linear is set to 0.
+
+    A negative number has no meaning and no loss, unless it may be ``signed``.
+    """
     found = Errors.of(fit).interval(lambda n: n[name])
-    return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
+    return 0.5 * (found.value / found.error) ** 2 if (signed or found.value > 0) and found.error > 0 else 0.0
 
 
 def _further(
@@ -582,6 +632,8 @@ def _further(
         for number, (name, part) in enumerate(left.items()):
             report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
             if part.numbers[0] in alone.names or (part.needs and part.needs not in parts):
+                continue
+            if part.turning and not segments.scale:
                 continue
             start = _having(some, alone, part)
             enough = min(least, CLOSER) if part.needs else least

@@ -23,7 +23,7 @@ class Recording:
     """Log with a name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
     ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
-    wall.
+    wall. ``turns`` is whether the position is an angle, so that gravity may act.
     """
 
     name: str
@@ -33,6 +33,7 @@ class Recording:
     period: float
     edge: int | None = None
     wall: tuple[float, float] = (0.0, 0.0)
+    turns: bool = False
 
     @cached_property
     def rank(self) -> tuple[float, float, bytes, bytes]:
@@ -47,7 +48,7 @@ class Recording:
     @property
     def digest(self) -> str:
         """Hash of the recording without its name."""
-        known = sha256(repr((self.period, self.edge, self.wall)).encode())
+        known = sha256(repr((self.period, self.edge, self.wall, self.turns)).encode())
         for each in (self.time, self.command, self.position):
             known.update(np.ascontiguousarray(each).data)
         return known.hexdigest()

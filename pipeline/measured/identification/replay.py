@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.measured.identification.likelihood import Device, Fit, columns_of, free_motion, portions_of
+from pipeline.measured.identification.likelihood import GRAVITY, Device, Fit, columns_of, free_motion, portions_of
 from pipeline.measured.identification.motion import matrices_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
@@ -145,7 +145,7 @@ def replays_left_out(
 
 def _errors(windows: Segments, device: Device) -> Floats:
     """Return the position errors of free runs from their best initial states."""
-    if any(device.numbers.get(name) for name in FRICTIONS):
+    if any(device.numbers.get(name) for name in (*FRICTIONS, *GRAVITY)):
         motion, _, _ = free_motion(windows, device, windows.white, windows.largest)
         return np.asarray(windows.position[windows.places] - motion)
     columns = columns_of(windows, replace(device, noise=WHITE), ())

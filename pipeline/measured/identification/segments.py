@@ -5,7 +5,7 @@ A segment is a range of rows in motion with an unknown initial state. Its rows a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -72,6 +72,10 @@ class Segments:
     free : tuple of float
         Coefficients 1, a_1, a_2 ... of the filter that whitens the errors of free runs. In a free run, friction acts
         against the simulated motion. Empty if friction acts against the measured motion instead.
+    scale : float
+        Angle [rad] of a position of 1 if the device turns, otherwise 0.
+    origins : float64, shape (T,)
+        Angle [rad] at the position 0 of each trial.
     """
 
     offsets: Integers
@@ -88,6 +92,8 @@ class Segments:
     lead: int
     even: bool
     free: tuple[float, ...] = ()
+    scale: float = 0.0
+    origins: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.first)
@@ -141,6 +147,11 @@ class Segments:
         inner = self.places[np.append(np.diff(self.segment) == 0, [False])[: len(self.places)]]
         result[inner] = 0.5 * (self.position[inner] + self.position[inner + 1])
         return result
+
+    @cached_property
+    def angle(self) -> Floats:
+        """Angle in the middle of the interval after each row, within segments, shape (R,) [rad]."""
+        return np.asarray(self.scale * self.between + np.repeat(self.origins, np.diff(self.offsets)))
 
     @cached_property
     def white(self) -> float:
@@ -319,6 +330,8 @@ def _joined(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], u
         least[trial],
         lead,
         even=False,
+        scale=units.position if all(each.turns for each in recordings) else 0.0,
+        origins=np.array(origins, dtype=np.float64),
     )
     return replace(whole, even=bool(len(cuts)) and _is_even(whole))
 

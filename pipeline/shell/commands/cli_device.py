@@ -181,6 +181,9 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
         where = "in each direction" if kinds == ["direction"] else "at several sizes of the command"
         yield f"The gain of the drive differs by {_words(kinds)}. {inertia} per unit of command: {', '.join(ways)}."
         yield f"  The intervals above include both. Record the force, or calibrate the drive {where}."
+    if (gravity := document["gravity"]) is not None:
+        torque, angle = (_with_interval(gravity[name]) for name in ("torque", "angle"))
+        yield f"Gravity acts with up to {torque}. The device would hang at rest at {angle}."
     if document["assumed_none"]:
         yield f"assumed zero, because the command never changes: {_words(document['assumed_none'])}"
     for each in document["not_told_apart"]:

@@ -186,7 +186,7 @@ def loop_arguments(each, shape, along, gains=None, noise=None, drive=DRIVE):
     codes = [kernels.GAIN, kernels.COULOMB, kernels.FORCE, -1, -2, *(kernels.SHAPE + np.arange(len(along)))]
     constants = [shape.gamma, shape.lag, shape.delay, 1.0, each.lead]
     return (
-        (each.time, commands, each.position, each.position),
+        (each.time, commands, each.position, np.empty((1, 0))),
         (each.first, each.behind, each.begin, each.edge, each.direction, own, np.zeros((len(each), len(codes)))),
         transitions.motion,
         transitions.pieces,
@@ -223,6 +223,18 @@ def test_tangents_are_those_of_differences(kind, noise, even):
             kernels.whitened(*loop_arguments(each, shape, along, arguments[4], noise, end))[0][:, -1] for end in ends
         )
         np.testing.assert_allclose(columns[:, place], (low - high) / 2e-5, atol=1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_squares_fall_along_gravity(even):
+    each = segments(even=even, rests=True)
+    each = replace(each, scale=0.7, origins=np.full(each.trials, 0.4))
+    numbers = {"gain": GAIN, "delta": 0.02, "gravity_sine": 0.03, "gravity_cosine": -0.01}
+    columns = columns_of(each, Device(numbers, reading=1.0), tuple(numbers)).values
+    for place, name in enumerate(numbers):
+        ends = (Device(numbers | {name: numbers[name] + by}, reading=1.0) for by in (1e-5, -1e-5))
+        high, low = (float((columns_of(each, end, ()).values ** 2).sum()) for end in ends)
+        assert (low - high) / 2e-5 == pytest.approx(2 * columns[:, place] @ columns[:, -1], rel=1e-4), name
 
 
 def test_squares_without_the_start_fall_along_the_columns():

@@ -80,7 +80,7 @@ def responses(segments, shape):
     """Positions of a shape from rest at 0 under the commands of one segment."""
     transitions, nothing = Transitions.of(segments, shape), np.zeros(len(segments.time))
     columns, _, _ = kernels.whitened(
-        (segments.time, segments.command[None], nothing, nothing),
+        (segments.time, segments.command[None], nothing, np.empty((1, 0))),
         (
             *(segments.first, segments.behind, segments.begin, segments.edge, segments.direction),
             *(np.zeros((1, 3)), np.zeros((1, 1))),

@@ -19,7 +19,15 @@ from pipeline.measured.identification.segments import segments_of
 INTEGRATED = 1e-3
 """Relative error of the small steps of a rig."""
 
-FAST = ("plateau", "ground spring", "gain by direction", "gain by size", "two carts", "load and drift")
+FAST = (
+    "plateau",
+    "ground spring",
+    "gain by direction",
+    "gain by size",
+    "two carts",
+    "load and drift",
+    "arm under gravity",
+)
 
 
 def checked(kind: str, seed: int) -> tuple[int, int]:
@@ -30,6 +38,8 @@ def checked(kind: str, seed: int) -> tuple[int, int]:
     for name, value in rig.truth.items():
         if name in ("positive", "negative"):
             interval = found.drive.get(name)
+        elif name in ("torque", "angle"):
+            interval = found.gravity.get(name)
         else:
             interval = None if name in found.unidentifiable else found.parameters.get(name)
         if interval is None:
@@ -39,6 +49,7 @@ def checked(kind: str, seed: int) -> tuple[int, int]:
         assert interval.low - reach <= value <= interval.high + reach, (kind, seed, name, value, interval)
     has_mode = "mode.frequency_hz" in found.parameters and "mode.frequency_hz" not in found.unidentifiable
     assert "mode.frequency_hz" in rig.truth or not has_mode, (kind, seed, "false mode")
+    assert not found.gravity or rig.gravity, (kind, seed, "false gravity")
     assert set(found.reasons) == found.unidentifiable
     return reported, len(rig.truth)
 
