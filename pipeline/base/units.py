@@ -28,9 +28,14 @@ _FACTORS: dict[str, dict[str, float]] = {
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kNm": 1e3},
     "stiffness": {"N/m": 1.0, "kN/m": 1e3, "N/cm": 1e2, "N/mm": 1e3},
-    "rotational stiffness": {"Nm/rad": 1.0, "mNm/rad": 1e-3, "Nm/deg": 1 / _DEGREE},
+    "rotational stiffness": {"Nm/rad": 1.0, "mNm/rad": 1e-3, "Nm/deg": 1 / _DEGREE, "mNm/deg": 1e-3 / _DEGREE},
     "damping": {"Ns/m": 1.0, "Ns/mm": 1e3},
-    "rotational damping": {"Nms/rad": 1.0, "mNms/rad": 1e-3, "Nms/deg": 1 / _DEGREE},
+    "rotational damping": {
+        "Nms/rad": 1.0,
+        "mNms/rad": 1e-3,
+        "Nms/deg": 1 / _DEGREE,
+        "mNms/deg": 1e-3 / _DEGREE,
+    },
 }
 """Factors to the SI unit by quantity and symbol. The SI unit is the first of each quantity."""
 

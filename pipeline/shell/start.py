@@ -20,7 +20,7 @@ from pipeline.base.json_object import JsonObject
 from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
-from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name
+from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name, quantity, si_unit
 from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
 from pipeline.shell.profile.check import IS_UNUSUAL, check_samples
@@ -215,8 +215,7 @@ def propose(folder: Folder) -> Proposal:
             found.setdefault("step_at", Answer("command edge", "the command jumps at the step"))
         for key in CONDITIONS:
             if key not in without and not _is_mapped(found, key) and f"constants.{key}" not in found:
-                unit = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
-                words = f"{key} of all walls [{unit}]? Neither the files nor their commands show it"
+                words = f"{key} of all walls [{_asked_unit(found, key)}]? Neither the files nor their commands show it"
                 found[f"constants.{key}"] = Answer(0, question=words)
     return Proposal(folder, found)
 
@@ -253,6 +252,14 @@ def _followed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> li
 def _kind(laws: Mapping[str, WallLaw]) -> Kind:
     law = next(iter(laws.values()))
     return "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
+
+
+def _asked_unit(found: Mapping[str, Answer], key: str) -> str:
+    """Return the SI unit of a condition for the kind of motion that the unit of the position shows."""
+    position = found.get("columns.position.unit")
+    unit = find_unit(str(position.value)) if position is not None else None
+    rotates = unit is not None and unit.quantity in ("angle", "angular velocity")
+    return si_unit(quantity(key, "rotation" if rotates else "translation"))
 
 
 def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
@@ -315,7 +322,7 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
                 unit = proved_unit(numbers, _followed(laws, logs, key), key, _kind(laws))
                 evidence = f"agrees with {len(logs)} commands"
             if unit is None and key in by_name:
-                si = {"stiffness": "N/m", "damping": "Ns/m", "step": "N"}[key]
+                si = si_unit(quantity(key, _kind(laws) if laws else "translation"))
                 words = f"what is the unit of the column {column!r} ({key}) of the sheet?"
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:

@@ -33,11 +33,13 @@ EXPECTED = {
     "Nm/rad": 1.0,
     "mNm/rad": 1e-3,
     "Nm/deg": 180 / pi,
+    "mNm/deg": 1e-3 * 180 / pi,
     "Ns/m": 1.0,
     "Ns/mm": 1e3,
     "Nms/rad": 1.0,
     "mNms/rad": 1e-3,
     "Nms/deg": 180 / pi,
+    "mNms/deg": 1e-3 * 180 / pi,
 }
 DRIVES = {"V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3, "count": 1.0, "counts": 1.0, "%": 1.0}
 NEWTONS = {"N": 1.0, "mN": 1e-3, "kN": 1e3}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, HELPS, OTHER_COLUMNS, UsageError, draft_hint
 from pipeline.base.paths import check_output
+from pipeline.base.wording import counted
 from pipeline.shell import console
 from pipeline.shell.commands.log_columns import reads_logs
 from pipeline.shell.commands.options import Ignore, LogProfile, Out, Processed, Store
@@ -373,7 +374,8 @@ def _draft(samples: Sequence[Path], out: Path | None) -> int:
     if out is not None:
         write_text(out, text)
     document = {"sample": str(samples[0]), "out": out and str(out), "profile": text, "questions": questions}
-    console.show(document, [f"{out}: {len(questions)} questions are open" if out else text.rstrip("\n")])
+    count = f"{counted(len(questions), 'question')} {'is' if len(questions) == 1 else 'are'} open"
+    console.show(document, [f"{out}: {count}" if out else text.rstrip("\n")])
     return EXIT_OK
 
 

@@ -16,8 +16,8 @@ from pathlib import Path
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import QUESTION
 from pipeline.readers.sample import Sample, open_sample
-from pipeline.shell.profile.evidence import answers
-from pipeline.shell.profile.roles import Answer
+from pipeline.shell.profile.evidence import answers, common_laws
+from pipeline.shell.profile.roles import Answer, Answers
 
 MOST_QUESTIONS = 5
 """Largest number of questions in a draft. Users do not read more, and answers lead to further questions."""
@@ -52,10 +52,31 @@ def draft_profile(path: Path, *others: Path) -> str:
         else:
             alike.append(opened)
     found = answers(alike, [path, *others])
+    units = {place: answer for place, answer in found.items() if place.startswith("units.")}
+    found = {place: answer for place, answer in found.items() if place not in units} | _differing(alike, found) | units
     lines = [*_lines(sample, found), *different]
     # Characters that are invisible or not allowed in TOML are escaped.
     shown = ("".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line) for line in lines if line)
     return "".join(f"{line}\n" for line in shown).replace("\n[", "\n\n[")
+
+
+def _differing(samples: list[Sample], found: Answers) -> Answers:
+    """Return questions about conditions that differ between the samples and that no key of the profile reads."""
+    laws = common_laws(samples)
+    pattern = str(found["name_pattern"].value) if "name_pattern" in found else ""
+    questions: Answers = {}
+    for key in ("stiffness", "damping", "step"):
+        places = (f"{table}.{key}" for table in ("constants", "attributes", "condition_columns", "units"))
+        if f"<{key}>" in pattern or any(place in found for place in places):
+            continue
+        values = sorted(law.followed(key) for law in laws if key != "step" or law.kind == "step")
+        if len(values) > 1:
+            words = (
+                f"the commands of these logs follow a {key} of {values[0]:.4g} to {values[-1]:.4g} [SI]. State it in "
+                "name_pattern, [attributes], [condition_columns], [[file]] or [sheet], not here."
+            )
+            questions[f"constants.{key}"] = Answer(values[0], question=words)
+    return questions
 
 
 def _difference(sample: Sample, other: Sample) -> str:

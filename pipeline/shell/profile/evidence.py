@@ -457,9 +457,8 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
             elif unit is not None:
                 found[f"units.{key}"] = Answer("N/mm" if unit == "kN/m" else unit, evidence)
         elif same or len(laws) < 2:
-            found[f"constants.{key}"] = Answer(
-                mine[0], evidence if len(laws) == 1 else f"{evidence}, in {_logs(len(laws))}"
-            )
+            of_all = f"{evidence}, in {_logs(len(laws))}" if len(laws) > 1 else f"{evidence}; other logs may differ"
+            found[f"constants.{key}"] = Answer(mine[0], of_all)
     return found
 
 
