@@ -78,7 +78,7 @@ def test_the_worked_example_applies_to_the_code() -> None:
     """Each hunk of the diff in CONTRIBUTING.md starts from lines that the code has."""
     (diff,) = re.findall(r"^```diff\n(.*?)^```", read(ROOT / "CONTRIBUTING.md"), flags=re.MULTILINE | re.DOTALL)
     files = re.split(r"^--- a/", diff, flags=re.MULTILINE)[1:]
-    assert len(files) == 4
+    assert len(files) == 6
     for part in files:
         code = read(ROOT / part.split("\n", 1)[0])
         for hunk in re.split(r"^@@.*\n", part, flags=re.MULTILINE)[1:]:
