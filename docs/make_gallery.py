@@ -32,8 +32,9 @@ def gallery() -> str:
     lines = [
         SECTION,
         "",
-        "The thesis's figures of theory as short scripts on [`import pipeline`](python.md): copy one, change",
-        "the device, and run it. With a mass of 1 kg and a sampling period of 1 s, K and B are the normalised α and β.",
+        "Short scripts with [`import pipeline`](python.md) draw the figures of the thesis that show theory. Copy one,",
+        "change the device, and run it. With a mass of 1 kg and a sampling period of 1 s, K and B equal the normalised",
+        "α and β.",
         "",
     ]
     for chapter, heading in CHAPTERS.items():
