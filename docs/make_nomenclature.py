@@ -29,25 +29,25 @@ EQUATIONS = {
     "velocity.longest": "Janabi-Sharifi 2000 (`foaw`)",
     "mode": "c = M (2 pi f_v)^2, d = 4 pi zeta_v f_v M, M = m_l (m - m_l)/m",
     "operator": "m + m_h, b + b_h, k + k_h on the motor",
-    "friction": "from f_s at rest linearly to f_c at v_s, f_c above",
+    "friction": "falls linearly from f_s at rest to f_c at v_s, and is f_c above",
     "sensor": "x = q round((position + noise)/q)",
 }
-"""Equation or source of a number, or of all numbers of its part; those in brackets are of Hulin 2017."""
+"""Equation or source of a number, or of all numbers of its part; numbers in brackets refer to Hulin 2017."""
 
 HEAD = """\
 # Nomenclature
 
-[Numbers of a loop](#numbers-of-a-loop), [criteria](#criteria), [stored columns](#stored-columns), [terms](#terms). Made
-from the code by `make docs`. Equations in brackets are of Hulin 2017. How each number is computed is in
-[definitions.md](definitions.md).
+This page lists the [numbers of a loop](#numbers-of-a-loop), the [criteria](#criteria), the
+[stored columns](#stored-columns) and the [terms](#terms). `make docs` writes it from the code. Numbers of equations in
+brackets refer to Hulin 2017. The page [definitions.md](definitions.md) states how each number is computed.
 
 ## Numbers of a loop
 
-In SI. Names are the same in Python (`loop.mode.mass`), JSON and [device files](devices.md);
-only there `force_limit` is `limits.force` and `constant_force` is `simulation.constant_force`.
+All numbers are in SI units. Python (`loop.mode.mass`), JSON and [device files](devices.md) use the same names, with
+two exceptions: in a device file, `force_limit` is `limits.force` and `constant_force` is `simulation.constant_force`.
 
-u is the delayed command, f the force on the motor, x its position, v the velocity that the wall takes, F(z) the
-velocity filter.
+In the equations, u is the delayed command, f is the force on the motor, x is the position of the motor, v is the
+velocity in the wall law, and F(z) is the velocity filter.
 
 | symbol | name | unit | meaning | equation or source |
 |---|---|---|---|---|
@@ -57,7 +57,7 @@ velocity filter.
 CRITERIA_HEAD = """
 ## Criteria
 
-The name is used in commands, files, tables and JSON. With `_discrete` appended it is that of the sampled response.
+Commands, files, tables and JSON use these names. A name that ends with `_discrete` refers to the sampled response.
 
 | name | label | unit | measured column |
 |---|---|---|---|
@@ -66,8 +66,8 @@ The name is used in commands, files, tables and JSON. With `_discrete` appended 
 COLUMNS_HEAD = """
 ## Stored columns
 
-Of the files below `processed/`, by table; the second unit is that of a rotation. Conditions, identity and hashes of a
-trial are left out.
+These are the columns of the files below `processed/`, by table. The second unit is that of a rotation. The list does
+not contain the conditions, the identity and the hashes of a trial.
 
 | column | unit | meaning | table |
 |---|---|---|---|
@@ -77,32 +77,32 @@ CONDITIONS = ("trials", "corrections")
 """Tables of conditions, identity and hashes."""
 
 TERMS = {
-    "adequate": "a loop that predicts walls it was not fitted to: 95 % of their verdicts, and their limits within 5 %",
+    "adequate": "property of a loop that predicts 95 % of the verdicts of walls outside its fit, and limits to 5 %",
     "bracket": "the stiffest stable and the softest unstable trial at a damping, between which the limit lies",
-    "censored": "a number that is only a lower bound, because the tested range ended first",
-    "command edge": "the row in which the command makes the step",
-    "cross-validation": "judging a model by trials that were left out of its fit",
+    "censored": "property of a number that is only a lower bound, because the tested range ended too early",
+    "command edge": "the row of a log in which the command makes the step",
+    "cross-validation": "test of a model with trials that were left out of its fit",
     "delay of the applied command": "age of the newest command that has arrived; its mean is the delay of the loop",
-    "experiment": "trials of one device in one configuration, behind walls that differ",
-    "identifiable": "a number that the logs determine by itself; else only a combination of numbers is known",
+    "experiment": "trials of one device in one configuration, with different walls",
+    "identifiable": "property of a number that the logs determine; of other numbers, they determine only a combination",
     "island": "a range of stable walls that is separated from the softer stable ones by unstable walls",
     "jitter": "standard deviation of the delay of the applied command",
-    "limit": "stiffness from which on walls of a damping are unstable; over all dampings the boundary",
-    "limit cycle": "an oscillation of constant size; of the size of the sensor's resolution it counts as stable",
+    "limit": "largest stable stiffness at a damping; the limits at all dampings form the boundary",
+    "limit cycle": "an oscillation of constant amplitude; as small as the sensor resolution, it counts as stable",
     "linear condition": "B + b >= K (d + 1/2) T, the straight part of the boundary near the origin (3.25)",
-    "operator": "a hand or arm, rigidly attached to the motor",
+    "operator": "a hand or arm that is rigidly attached to the motor",
     "passive wall": "a wall that is stable with every passive operator (ch. 4)",
-    "profile": "a TOML file that describes how a lab's logs are read",
-    "quarantine": "refused logs, with the reason and a remedy",
+    "profile": "a TOML file that describes how the logs of a lab are read",
+    "quarantine": "the folder of refused logs, each with the reason and a remedy",
     "replay": "simulation of tested walls with the identified device",
-    "scene": "what one comparison shows: a device, its experiments, criteria, delays, operator",
-    "sensor resolution": "step of the position sensor (LSB), q",
-    "stage": "one step of the evaluation, whose results are stored and reused as long as their inputs are unchanged",
-    "trial": "one step response behind one wall; a log is a file with one trial or several",
-    "verdict": "stable, unstable or undecided, from the growth of the motion in a log",
-    "virtual wall": "the rendered spring and damper, stiffness K and damping B",
-    "wall law": "u_k = F_0 - K (x_k - x_0) - B v_k, the command of a virtual wall",
-    "w = 0, 1, 2": "exponent of the weighting by time in the energy costs (5.13): larger ones weight later motion more",
+    "scene": "the content of one comparison: a device with its experiments, criteria, delays and operator",
+    "sensor resolution": "smallest step of the position sensor (LSB), q",
+    "stage": "one step of the evaluation; its results are stored and reused until its inputs change",
+    "trial": "one step response with one wall; a log is a file with one trial or several",
+    "verdict": "one of stable, unstable and undecided, from the growth of the motion in a log",
+    "virtual wall": "the rendered spring and damper, with the stiffness K and the damping B",
+    "wall law": "u_k = F_0 - K (x_k - x_0) - B v_k, the equation of the command of a virtual wall",
+    "w = 0, 1, 2": "exponent of time in the energy costs (5.13); a larger exponent gives later motion more weight",
 }
 
 TERMS_HEAD = """

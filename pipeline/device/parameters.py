@@ -177,13 +177,17 @@ class Parameter:
 def _rows() -> tuple[Parameter, ...]:
     velocity = "of the velocity filter"
     return (
-        Parameter("mass", "m", "mass", "mass", "moving mass of the device, including a mode's load", positive=True),
         Parameter(
-            "damping", "b", "damping", "damping", "viscous damping of the device, including that of a mode's load"
+            "mass", "m", "mass", "mass", "moving mass of the device, including the load of a mode", positive=True
         ),
-        Parameter("stiffness", "k", "stiffness", "stiffness", "spring to ground", may_seem_negative=True),
+        Parameter(
+            "damping", "b", "damping", "damping", "viscous damping of the device, including the damping of the load"
+        ),
+        Parameter(
+            "stiffness", "k", "stiffness", "stiffness", "stiffness of a spring to ground", may_seem_negative=True
+        ),
         Parameter("sampling_period_s", "T", "time", "sampling period", "time between two samples", positive=True),
-        Parameter("delay_samples", "d", "ratio", "delay", "delay from command to force", unit_name="samples"),
+        Parameter("delay_samples", "d", "ratio", "delay", "delay from the command to the force", unit_name="samples"),
         Parameter(
             "jitter_samples",
             "s_d",
@@ -193,16 +197,35 @@ def _rows() -> tuple[Parameter, ...]:
             unit_name="samples",
         ),
         Parameter("force_gain", "g", "ratio", "force gain", "force per unit of command", positive=True),
-        Parameter("actuator_lag_s", "tau", "time", "actuator lag", "time constant of the actuator, of first order"),
+        Parameter("actuator_lag_s", "tau", "time", "actuator lag", "time constant of the first-order actuator lag"),
         Parameter("velocity.cutoff_hz", "f_f", "frequency", "cut-off", f"cut-off frequency {velocity}", positive=True),
         Parameter("velocity.order", "n", "ratio", "order", f"order {velocity}", positive=True),
-        Parameter("velocity.samples", "N", "ratio", "window", f"samples of the difference {velocity}", positive=True),
         Parameter(
-            "velocity.acceleration", "a_f", "acceleration", "acceleration", f"acceleration {velocity}", positive=True
+            "velocity.samples", "N", "ratio", "window", f"number of samples in the difference {velocity}", positive=True
         ),
-        Parameter("velocity.noise", "s_f", "length", "noise of the filter", f"sensor noise {velocity}", positive=True),
         Parameter(
-            "velocity.bound", "e_f", "length", "bound", f"largest distance {velocity} from a line", positive=True
+            "velocity.acceleration",
+            "a_f",
+            "acceleration",
+            "acceleration",
+            f"acceleration in the model {velocity}",
+            positive=True,
+        ),
+        Parameter(
+            "velocity.noise",
+            "s_f",
+            "length",
+            "noise of the filter",
+            f"sensor noise in the model {velocity}",
+            positive=True,
+        ),
+        Parameter(
+            "velocity.bound",
+            "e_f",
+            "length",
+            "bound",
+            "largest distance of positions from the line of the velocity filter",
+            positive=True,
         ),
         Parameter("velocity.longest", "L", "ratio", "longest window", f"longest window {velocity}", positive=True),
         Parameter(
@@ -210,17 +233,33 @@ def _rows() -> tuple[Parameter, ...]:
             "f_v",
             "frequency",
             "mode frequency",
-            "resonance of motor and load on their spring, both free",
+            "resonance frequency of motor and load on the spring, with both ends free",
             positive=True,
         ),
-        Parameter("mode.damping_ratio", "zeta_v", "ratio", "mode damping ratio", "damping ratio of that resonance"),
-        Parameter("mode.mass", "m_l", "mass", "load mass", "load, a part of the moving mass", positive=True),
+        Parameter(
+            "mode.damping_ratio", "zeta_v", "ratio", "mode damping ratio", "damping ratio of the resonance of the mode"
+        ),
+        Parameter(
+            "mode.mass",
+            "m_l",
+            "mass",
+            "load mass",
+            "mass of the load, which is a part of the moving mass",
+            positive=True,
+        ),
         Parameter("mode.load_damping", "b_l", "damping", "load damping", "part of the damping that acts on the load"),
-        Parameter("operator.mass", "m_h", "mass", "operator mass", "operator, attached to the motor", positive=True),
+        Parameter(
+            "operator.mass",
+            "m_h",
+            "mass",
+            "operator mass",
+            "mass of the operator, who is rigidly attached to the motor",
+            positive=True,
+        ),
         Parameter("operator.damping", "b_h", "damping", "operator damping", "damping of the operator"),
         Parameter("operator.stiffness", "k_h", "stiffness", "operator stiffness", "stiffness of the operator"),
         Parameter("friction.coulomb", "f_c", "force", "Coulomb friction", "Coulomb friction on the motor side"),
-        Parameter("friction.stiction", "f_s", "force", "stiction", "force that sets the resting motor in motion"),
+        Parameter("friction.stiction", "f_s", "force", "stiction", "force that sets the motor in motion from rest"),
         Parameter(
             "friction.stribeck_velocity",
             "v_s",
@@ -238,9 +277,11 @@ def _rows() -> tuple[Parameter, ...]:
             lower=-inf,
             may_seem_negative=True,
         ),
-        Parameter("force_limit", "F_max", "force", "largest force", "command that is clipped beyond", positive=True),
-        Parameter("sensor.quantum", "q", "length", "quantum", "step of the position sensor"),
-        Parameter("sensor.noise", "s_x", "length", "noise", "standard deviation of the position sensor's noise"),
+        Parameter(
+            "force_limit", "F_max", "force", "largest force", "magnitude at which the command is clipped", positive=True
+        ),
+        Parameter("sensor.quantum", "q", "length", "quantum", "resolution of the position sensor"),
+        Parameter("sensor.noise", "s_x", "length", "noise", "standard deviation of the noise of the position sensor"),
     )
 
 

@@ -108,7 +108,7 @@ COLUMNS: dict[str, Column] = {
     "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of the trial's conditions and samples"),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log"),
-    "reason": _same(_S, "", "why a value is missing or uncertain; otherwise empty", True),
+    "reason": _same(_S, "", "reason why a value is missing or uncertain; empty if there is none", True),
     "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative if it decays", True),
     "edge_row": _same(_I, "", "row of the command edge k0, counted from 0", True),
     "position_start": Column(_F, "m", "rad", "rest position of the wall, which is the first position"),
@@ -118,13 +118,15 @@ COLUMNS: dict[str, Column] = {
     "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
     # wall_law stage
     "law_residual": _same(_F, "1", "largest deviation of the command from the wall law, relative to F_0", True),
-    "law_rounding": _same(_F, "1", "largest part of this due to rounding of printed numbers", True),
-    "law_codes": _same(_S, "", "reasons: codes of `departures`, separated by commas; empty without deviation"),
-    "law_evidence": _same(_S, "", "sentence with the evidence for these codes"),
-    "law_rows": _same(_I, "", "rows concerned"),
-    "obeyed_stiffness": Column(_F, "N/m", "Nm/rad", "stiffness that the command follows, if not the stated one", True),
-    "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the same wall", True),
-    "obeyed_step": Column(_F, "N", "Nm", "step of the same command", True),
+    "law_rounding": _same(_F, "1", "largest part of law_residual that is due to rounding of printed numbers", True),
+    "law_codes": _same(_S, "", "codes of the deviations (`departures`), separated by commas; empty if there is none"),
+    "law_evidence": _same(_S, "", "sentence with the evidence for law_codes"),
+    "law_rows": _same(_I, "", "number of rows with the most frequent of these deviations"),
+    "obeyed_stiffness": Column(
+        _F, "N/m", "Nm/rad", "stiffness that the command follows, if it differs from the stated one", True
+    ),
+    "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the wall that the command follows", True),
+    "obeyed_step": Column(_F, "N", "Nm", "step that the command follows", True),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
     # outcome stage
     "outcome": _same(_S, "", "outcome of the trial, see `outcome.OUTCOMES`"),
@@ -137,32 +139,38 @@ COLUMNS: dict[str, Column] = {
     ),
     # model, delay and mass stages
     "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
-    "model_mass": Column(_F, "kg", "kg m^2", "mass of the trial: one likelihood step from the common value", True),
+    "model_mass": Column(
+        _F, "kg", "kg m^2", "mass of the trial, by one step of the likelihood from the common value", True
+    ),
     "model_mass_error": Column(_F, "kg", "kg m^2", "standard error of model_mass", True),
     "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b, estimated like model_mass", True),
     "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "standard error of model_damping", True),
     "model_delay": _same(_F, "samples", "mean delay of the applied command, estimated like model_mass", True),
     "model_delay_error": _same(_F, "samples", "standard error of model_delay", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass from the momentum balance (6.4), biased by b", True),
-    "mass_momentum_longer": Column(_F, "kg", "kg m^2", "mass over twice this window", True),
-    "mass_momentum_later": Column(_F, "kg", "kg m^2", "mass over the second half of that window", True),
+    "mass_momentum_longer": Column(_F, "kg", "kg m^2", "mass_momentum over a window that is twice as long", True),
+    "mass_momentum_later": Column(_F, "kg", "kg m^2", "mass_momentum over the second half of the longer window", True),
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
-    "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
-    **dict.fromkeys(_BIASES, _same(_F, "1", "part of the sum due to noise and resolution, subtracted", True)),
+    "overshoot_floor": _same(_F, "1", "overshoot that the sensor and chatter alone can cause"),
+    **dict.fromkeys(
+        _BIASES, _same(_F, "1", "part of the sum that is due to noise and resolution; it is subtracted", True)
+    ),
     **dict.fromkeys(_TAILS, _same(_F, "1", "extrapolated part of the cost beyond the horizon", True)),
     "horizon_samples": _same(_I, "samples", "number of summed samples, up to the noise floor or the end", True),
     # stage of the parts of a device, in units in which its logs are near 1
     "start_names": _same(_LS, "", "names of the parameters that the estimator varies", True),
-    "start_values": _same(_L, "", "their values at the start of the fit to all trials", True),
-    "noise_force": _same(_F, "", "variance of the random force over a sample, relative to that of a reading", True),
-    "noise_late": _same(
-        _F, "", "variance of the force due to jitter of a unit command, relative to that of a reading", True
+    "start_values": _same(_L, "", "values of start_names at the start of the fit to all trials", True),
+    "noise_force": _same(
+        _F, "", "variance of the random force over a sample, relative to the variance of a reading", True
     ),
-    "reading_variance": _same(_F, "", "variance of a reading", True),
-    "unit_period": _same(_F, "s", "unit of time of these numbers", True),
-    "unit_position": Column(_F, "m", "rad", "unit of position of these numbers", True),
-    "unit_command": Column(_F, "N", "Nm", "unit of the command of these numbers", True),
+    "noise_late": _same(
+        _F, "", "variance of the force due to jitter of a unit command, relative to the variance of a reading", True
+    ),
+    "reading_variance": _same(_F, "", "variance of a reading of the position", True),
+    "unit_period": _same(_F, "s", "unit of time of the numbers in this table", True),
+    "unit_position": Column(_F, "m", "rad", "unit of position of the numbers in this table", True),
+    "unit_command": Column(_F, "N", "Nm", "unit of the command of the numbers in this table", True),
     "origin": Column(_F, "m", "rad", "rest position of a spring; null if it is the start of each log", True),
     "lead_rows": _same(_I, "", "number of rows before a segment whose commands may act in it due to the delay", True),
     "part_names": _same(_LS, "", "parts that some trials show or do not exclude", True),
@@ -170,40 +178,42 @@ COLUMNS: dict[str, Column] = {
     "assumed": _same(_LS, "", "parameters that are assumed to be zero", True),
     # device stage
     "parameter_names": _same(_LS, "", "names in `PARAMETERS` of the P parameters of the identified loop", True),
-    "parameter_values": _same(_L, "SI", "their values", True),
-    "covariance": _same(_L, "SI", "their covariance, P rows of P numbers", True),
+    "parameter_values": _same(_L, "SI", "values of parameter_names", True),
+    "covariance": _same(_L, "SI", "covariance of parameter_values, P rows of P numbers", True),
     "parts": _same(_LS, "", "parts of the loop in addition to mass, damper and delay", True),
     "mode_sensor": _same(_S, "", "motor or load: side of the vibration mode with the position sensor", True),
     "unidentifiable": _same(_LS, "", "parameters that are not identifiable", True),
     "bound_names": _same(_LS, "", "parameters with an upper end or a second end", True),
-    "bound_values": _same(_L, "SI", "these ends", True),
+    "bound_values": _same(_L, "SI", "the ends of bound_names", True),
     "scatter_names": _same(_LS, "", "parameters that differ between trials", True),
-    "scatter_values": _same(_L, "SI", "their standard deviations between trials", True),
-    "fold_values": _same(_L, "SI", "values without each fifth of the trials (five rows of P numbers), or none", True),
+    "scatter_values": _same(_L, "SI", "standard deviations of scatter_names between trials", True),
+    "fold_values": _same(_L, "SI", "values from the trials without each fifth (five rows of P numbers), or none", True),
     "combination_codes": _same(_LS, "", "identifiable combinations of inseparable parameters", True),
     "combination_members": _same(_LS, "", "parameters of each combination, separated by commas", True),
-    "combination_values": _same(_L, "SI", "value, ends of the 95 % interval and standard error of each", True),
+    "combination_values": _same(
+        _L, "SI", "value, ends of the 95 % interval and standard error of each combination", True
+    ),
     "combination_units": _same(_LS, "", "dimension or unit of each combination", True),
-    "combination_remedies": _same(_LS, "", "recordings that would identify each parameter", True),
+    "combination_remedies": _same(_LS, "", "recordings that would identify the parameters of each combination", True),
     "jitter": _same(_F, "samples", "standard deviation of the delay within a trial", True),
     "jitter_error": _same(_F, "samples", "standard error of jitter", True),
     "fitted_trials": _same(_LS, "", "trials to which the loop was fitted, in the order of the folds", True),
-    "explained": _same(_I, "", "number of these trials that it explains with its noise", True),
-    "fit_percent": _same(_F, "%", "median fit of its free runs to logs that were left out of the fit", True),
-    "saturated": _same(_F, "1", "share of the stable trials that command more than the largest force", True),
-    "largest_command": Column(_F, "N", "Nm", "largest command of these logs", True),
-    "largest_step": Column(_F, "N", "Nm", "largest step of these logs", True),
-    "travel": Column(_F, "m", "rad", "range of the positions of these logs", True),
+    "explained": _same(_I, "", "number of the fitted trials that the loop explains with its noise", True),
+    "fit_percent": _same(_F, "%", "median fit of free runs of the loop to logs that were left out of its fit", True),
+    "saturated": _same(_F, "1", "share of the stable trials whose command exceeds the largest force", True),
+    "largest_command": Column(_F, "N", "Nm", "largest command of the logs", True),
+    "largest_step": Column(_F, "N", "Nm", "largest step of the logs", True),
+    "travel": Column(_F, "m", "rad", "range of the positions of the logs", True),
     "remedy": _same(_S, "", "recordings that would separate parts with similar effects", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable stiffness", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
     "censored": _same(_B, "", "true if the tested range ended before an unstable trial"),
-    "estimate": Column(_F, "N/m", "Nm/rad", "limit of the stiffness from the growth rates", True),
+    "estimate": Column(_F, "N/m", "Nm/rad", "largest stable stiffness, estimated from the growth rates", True),
     "low": Column(_F, "N/m", "Nm/rad", "lower end of the 95 % interval of the limit", True),
     "high": Column(_F, "N/m", "Nm/rad", "upper end of the 95 % interval of the limit", True),
     "trials": _same(_I, "", "number of trials with K > 0 at this damping"),
-    "undecided": _same(_I, "", "number of these trials that are undecided and below the largest stable stiffness"),
+    "undecided": _same(_I, "", "number of undecided trials at this damping below the largest stable stiffness"),
 }
 
 _NAMES = {
