@@ -211,10 +211,11 @@ class NearOptimum(Record):
 class Optimum(Record):
     """Trial (or theoretical point) with the smallest cost. It is censored if it lies at the edge of the tested range.
 
-    ``trials`` is the number of trials with this cost. ``passive`` states whether the wall is passive over the whole
-    range of an adequate loop, and is None if that is unknown. ``near`` is the box of walls that are nearly as good; it
-    has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping divided by
-    the stiffness, or None without a limit. ``damping_range`` contains the dampings at which this stiffness is stable.
+    ``trials`` is the number of trials whose cost is known. ``passive`` states whether the wall is passive over the
+    whole range of an adequate loop, and is None if that is unknown. ``near`` is the box of walls that are nearly as
+    good; it has few trials if the optimum is sharp. ``margin`` is the lower end of the measured limit at this damping
+    divided by the stiffness, or None without a limit. ``damping_range`` contains the dampings at which this stiffness
+    is stable.
     ``scatter_percent`` is the scatter of single trials in the map of this cost. For the overshoot, ``resolution`` is
     the apparent overshoot due to sensor and noise in this log, as a fraction. ``free_of_overshoot`` states whether some
     stable trial overshoots by no more than its resolution.
