@@ -100,9 +100,10 @@ def part(function: F) -> F:
 
 
 def load_compiled(*modules: str) -> None:
-    """Load or compile all compiled functions of the given modules or packages, as far as these are imported.
+    """Load or compile all compiled functions of those given modules or packages that are imported.
 
-    By default, all functions are loaded. Called before a pool starts, so that one process compiles and workers load.
+    By default, all functions are loaded. This is called before a pool starts, so that one process compiles the
+    functions and the workers load them.
     """
     for module, loaders in list(_loaders.items()):
         if not modules or any(f"{module}.".startswith(f"{name}.") for name in modules):
@@ -117,7 +118,7 @@ def on_compiling(listener: Callable[[str], None] | None, after_s: float = NOTICE
 
 @contextmanager
 def _noticed() -> Iterator[None]:
-    """Call the listener if the block takes long."""
+    """Call the listener if the block takes a long time."""
     if not _listeners:
         yield
         return

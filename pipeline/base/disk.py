@@ -165,7 +165,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Add the path of a file to errors of calls that have only its descriptor, such as a full disk."""
+    """Add the path of a file to errors of calls that know only its descriptor, such as the error of a full disk."""
     try:
         yield
     except OSError as error:

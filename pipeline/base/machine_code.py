@@ -23,7 +23,7 @@ from pipeline.base.provenance import digest, sha256
 Function = Callable[..., None]
 
 HASH_DIGITS = 32
-"""Number of hexadecimal digits of the hash in the name of an object file. Equal hashes by chance are excluded."""
+"""Number of hexadecimal digits of the hash in the name of an object file. Equal hashes are practically impossible."""
 
 
 @dataclass(frozen=True)

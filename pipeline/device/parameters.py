@@ -32,7 +32,7 @@ MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
 
 def is_rotation(motion: str) -> bool:
-    """Return True if the device rotates, independent of the unit of its commands.
+    """Return True if the device rotates, whatever the unit of its commands.
 
     >>> is_rotation("rotation in V"), is_rotation("translation")
     (True, False)

@@ -196,7 +196,7 @@ Deviation = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class LaterStep(Part):
-    """Additional step of the external force [N, Nm], which acts from a time [s] of the log on."""
+    """Additional step of the external force [N, Nm], which acts from the given time [s] of the log."""
 
     time_s: Positive
     size: Number

@@ -37,7 +37,7 @@ def loop_entries(loop: Loop) -> JsonObject:
 
 
 def device_entries(devices: Iterable[Device], by: str = "", only: str | None = None) -> list[Entry]:
-    """Return an entry for each experiment of each device, or for the experiments of one name (``only``).
+    """Return an entry for each experiment of each device. With ``only``, return those of experiments with this name.
 
     The label of each entry ends with the source of the loop (``by``).
     """

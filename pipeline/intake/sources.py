@@ -229,7 +229,7 @@ def find_sources(
 
     Links to files are followed. Links to folders inside a searched folder are added to `notices`, because they may be
     circular. A paper, script, settings file or picture in a searched folder, as recognised by its name, is not a log
-    unless a profile names its extension. A file that is given explicitly always is a log.
+    unless a profile names its extension. A file that is given explicitly is always a log.
 
     Parameters
     ----------

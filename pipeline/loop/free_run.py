@@ -39,9 +39,10 @@ def free_run(
         Output row of the sensor (n,), and forces on the sides per unit of the states (sides, n) and of the command
         (sides,), for a device of mass 1.
     pieces : F, G, place
-        Transitions (2^sides, 2 m, n, n), and gains (2^sides, 2 m, n, 1 + sides) of a unit command and of forces on the
-        sides, over m kinds of pieces and then over a sub-step of each. The bits of the first index mark the sides at
-        rest. ``place`` (P, N) is the kind of each piece of the interval after each row.
+        Transitions, shape (2^sides, 2 m, n, n), and gains of a unit command and of forces on the sides, shape
+        (2^sides, 2 m, n, 1 + sides). The bits of the first index mark the sides at rest. The second index runs over
+        m kinds of pieces, and then over a sub-step of each kind. ``place``, shape (P, N), is the kind of each piece of
+        the interval after each row.
     commands : float64, shape (P, N)
         Applied command u in each piece, times the gain.
     forces : f, c, w

@@ -406,9 +406,10 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
     Notes
     -----
     The result follows from the tried walls at all dampings. A stable wall counts as stable with more damping. With less
-    damping, its stiffness is reduced in proportion, because the stable region is convex next to K = B = 0, and `SOFT`
-    of the stiffest wall counts at any damping. Stable walls above an unstable wall are ignored. Without a stable wall,
-    half of the softest wall counts, or a quarter if it is unstable. The result is infinite without trials.
+    damping, its stiffness is reduced in proportion, because the stable region is convex next to K = B = 0. At any
+    damping, a wall with `SOFT` times the stiffness of the stiffest stable wall counts as stable. Stable walls above an
+    unstable wall are ignored. Without a stable wall, half of the softest wall counts, or a quarter if it is unstable.
+    The result is infinite without trials.
 
     Examples
     --------

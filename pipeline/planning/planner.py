@@ -48,7 +48,7 @@ REMEDIES = (
 """Recommended recordings, by the beginning of the reason for a missing verdict."""
 
 RECORD = "Record steps from rest, and longer logs."
-"""Recommended recordings for other reasons."""
+"""Recommended recordings if a verdict is missing for any other reason."""
 
 BOTH_DIRECTIONS = (
     "friction cannot be separated from the device by {}, so the next wall is at most twice as stiff as stable walls. "

@@ -184,7 +184,7 @@ def conditions_in_name(pattern: str, name: str) -> dict[str, str] | None:
 
 
 def _requires_comma(pattern: str, text: str, comma: int, group: int) -> bool:
-    """Return whether a pattern requires a comma, so that another character in its place changes the match of the
+    """Return whether a pattern requires a comma. If so, another character in its place changes the match of the
     group."""
     spans = []
     for tried in (text, f"{text[:comma]}\x01{text[comma + 1 :]}"):
@@ -242,7 +242,7 @@ def pattern_problem(pattern: str | None) -> str | None:
 
 
 class TextLayout(Record):
-    """Layout of a delimited text file. It may be compressed with gzip or zstd, as its first bytes show.
+    """Layout of a delimited text file. It may be compressed with gzip or zstd, which is detected from its first bytes.
 
     Parameters
     ----------
@@ -876,7 +876,7 @@ class Profile(TextLayout, StepTime):
 
     @property
     def reads_names(self) -> bool:
-        """Whether the result of reading a file depends on its name. Then a renamed file may be another log."""
+        """Whether the log that is read depends on the name of the file. A renamed copy may then be another log."""
         return self.name_pattern is not None or bool(self.file)
 
     def entries_for(self, name: str) -> list[FileEntry]:

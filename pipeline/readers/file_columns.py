@@ -114,7 +114,7 @@ class FileColumns:
     values: int = 0
 
     def wants(self, path: str) -> bool:
-        """Return whether a column, or an element of it, is wanted. The first slash of a path may be omitted."""
+        """Return whether a column or one of its elements is requested. The first slash of a path may be omitted."""
         return not self.wanted or any(_is_part(key, path) for key in self.wanted)
 
     def add(

@@ -270,7 +270,7 @@ def in_order(source: TimeSource, table: Table, place: str) -> tuple[Integers, in
 
 
 def distinct(source: TimeSource, table: Table, place: str) -> Booleans:
-    """Return a mask of the rows to keep, among rows with equal stamps."""
+    """Return a mask of the rows to keep. Of rows with equal time stamps, one is kept."""
     time = table["time"]
     same = np.diff(time) == 0
     if source.duplicates == "refuse" and same.any():

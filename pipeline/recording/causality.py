@@ -22,7 +22,7 @@ It is high because noise that was filtered in one direction is correlated."""
 OF_THE_ANSWER = {False: 0.15, True: 0.015}
 """Threshold of the acceleration of a growth at an edge, relative to the acceleration of the response to the edge. A
 zero-phase filter causes a ratio of up to 0.5, or less if a vibration mode responds later. Noise is not part of the
-response and causes almost none."""
+response, and the ratio that it causes is almost 0."""
 
 CONVEX, CONVEX_SURE, CONVEX_PART = 4.0, 20.0, 0.1
 """Thresholds for few rows. The first threshold is the displacement at the edge, relative to the largest displacement in

@@ -209,7 +209,10 @@ class _Regression:
         return cls(left, basis, polynomial, index, velocity, double, u, size, reach)
 
     def _driven(self, at: Floats) -> Floats:
-        """Return the twice integrated command at rows (delays, blocks, rows), without start, shape (delays, rows)."""
+        """Return the twice integrated command at rows (delays, blocks, rows), shape (delays, rows).
+
+        The part that initial position and velocity explain is removed.
+        """
         k = np.clip(np.floor(at).astype(np.int64), 0, len(self.command) - 1)
         part = at - k
         double = self.twice[k] + self.velocity[k] * part + 0.5 * self.command[k] * part * part

@@ -42,8 +42,8 @@ FEWEST_KNOTS = 4
 """Smallest number of kinks of a position or command from which a grid of fewer readings is inferred."""
 
 NO_CHANCE = 7.0
-"""Threshold for the logarithm of the number of possible arrangements of kinks. Above it, a grid is not attributed to
-chance, because only one arrangement is a grid."""
+"""Threshold for the logarithm of the number of possible arrangements of kinks. Only one arrangement is a grid, so above
+the threshold a grid is not attributed to chance."""
 
 STRAIGHT = 0.4
 """Threshold for the share of collinear rows among the moving rows. Above it, a position counts as interpolated."""

@@ -2,7 +2,7 @@
 
 A single pass over the rows finds the logs that obey their wall and have no fault.
 
-No check has a finding for a log that passes. Each condition is necessary for a finding of some check (`check`).
+A log that passes this screen has no findings. Each condition is necessary for a finding of some check (`check`).
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ MISSING = 1.5
 def other_period(time: Floats, period: float) -> float | None:
     """Return the median time step if it differs from the stated sampling period [s], otherwise None.
 
-    Both the median and the mean must differ. Lost rows change only the mean, and time stamps with few digits only the
-    median.
+    Both the median and the mean must differ. Lost rows change only the mean. Time stamps with few digits change only
+    the median.
 
     Parameters
     ----------

@@ -25,7 +25,8 @@ class Rung(Record):
     """A method at a setting: its largest error, and the shortest time [s] of repeated runs.
 
     ``error`` is None if the method gave no number (division by zero, no convergence). Rungs of methods for logs also
-    have ``missing``, the share of trials without a value. Rungs of an experiment have the number of its ``trials``.
+    have ``missing``, the share of trials without a value. Rungs of an experiment also have its number of
+    ``trials``.
     """
 
     quantity: str

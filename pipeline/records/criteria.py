@@ -188,7 +188,7 @@ _ALL = (
         *("rise_time", "rise time, 10 % to 90 %", RISE, "rise_time"),
         "time from first reaching 10 % to first reaching 90 % of x_inf - x_0, linear between samples",
     ),
-    # 5.2.2: the optimum has no overshoot, whatever its size.
+    # The optimum of this criterion has no overshoot at all (5.2.2).
     Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
     *(
         Criterion(f"energy_impulse_w{w}", f"energy cost of the impulse, w = {w}", ENERGY, weight=w, signal="impulse")

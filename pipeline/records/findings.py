@@ -39,7 +39,7 @@ def holds(low: float, value: float, high: float) -> bool:
 NARROW = 1.25
 """Smallest gain margin of a wall to use (stability limit divided by stiffness).
 
-An error of a quarter in mass or delay moves the limit by this factor.
+An error of 25 % in mass or delay changes the limit by this factor.
 """
 
 MATTERS = 0.02

@@ -340,7 +340,7 @@ class StraightBound(Record):
 
 
 class Cause(Record):
-    """Cause of an experiment's deviation from the ideal loop: a code of the contract, a sentence, and its evidence."""
+    """Cause of an experiment's deviation from the ideal loop: a code, a sentence, and its evidence."""
 
     code: CauseCode | FindingCode
     sentence: str
@@ -769,7 +769,9 @@ class LimitDifference(Record):
 
 
 class BoundaryDifference(Record):
-    """Boundaries over the dampings that both have. ``interpolated``: the second experiment has other dampings.
+    """Two boundaries, compared over their common range of damping.
+
+    ``interpolated`` states whether the second experiment has other dampings.
 
     ``median_percent`` and ``largest_percent`` are (second - first)/first. ``judged`` is the number of dampings with
     intervals on both sides. The limits differ significantly at ``significant`` of them.
@@ -801,7 +803,7 @@ class CostDifference(Record):
 
 
 def pair_labels(first: Side, second: Side) -> tuple[str, str]:
-    """Return the names of both sides. They differ even if both sides are the same experiment, before and now."""
+    """Return the names of both sides. They differ even if both sides are the same experiment at two times."""
     a, b = first.label, second.label
     return (a, b) if a != b else (f"{a} before", f"{a} now")
 
@@ -822,7 +824,7 @@ class PairDifference(Record):
 
     @property
     def labels(self) -> tuple[str, str]:
-        """Names of both sides. They differ even if both sides are the same experiment, before and now."""
+        """Names of both sides. They differ even if both sides are the same experiment at two times."""
         return pair_labels(self.first, self.second)
 
     @property

@@ -347,7 +347,9 @@ def _narrowed(
 def _room_of(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], x: Sequence[float], *, roughly: bool = False
 ) -> float:
-    """Return the margin after quantities changed by x in ln. It is not maximised if the requirements are met.
+    """Return the margin after a change of quantities by the factors exp(x).
+
+    It is not maximised if all requirements are met.
 
     The margin of an invalid rig is -inf. With ``roughly``, return its `decay`, which compares distant points.
     """
@@ -405,7 +407,7 @@ def _changes(
 
 
 def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
-    """Return the margin and the changes at the point with the fastest decay in a coarse grid of changes of a pair."""
+    """Return the margin and the changes at the best point of a coarse grid, at which the motion decays fastest."""
     share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
     axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
     best = max(product(*axes), key=lambda x: _room_of(loop, wish, pair, x, roughly=True))
@@ -413,7 +415,7 @@ def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> t
 
 
 def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
-    """Search changes of a pair in ln that meet the requirements by a hill climb. Return None if it finds none."""
+    """Search by a hill climb for changes of a pair that meet the requirements. Return None if there are none."""
     from scipy.optimize import minimize
 
     def short(x: Sequence[float]) -> float:
@@ -432,7 +434,7 @@ def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: lis
 def _smallest(
     loop: Loop, wish: DesignTarget, room: float, quantities: Sequence[Quantity], way: Sequence[float], reach: float
 ) -> float | None:
-    """Return the size of the smallest change along a direction in ln that meets the requirements, or None."""
+    """Return the size of the smallest change along a direction that meets the requirements, or None."""
     looks = reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2
 
     def room_at(size: float) -> float:

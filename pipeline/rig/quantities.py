@@ -49,7 +49,7 @@ class Quantity:
         return (self.read(loop) or 0.0) or self.zero * loop.mass / loop.sampling_period_s
 
     def changed(self, loop: Loop, x: float) -> Loop:
-        """Return the rig with the quantity changed by x in ln.
+        """Return the rig after a change x of the quantity, which is ln of the ratio of the new and the old value.
 
         Raises
         ------

@@ -140,7 +140,7 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
 
 
 def costs_of(loop: Loop, walls: object, *criteria: str) -> dict[str, Floats]:
-    """Compute the costs of walls, rows of stiffness and damping. A missing cost is NaN."""
+    """Compute the costs of walls, which are rows of stiffness and damping. A missing cost is NaN."""
     case = Case(loop.normalised_loop, loop.units)
     return costs_of_walls(case, np.asarray(walls, dtype=np.float64), criteria).costs
 

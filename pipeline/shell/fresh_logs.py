@@ -176,7 +176,7 @@ def _of_the_report(
     for path in sorted(path for path, sha in expected.items() if sha not in stored.values()):
         text = "its stored data have changed since the report was written"
         store.differs(path, text, expected=expected[path], found=stored.get(path))
-    # If a log has the path of a log of the report, the effect of its change on the numbers is shown.
+    # A log with the path of a log of the report is used, so that the effect of its change on the numbers is shown.
     ours = pc.or_(_among(used, "source_sha256", set(expected.values())), _among(used, "source_path", set(expected)))
     if later := used.num_rows - (pc.sum(ours).as_py() or 0):
         store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are not used")

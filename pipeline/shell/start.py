@@ -263,7 +263,7 @@ def _asked_unit(found: Mapping[str, Answer], key: str) -> str:
 
 
 def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: set[str]) -> Answers:
-    """Return the pattern of file names, and units of the numbers after words in them, as the commands prove."""
+    """Return the pattern of file names, and the units of the numbers in them, if the commands prove these."""
     names, words = [sample.name for sample in samples if sample.name in laws], numbers_in_names(samples)
     if not names or not words:
         return {}

@@ -68,7 +68,7 @@ def simulate(
     Raises
     ------
     ParameterError
-        If K or B is not finite, if the seed is negative, or if the disturbance has another shape.
+        If K or B is not finite, if the seed is negative, or if the disturbance has a wrong shape.
 
     Notes
     -----

@@ -55,7 +55,8 @@ A trial is rewritten once for each factor of eight in size, and n batches of one
 """
 
 OPEN_FILES = 8
-"""Number of files written in parallel. Each recording may be a separate experiment, and open files are limited."""
+"""Number of files written in parallel. Each recording may be a separate experiment, and the number of open files is
+limited."""
 
 LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
 """Number of trials, and size of the file [byte], above which ingest does not merge a batch."""

@@ -1,5 +1,6 @@
-"""Index of trials. It is a copy of a few columns of all trial files in one file, which is faster to read than
-thousands.
+"""Index of trials. It is a single file with a copy of a few columns of all trial files.
+
+Reading it is faster than reading thousands of files.
 
 The index is local to this machine, and any reader may rewrite it. The copied columns of a trial file are valid as long
 as the file's size and modification time are unchanged.

@@ -95,7 +95,7 @@ def experiments(processed: PathLike = "processed", device: str | None = None) ->
 
 
 def trials(processed: PathLike = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
-    """Return the stored trials: all, those of a device, or those of an experiment.
+    """Return all stored trials, or those of a device or of an experiment.
 
     Returns
     -------

@@ -37,7 +37,7 @@ _BOUNDARY_POINTS = 400
 
 _STEP_LOOK = 121
 """Number of points of the first scan of the deviation, which has no jumps. The late deviations of slow responses have
-ripples. With half as many points, one of 170 random lines had an error of one sample."""
+ripples. With half as many points, the result was wrong by one sample on one of 170 random lines."""
 
 _STEP_LEVELS = 12
 """Number of levels of the search. 0.35^12 = 3e-6 of a first step suffices to decide whether a number of samples is

@@ -30,7 +30,7 @@ from pipeline.theory.passivity import passive_outline
 from pipeline.theory.search import OptimalPoint
 
 _TURN = {"overshoot": 0, "energy": 2}
-"""Order in which families are computed, the slowest first. Other families have 1."""
+"""Order in which families are computed, with the slowest first. The order of other families is 1."""
 
 BOUNDARY_POINTS = 160
 """Number of points of a boundary in a figure."""

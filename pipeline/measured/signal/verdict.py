@@ -153,7 +153,7 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     enough = count >= FEWEST_SAMPLES and peak > (0.0 if wall else 4 * floor)
     # use the motion before it comes to rest, extended by some rest if it is too short
     seen = max(lasted, min(count, 2 * FEWEST_SAMPLES)) if not wall or left or floor == 0 else count
-    # the floor is six standard deviations of the noise, or one quantum, whose error is far smaller
+    # the floor is six standard deviations of the noise, or one quantum; the error due to a quantum is far smaller
     noise = (1.0 if wall else np.sqrt(6)) * max(floor / NOISE_FACTOR, 1e-3 * rounding)
     views = _views(signal[:seen], noise)
     rate, error, clean = _growth(views)

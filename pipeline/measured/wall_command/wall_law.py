@@ -119,7 +119,7 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
 
 
 def _has_odd_rows(trial: Trial, response: Response) -> bool:
-    """Return whether a log skips rows according to its stamps, or is constant in single rows."""
+    """Return whether the stamps of a log show skipped rows, or its position is constant in single rows."""
     steps = (trial.time[1:] - trial.time[:-1]) / trial.sampling_period_s
     if (np.abs(steps - 1) > ODD).any():
         return True
