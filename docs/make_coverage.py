@@ -252,24 +252,32 @@ class Count:
 
 ABOUT = """# How often intervals contain the truth
 
-Made by `python docs/make_coverage.py`: {courses} simulated experiments of {trials} trials of {rows} rows behind walls,
-by a fine simulation that shares nothing with the package; mass 0.3 to 0.9 kg, damping 2 to 8 Ns/m, delay 2 to 4.5
-samples, quantum 2 to 20 um. *Identified*: with a value, of all experiments; *right*: within 5 % of the truth; *wrong*:
-off by more than 5 % **and** by more than three half widths; *covered*: 95 % intervals that contain the truth; *width*:
-median half width relative to the truth.
+This page shows how often the parameters of simulated devices are identified, and how often their 95 % intervals contain
+the truth. `python docs/make_coverage.py` simulates {courses} experiments and writes the page. Each experiment has
+{trials} trials with walls, and each trial has {rows} rows. The simulation uses fine steps and shares no code with the
+package. The mass is 0.3 to 0.9 kg, the damping 2 to 8 Ns/m, the delay 2 to 4.5 samples, and the quantum 2 to 20 um.
+
+The columns of the table mean:
+
+* *Identified*: the number of experiments with a value, of all experiments
+* *Right*: the number of values within 5 % of the truth
+* *Wrong*: the number of values that are off by more than 5 % **and** by more than three half widths
+* *Covered*: the percentage of 95 % intervals that contain the truth
+* *Width*: the median half width relative to the truth
 
 | kind | quantity | identified | right | wrong | covered [%] | width [%] |
 |---|---|---|---|---|---|---|
 """
 AFTER = """
 Kinds in italics contain an effect that the model lacks. Their true value is the parameter of the simulated device.
-`jitter` is the [delay of the applied command](definitions.md#measured), {jitter}.
+`jitter` refers to the [delay of the applied command](definitions.md#measured). The simulation draws {jitter}.
 
-All kinds inside the model: {inside}. Outside: {outside}.
+For all kinds inside the model, {inside}. For the kinds outside the model, {outside}.
 
-**Not covered**: devices that are not listed; other print formats and time stamps than the simulator's; cogging, cables
-and several axes; wrong clocks; a mode above half the sampling frequency; delays that depend on the motion; energies and
-limits, whose intervals follow from these ([verification.md](verification.md)).
+**Not covered.** The table does not cover devices that are not listed, cogging, cables, several axes, wrong clocks, a
+mode above half the sampling frequency, and delays that depend on the motion. It does not cover print formats and time
+stamps that differ from those of the simulator either. The intervals of energies and limits follow from those of the
+parameters and are checked elsewhere ([verification.md](verification.md)).
 """
 
 
@@ -293,12 +301,11 @@ def page(kept: Sequence[dict[str, Any]]) -> str:
             for key, value in asdict(count).items():
                 setattr(total, key, getattr(total, key) + value)
     inside, outside = (
-        f"{each.told} of {each.courses} identified, {each.right} right, {each.wrong} wrong, "
-        f"{each.held} covered "
-        f"({100 * each.held / max(each.told, 1):.1f} %)"
+        f"{each.told} of {each.courses} values are identified, {each.right} are right, {each.wrong} are wrong, and "
+        f"{each.held} are covered ({100 * each.held / max(each.told, 1):.1f} %)"
         for each in (totals[True], totals[False])
     )
-    jitter = "delays of 3, 4, 5 samples with equal probability, in samples"
+    jitter = "delays of 3, 4 and 5 samples with equal probability"
     about_text = ABOUT.format(courses=len(kept), trials=TRIALS, rows=ROWS)
     return about_text + "\n".join(lines) + "\n" + AFTER.format(inside=inside, outside=outside, jitter=jitter)
 
