@@ -100,9 +100,9 @@ def _ingest_lines(report: Mapping[str, Any], hint: bool) -> Iterable[str]:
         yield from _listed(f"{action} ({reason})", paths)
     yield from refusals(report["quarantined"])
     yield from warnings_of(report)
-    yield from _listed("no longer found, trials stay stored", report["removed"])
-    yield from _listed("waiting, because modified recently", report["waiting"])
-    yield from _listed("ignored, because not logs", report["ignored"])
+    yield from _listed("no longer found (trials stay stored)", report["removed"])
+    yield from _listed("waiting (modified recently)", report["waiting"])
+    yield from _listed("ignored (not logs)", report["ignored"])
     yield from _listed("damaged", report["damaged"])
     other = [refusal["path"] for refusal in report["quarantined"] if refusal["code"] in OTHER_COLUMNS]
     if other and hint:
