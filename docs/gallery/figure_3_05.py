@@ -1,8 +1,8 @@
 """Parameters of the human arm by its mass.
 
-Stiffness and damping of published arms (Table 3.2) divided by the arm's mass. All but one lie within 710/s² and
-14.6/s (dashed); the range that the thesis considers reaches 30 % further (solid), which is γ ≤ 0.001 and δ ≤ 0.02 at
-T = 1 ms. Kuchenbecker et al. strapped the arm and measured the hand alone.
+The figure shows stiffness and damping of published arms (Table 3.2), divided by the mass of the arm. All arms except
+one lie within 710/s² and 14.6/s (dashed). The range of the thesis is 30 % larger (solid). It is γ ≤ 0.001 and δ ≤ 0.02
+at T = 1 ms. Kuchenbecker et al. strapped the arm and measured only the hand.
 """
 
 import matplotlib.pyplot as plt

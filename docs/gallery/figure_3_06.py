@@ -1,8 +1,8 @@
 """Stability boundaries at the limits of the parameter range.
 
-Walls inside a curve are stable. With a mass of 1 kg and a sampling period of 1 s, K and B are the normalised α and β.
-One sample of delay leaves 21 % of the largest stiffness; damping of the device (δ) widens the region, its stiffness
-(γ) is hardly seen here.
+Walls inside a curve are stable. With a mass of 1 kg and a sampling period of 1 s, K and B equal the normalised α and β.
+With one sample of delay, the largest stiffness falls to 21 %. Damping of the device (δ) makes the region wider. The
+effect of its stiffness (γ) is hardly visible here.
 """
 
 import matplotlib.pyplot as plt

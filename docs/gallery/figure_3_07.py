@@ -1,7 +1,8 @@
 """Stability boundaries around the origin.
 
-Close-up of Fig. 3.6 with five values of γ; δ = 0.02 (solid) and 0 (dashed). The device's stiffness shifts the left
-boundary to α = −γ, its damping the lower one by −δ; γ is not seen in the lower one.
+This is a close-up of Fig. 3.6 with five values of γ, for δ = 0.02 (solid) and δ = 0 (dashed). The stiffness of the
+device shifts the left boundary to α = −γ. Its damping shifts the lower boundary by −δ. The lower boundary does not
+depend visibly on γ.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Stability boundaries over delay.
 
-γ = 0.001, δ = 0.02, seven delay factors. With delay the stable region shrinks towards the origin; the dash-dotted
-line joins the stiffest stable walls of all delays.
+The figure shows seven delay factors for γ = 0.001 and δ = 0.02. With delay, the stable region shrinks towards the
+origin. The dash-dotted line connects the stiffest stable walls of all delays.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Largest stable stiffness and damping over delay.
 
-For the limits of γ and δ. From d = 0 to 1 the largest stiffness falls to 21 %, to 2 below 10 %; the largest damping
-to 41 % and 27 %. Numbers: Tables B.1 to B.4 (`pipeline theory tables`).
+The curves are for the limits of γ and δ. From d = 0 to d = 1, the largest stiffness falls to 21 %, and at d = 2 it is
+below 10 %. The largest damping falls to 41 % and 27 %. The numbers are in Tables B.1 to B.4 (`pipeline theory tables`).
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Stability boundaries for longer delays.
 
-As Fig. 3.6 for d = 2 and 4. With more delay the same γ shifts the whole boundary visibly to the left, and the region
-grows with δ by a larger share.
+This figure corresponds to Fig. 3.6 for d = 2 and 4. With more delay, the same γ visibly shifts the whole boundary to
+the left, and δ enlarges the region by a larger share.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """Linear condition against the exact boundary.
 
-Exact boundaries (solid) and β + δ = α (1/2 + d) (dashed) for γ = 0.001 and δ = 0, 0.005, 0.01, 0.015, 0.02, from top
-to bottom. Marks tell where the linear condition's stiffness is off by 0, 2 and 5 % (3.28). Above the circles it calls
-unstable walls stable.
+The figure compares the exact boundaries (solid) with β + δ = α (1/2 + d) (dashed), for γ = 0.001 and δ = 0, 0.005,
+0.01, 0.015 and 0.02, from top to bottom. Marks show where the stiffness of the linear condition has an error of 0, 2
+and 5 % (3.28). Above the circles, the linear condition predicts that unstable walls are stable.
 """
 
 import matplotlib.pyplot as plt

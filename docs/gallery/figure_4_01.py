@@ -1,9 +1,10 @@
 """Passive regions over delay.
 
-In units of the device's damping b and the sampling period T (here 1 Ns/m and 1 s) they do not depend on mass or
-stiffness. Those of whole delays end at (0, 1) and (0, −1); the lower parts are straight, K < (b + B)/((1/2 + d) T).
-Dash-dotted: the stiffest passive walls of all delays. For d = 0.25 and 0.5 the exact region is drawn; (4.8) of the
-thesis leaves out frequencies above half the sampling rate, and ends at B = b there, too.
+The regions are in units of the device's damping b and of the sampling period T (here 1 Ns/m and 1 s). In these units,
+they do not depend on mass or stiffness. The regions of whole delays end at (0, 1) and (0, −1). Their lower parts are
+straight, K < (b + B)/((1/2 + d) T). The dash-dotted line connects the stiffest passive walls of all delays. For d =
+0.25 and 0.5, the figure shows the exact region. Equation (4.8) of the thesis omits frequencies above half the sampling
+rate, so that its region ends at B = b for these delays, too.
 """
 
 import matplotlib.pyplot as plt

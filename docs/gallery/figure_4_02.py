@@ -1,7 +1,8 @@
 """Largest passive stiffness over delay.
 
-It falls to 41 % at d = 1 and 27 % at d = 2 of that without delay. Whole delays (dots) lie on 2 tan(π/(4 (d + 1))),
-(4.11); between them the exact passive walls (solid) are up to 2 % stiffer than (4.11, dashed) says.
+The largest passive stiffness falls to 41 % of its value without delay at d = 1, and to 27 % at d = 2. For whole delays
+(dots), it is 2 tan(π/(4 (d + 1))) (4.11). Between them, the exact passive walls (solid) are up to 2 % stiffer than
+(4.11) (dashed).
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """Passive inside stable regions.
 
-Stable (red) and passive (green, dashed) regions for γ = 0.001, δ = 0.02 and d = 0, 0.25, 0.5, 1, 2, 4, 8 from the
-outermost inwards, the whole and a close-up of the origin. For each delay the passive region lies inside of the stable
-one and is much smaller.
+The figure shows the stable regions (red) and the passive regions (green, dashed) for γ = 0.001, δ = 0.02 and d = 0,
+0.25, 0.5, 1, 2, 4 and 8, from the outermost inwards. The second plot is a close-up of the origin. For each delay, the
+passive region lies inside the stable region and is much smaller.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,9 @@
 """Largest passive and stable stiffness over delay.
 
-δ = 0.02. Left: the stiffest stable wall is 17.8 times as stiff as the stiffest passive one for d = 0 and 9.3 times
-for d = 1. Middle and right: the ratio η of the passive to the stable one, on two scales of delay; up to d = 40 (γ =
-0.001) and 120 (γ = 0) it grows to 1, where passivity asks for no more than stability, and falls again behind.
+All plots are for δ = 0.02. Left: the stiffest stable wall is 17.8 times as stiff as the stiffest passive wall for d =
+0, and 9.3 times for d = 1. Middle and right: the ratio η of the passive to the stable stiffness over two ranges of
+delay. The ratio grows to 1 at d = 40 (γ = 0.001) and d = 120 (γ = 0), where passivity requires no more than stability.
+Beyond this delay, it falls again.
 """
 
 import matplotlib.pyplot as plt

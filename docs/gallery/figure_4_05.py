@@ -1,8 +1,9 @@
 """Stability boundaries for springs up to the Nyquist frequency.
 
-21 values of γ, evenly from 0 to 0.999 (π² + δ²/4), a row for each delay: whole boundaries for δ = 0.02 (left), their
-close-up around the origin with the passive region shaded (middle), and that for δ = 0 (right). What no line cuts off
-around the origin is stable with every spring; it holds all of the passive region and vanishes for δ = 0.
+The figure shows boundaries for 21 values of γ, evenly spaced from 0 to 0.999 (π² + δ²/4). Each row is for one delay.
+Left: the whole boundaries for δ = 0.02. Middle: their close-up around the origin, with the passive region shaded.
+Right: the same close-up for δ = 0. The part around the origin that no line cuts off is stable with every spring. It
+contains the whole passive region, and vanishes for δ = 0.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
 """Regions of poles.
 
-Left: poles inside a circle stand for a settling time of at most the number of samples written on it, r = exp(−4/n)
-(5.4). Right: spirals on which a pole has the damping ratio written on it (5.5). Numbers are examples.
+Left: poles inside a circle correspond to a settling time of at most the number of samples written on the circle, r =
+exp(−4/n) (5.4). Right: on each spiral, a pole has the damping ratio written on the spiral (5.5). The numbers are
+examples.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,9 @@
 """Largest pole radius.
 
-Lines of equal radius inside the stable region for γ = δ = 0; best damping for given stiffness (solid), best stiffness
-for given damping (dashed), optimum (plus). Below: the radius along the solid curve. The smallest radius is 0.587 and
-0.752 for d = 0 and 1; from the origin up to it both curves are one.
+The figure shows lines of equal radius inside the stable region for γ = δ = 0, the best damping for a given stiffness
+(solid), the best stiffness for a given damping (dashed) and the optimum (plus). Below: the radius along the solid
+curve. The smallest radius is 0.587 for d = 0 and 0.752 for d = 1. From the origin to this optimum, both curves
+coincide.
 """
 
 import matplotlib.pyplot as plt

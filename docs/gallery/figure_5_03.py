@@ -1,8 +1,8 @@
 """Damping ratio of the poles.
 
-Lines of equal damping ratio ζ for γ = δ = 0, and curves as in Fig. 5.2. Without delay no pole oscillates inside the
-shaded region; its stiffest point is marked. With delay the region is gone, the best stiffness lies on the left
-boundary and the optimum in the origin, as a limit.
+The figure shows lines of equal damping ratio ζ for γ = δ = 0, and curves as in Fig. 5.2. Without delay, no pole
+oscillates inside the shaded region. Its stiffest point is marked. With delay, this region does not exist. The best
+stiffness then lies on the left boundary, and the optimum is the origin, as a limit.
 """
 
 import matplotlib.pyplot as plt

@@ -1,10 +1,10 @@
 """Settling time into 2 %.
 
-Lines of equal settling time, five samples apart, for γ = δ = 0: of the samples (upper row) and of the motion between
-them (lower row). The sampled settling time is a whole number, so its best dampings are strips (shaded), and its
-optimum is a region, whose corners are marked. Optimal are 6 and 10 samples (sampled), 5.139 and 9.909 (continuous).
-Behind the optimum the solid curve jumps wherever an extremum of the response crosses the band; Fig. 5.6 shows both
-sides of the first jump.
+The figure shows lines of equal settling time, five samples apart, for γ = δ = 0. The upper row refers to the samples,
+and the lower row to the motion between them. The sampled settling time is an integer. Therefore, its best dampings are
+strips (shaded), and its optimum is a region, whose corners are marked. The optimal settling times are 6 and 10 samples
+(sampled), and 5.139 and 9.909 samples (continuous). Beyond the optimum, the solid curve jumps wherever an extremum of
+the response crosses the band. Fig. 5.6 shows both sides of the first jump.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Step response of the shortest settling time.
 
-d = 0, γ = δ = 0. The response enters the 2 % band and then touches its upper edge at its largest maximum and its
-lower edge at a minimum (circles). Right: close-up around the final position.
+The response is for d = 0 and γ = δ = 0. It enters the 2 % band. It then touches the upper edge of the band at its
+largest maximum, and the lower edge at a minimum (circles). Right: close-up around the final position.
 """
 
 import matplotlib.pyplot as plt

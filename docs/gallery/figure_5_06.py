@@ -1,8 +1,9 @@
 """Step responses on both sides of the first jump of the settling time.
 
-d = 0, γ = δ = 0. Just before the jump (blue) an extremum touches the band; for a slightly stiffer wall it cannot be
-kept inside by any damping, and the best response is another one (red), of which a later extremum touches the band.
-The jump is looked for by ever closer looks at the curve of best damping (Fig. 5.4). Right: close-up.
+The responses are for d = 0 and γ = δ = 0. Just before the jump (blue), an extremum touches the band. For a slightly
+stiffer wall, no damping keeps this extremum inside the band. The best response is then another one (red), of which a
+later extremum touches the band. The jump is located by repeated refinement of the curve of best damping (Fig. 5.4).
+Right: close-up.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,8 @@
 """Pole radius against settling time.
 
-Optimal curves of the largest pole radius and of the 2 % settling time of the response for γ = δ = 0. Below: settling
-times along the solid curves, that of the radius by −4/ln r (5.4). The response settles best with more than twice the
-stiffness that the poles ask for.
+The figure shows the optimal curves of the largest pole radius and of the 2 % settling time of the response, for γ = δ =
+0. Below: settling times along the solid curves. The settling time of the radius is −4/ln r (5.4). The response settles
+fastest with more than twice the stiffness that is optimal for the poles.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,9 @@
 """Overshoot.
 
-Lines of equal overshoot, every 10 percentage points, for γ = δ = 0: of the samples (upper row) and of the motion
-between them (lower row). In the shaded region there is no overshoot; it reaches up to the plus and over nearly all
-dampings. Inside of it the curve is its middle. Fig. 5.9 shows both sides of the largest jump of the solid curve.
+The figure shows lines of equal overshoot, every 10 percentage points, for γ = δ = 0. The upper row refers to the
+samples, and the lower row to the motion between them. In the shaded region there is no overshoot. This region reaches
+up to the plus and over nearly all dampings. Inside it, the curve is its middle. Fig. 5.9 shows both sides of the
+largest jump of the solid curve.
 """
 
 import matplotlib.pyplot as plt

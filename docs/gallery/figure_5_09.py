@@ -1,7 +1,7 @@
 """Step responses on both sides of the largest jump of the overshoot.
 
-d = 0, γ = δ = 0. Both responses overshoot by the same share, but with different maxima. The thesis gives α = 0.3044
-and 1.48 % for this jump. Right: close-up.
+The responses are for d = 0 and γ = δ = 0. Both overshoot by the same share, but with different maxima. For this jump,
+the thesis gives α = 0.3044 and 1.48 %. Right: close-up.
 """
 
 import matplotlib.pyplot as plt

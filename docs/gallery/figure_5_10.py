@@ -1,9 +1,9 @@
 """Energy criteria.
 
-Lines of equal energy cost for the step (upper row) and the impulse (lower row), weights w = 0, 1, 2, d = 0, γ = δ =
-0; two lines for each doubling, from the optimum on. The curves do not jump and cross in the optimum, whose cost is in
-the title. For the impulse with w = 0 the best stiffness lies on the left boundary; with w = 1 the best damping hardly
-depends on stiffness.
+The figure shows lines of equal energy cost for the step (upper row) and the impulse (lower row), for the weights w = 0,
+1, 2, d = 0 and γ = δ = 0. From the optimum on, there are two lines for each doubling. The curves do not jump, and they
+cross in the optimum. Its cost is in the title. For the impulse with w = 0, the best stiffness lies on the left
+boundary. With w = 1, the best damping hardly depends on stiffness.
 """
 
 import matplotlib.pyplot as plt

@@ -1,8 +1,9 @@
 """Responses in the optima of the energy criteria.
 
-Step (left) and impulse responses (right) in the optima of Fig. 5.10, d = 0, γ = δ = 0: upper row those for the step,
-lower row those for the impulse. A larger weight w makes the response settle faster. The optimum for the impulse with
-w = 0 has no stiffness, so that its step response does not come to rest.
+The figure shows step responses (left) and impulse responses (right) in the optima of Fig. 5.10, for d = 0 and γ = δ =
+0. The upper row shows the optima for the step, and the lower row those for the impulse. With a larger weight w, the
+response settles faster. The optimum for the impulse with w = 0 has no stiffness, so its step response does not come to
+rest.
 """
 
 import matplotlib.pyplot as plt

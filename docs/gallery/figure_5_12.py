@@ -1,9 +1,9 @@
 """Damping rules of continuous time against optimal curves.
 
-Best damping for given stiffness (solid, dots at the optima) beside critical damping β + δ = 2 √(α + γ) and β + δ =
-√(2 (α + γ)) (dashed), γ = δ = 0. Up to its optimum the settling time follows the lower rule, and the energy curves of
-the step lie between both; critical damping leaves the region without overshoot next to its tip. Nothing of that holds
-for the impulse.
+The figure shows the best damping for a given stiffness (solid, with dots at the optima), critical damping β + δ = 2 √(α
++ γ), and β + δ = √(2 (α + γ)) (both dashed), for γ = δ = 0. Up to its optimum, the settling time follows the lower
+rule. The energy curves of the step lie between both rules. Critical damping leaves the region without overshoot near
+its tip. None of this is true for the impulse.
 """
 
 import matplotlib.pyplot as plt

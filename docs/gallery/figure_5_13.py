@@ -1,6 +1,7 @@
 """Damping rules of continuous time against the optimal curves of the poles.
 
-As Fig. 5.12 for the largest pole radius and the damping ratio: neither follows one of the rules beyond the origin.
+This figure corresponds to Fig. 5.12 for the largest pole radius and the damping ratio. Neither of them follows one of
+the rules beyond the origin.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
 """Optima of all criteria.
 
-γ = δ = 0. 1: pole radius; 2: overshoot; 3: settling time; 4 to 6: energy of the step, w = 0, 1, 2; 7 to 9: energy of
-the impulse. The Ziegler-Nichols point is near number 5 without delay and near number 6 with it.
+The optima are for γ = δ = 0. Number 1 is the pole radius, 2 the overshoot and 3 the settling time. Numbers 4 to 6 are
+the energy of the step with w = 0, 1, 2, and numbers 7 to 9 the energy of the impulse. The Ziegler-Nichols point is near
+number 5 without delay, and near number 6 with delay.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,8 @@
 """Optimal by largest stable parameters over delay.
 
-Stiffness (left) and damping (right) of the optima as a share of the largest stable ones, γ = δ = 0, whole delay
-factors. All shares tend to constants; they stay within about 49 % of the stiffness and 61 % of the damping.
+The figure shows stiffness (left) and damping (right) of the optima as a share of the largest stable values, for γ = δ =
+0 and whole delay factors. All shares tend to constants. They stay within about 49 % of the stiffness and 61 % of the
+damping.
 """
 
 import matplotlib.pyplot as plt

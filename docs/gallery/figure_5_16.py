@@ -1,8 +1,9 @@
 """Optimal costs over delay, and their polynomial approximation.
 
-Left: costs in the optima for γ = δ = 0, the settling time of the pole radius by −4/ln r (5.4), energies relative to d
-= 8. Right: relative error of the approximation by (d + 1)^(w+1), scaled to be exact at d = 8 (5.19, 5.20). From d = 2
-on it is off by less than 1.2 %. Left out as in the thesis: overshoot, whose optimal cost is 0 for each delay.
+Left: costs in the optima for γ = δ = 0. The settling time of the pole radius is −4/ln r (5.4), and energies are
+relative to those at d = 8. Right: relative error of the approximation by (d + 1)^(w+1), which is scaled to be exact at
+d = 8 (5.19, 5.20). From d = 2 on, the error is less than 1.2 %. As in the thesis, overshoot is omitted, because its
+optimal cost is 0 for each delay.
 """
 
 import matplotlib.pyplot as plt
