@@ -117,7 +117,7 @@ export function python(loop, wall) {
 }
 
 /** What verdicts and energies mean. */
-const MEANING = "Passive: stable with every passive hand. Not passive: stable as set here, not with every hand. Energy: time integral over that at the start.";
+const MEANING = "A passive wall is stable with every passive hand. Other walls are stable only with the operator set here. Energies are time integrals relative to the initial energy.";
 
 explore.panels = 0;
 
@@ -199,7 +199,7 @@ export function explore(root, entries) {
   const layers = Object.fromEntries(["grid", "region", "passive", "linear", "ghost", "edge", "friction", "good", "bad", "limit", "best", "wall", "axis"]
     .map((name) => [name, make("g")]));
   const plane = make("svg", { viewBox: `0 0 ${width} ${height}`, tabindex: 0, role: "application", "aria-label":
-    "Plane of walls: stiffness to the right, damping upwards. Arrow keys move the wall, Shift and arrow keys the view, plus and minus zoom, P pins." },
+    "Plane of walls, with stiffness to the right and damping upwards. Arrow keys move the wall. Shift and arrow keys move the view. Plus and minus zoom. P pins the wall." },
   make("title", {}, "Stability of walls"),
   make("clipPath", { id: clip }, make("rect", { x: left, y: 12, width: width - left - 12, height: height - bottom - 12 })), ...Object.values(layers));
   for (const [name, layer] of Object.entries(layers)) if (!/axis|wall/.test(name)) layer.setAttribute("clip-path", `url(#${clip})`);
@@ -216,7 +216,7 @@ export function explore(root, entries) {
   });
   const step = make("svg", { viewBox: "0 0 420 230", role: "img", "aria-label": "Step response" });
   const circle = make("svg", { viewBox: "0 0 230 230", role: "img", "aria-label": "Poles in the z-plane" });
-  const sweep = make("svg", { viewBox: "0 0 420 190", role: "img", "aria-label": "Largest stiffness over one number" });
+  const sweep = make("svg", { viewBox: "0 0 420 190", role: "img", "aria-label": "Largest stiffness over one parameter" });
   const summary = make("dl", { class: "what-summary" }), facts = make("table", { class: "what-walls" }), bars = make("div", { class: "bars" }), line = make("code");
   const pick = make("select", { id: "explore-criterion", onchange: () => { criterion = pick.value, best = null, renew(); } },
     make("option", { value: "" }, "none"), ...CRITERIA.map(([value, name]) => make("option", { value }, name)));
@@ -310,7 +310,7 @@ export function explore(root, entries) {
     put("grid", grid.join(""));
     layers.axis.replaceChildren(make("path", { class: "axis", d: `M${left} 12V${height - bottom}H${width - 12}` }), ...frame,
       make("text", { x: width - 12, y: height - 6, "text-anchor": "end" }, `stiffness K [${of().K}]`), make("text", { x: left + 8, y: 24 }, `damping B [${of().B}]`));
-    const shown = [["edge", "stable"], ["passive", "passive: stable with every passive hand"], ["linear", "linear condition: slow motion"], ["wall", "this wall: drag it"],
+    const shown = [["edge", "stable"], ["passive", "passive (stable with every passive hand)"], ["linear", "linear condition (slow motion)"], ["wall", "this wall (drag it)"],
       ...(ghost?.same ? [] : [["ghost", "device as identified"]]), ...((entry.friction ?? []).length ? [["friction", "limit with friction"]] : []),
       ...((entry.trials ?? []).length ? [["good", "stable trial"], ["bad", "unstable trial"]] : []),
       ...((entry.limits ?? []).length ? [["limit", "measured limit"]] : []), ...(entry.wall || best ? [["best", entry.wall ? "recommended wall" : "optimum"]] : [])];
@@ -358,15 +358,15 @@ export function explore(root, entries) {
 
   function showSummary() {
     const { border, calm } = result, against = (now, then) => ghost.same || !then ? ""
-      : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % against the device)`;
-    const out = leftOut(loop).map((name) => name === "jitter" ? `the jitter of the delay (taken as its mean, ${text(loop.delay_samples)} samples)`
-      : name === "velocity" ? "the adaptive velocity filter (taken as none)" : name);
+      : ` (${now >= then ? "+" : "−"}${text(Math.abs(100 * (now / then - 1)), 3)} % compared with the device)`;
+    const out = leftOut(loop).map((name) => name === "jitter" ? `the jitter of the delay (replaced by its mean, ${text(loop.delay_samples)} samples)`
+      : name === "velocity" ? "the adaptive velocity filter (ignored)" : name);
     summary.replaceChildren(...[["Largest stable stiffness",
       `${text(border.stiffness_max, 5)} ${of().K} at B = ${text(border.damping_at_stiffness_max)} ${of().B}${against(border.stiffness_max, ghost.border.stiffness_max)}`],
       ["Stable region", `${text(area(border))} ${of().K} · ${of().B}${against(area(border), area(ghost.border))}`],
       ["Stiffest passive wall", calm.stiffness_max
-        ? `${text(below(calm.stiffness_max))} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none: the device has no damping"],
-      ...(out.length ? [["Left out", `${out.join("; ")}: not part of linear theory`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
+        ? `${text(below(calm.stiffness_max))} ${of().K} at B = ${text(calm.damping_at_stiffness_max)} ${of().B}` : calm.reason ?? "none, because the device has no damping"],
+      ...(out.length ? [["Not included", `${out.join("; ")}, which linear theory cannot describe`]] : [])].flatMap(([name, words]) => [make("dt", {}, name), make("dd", {}, words)]));
     clearTimeout(said), said = setTimeout(() => {
       live.textContent = `Largest stable stiffness ${text(border.stiffness_max)} ${of().K}.`
         + (wall ? ` Wall of ${text(wall.stiffness)} ${of().K} and ${text(wall.damping)} ${of().B}: ${result.verdicts[0]}.` : "");
@@ -406,7 +406,7 @@ export function explore(root, entries) {
     chart(step, runs.flatMap((run, i) => [
       ...(i ? [] : [{ name: "linear", x: run.command.flatMap((_, k) => [k * T, (k + 1) * T]).slice(0, -1), y: bounded(run.command.flatMap((u) => [u, u]).slice(0, -1)) }]),
       { name: ["edge", "good", "bad"][i], x: run.time.map((t) => 1000 * t), y: bounded(run.position) }]),
-      "ms; position and command (dotted) over their final and first values", [0.98, 1.02]);
+      "time [ms]; position over its final value, and command (dotted) over its first value", [0.98, 1.02]);
     circle.replaceChildren(make("circle", { class: "axis", cx: 115, cy: 115, r: 100 }), make("path", { class: "grid", d: "M10 115H220M115 10V220" }),
       ...all.flatMap((w, i) => poles(sampled, w.stiffness, w.damping).map(([re, im]) =>
       make("path", { class: ["edge", "good", "bad"][i], d: `M${111 + 100 * re} ${111 - 100 * im}l8 8m0-8l-8 8` }))));
@@ -461,10 +461,10 @@ export function explore(root, entries) {
     /** @param {string} label @param {number} width @param {string} text @param {string | null} [kind] */
     const bar = (label, width, text, kind = null) => make("div", { class: "bar" }, make("span", {}, label),
       make("span", { class: "track" }, make("span", { class: kind, style: `width:${width}%` })), make("span", {}, text));
-    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 %, in brackets the other way:"),
+    bars.replaceChildren(make("p", {}, "Change of the largest stable stiffness for 10 % (in brackets: in the other direction):"),
       ...best.map(({ name, way, gain, loss }) =>
         bar(`10 % ${way} ${NUMBERS.find(([n]) => n === name)?.[1]}`, Math.max(0, 100 * gain / most), `${signed(gain)} (${signed(loss)})`)),
-      ...(limits.length ? [bar("as measured, without its friction", Math.min(100, 100 * Math.abs(share) / most), signed(share), "loss")] : []));
+      ...(limits.length ? [bar("the device without its friction", Math.min(100, 100 * Math.abs(share) / most), signed(share), "loss")] : []));
   }
   /** @returns {(() => void)[]} slices of a search for the best wall by the chosen criterion, closer and closer */
   function optimum() {

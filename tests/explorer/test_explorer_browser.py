@@ -98,9 +98,9 @@ def test_what_one_more_sample_of_delay_costs(opened):
     field = tab.get_by_role("spinbutton", name="delay d")
     field.fill("5")
     field.press("Enter")
-    tab.wait_for_function("document.querySelector('.what-summary dd').textContent.includes('against the device')")
+    tab.wait_for_function("document.querySelector('.what-summary dd').textContent.includes('compared with the device')")
     assert largest(tab) == 9550.3
-    assert "−29.9 % against the device" in tab.inner_text(".what-summary dd")
+    assert "−29.9 % compared with the device" in tab.inner_text(".what-summary dd")
     tab.get_by_role("button", name="Reset to device").click()
     tab.wait_for_function("!document.querySelector('.what-summary dd').textContent.includes('against')")
     assert largest(tab) == 13629
@@ -109,7 +109,7 @@ def test_what_one_more_sample_of_delay_costs(opened):
 def test_what_limits_a_device_with_friction(opened):
     tab = opened()
     tab.get_by_label("device", exact=True).select_option(label="sticky")
-    row = tab.locator(".bars .bar", has_text="as measured, without its friction")
+    row = tab.locator(".bars .bar", has_text="the device without its friction")
     row.wait_for()
     assert row.inner_text().splitlines()[-1] == "−25 %", "14,000 with friction, 10,500 without"
     assert row.locator(".loss").bounding_box()["width"] > 10
@@ -120,7 +120,7 @@ def test_what_limits_a_device_with_friction(opened):
 def test_the_jitter_is_left_out_of_the_device_as_it_is(opened):
     """Another delay is a constant one; the device's own delay has its jitter again."""
     tab = opened()
-    words = "the jitter of the delay (taken as its mean, 4 samples)"
+    words = "the jitter of the delay (replaced by its mean, 4 samples)"
     field = tab.get_by_role("spinbutton", name="delay d")
     for delay, left_out in (("5", False), ("4", True)):
         assert (words in tab.inner_text(".what-summary")) is not left_out
