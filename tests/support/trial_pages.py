@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.comparison.figures.trial_page import PARTS, code, reference, step_size
 from pipeline.rendering.report.report import pack
-from pipeline.rendering.report.tables import TrialPage
+from pipeline.rendering.tables.trial_links import TrialPage
 
 STIFFNESS = (500.0, 1000.0, 1500.0, 2000.0)
 DAMPING = (0.0, 10.0, 20.0)

@@ -33,7 +33,7 @@ from pipeline.rendering.figures.boundaries import by_theory, measured
 from pipeline.rendering.figures.drawing import few_digits
 from pipeline.rendering.labels import UNITS, cost_text, criterion_label, printed_scale, significant
 from pipeline.rendering.report.report import pack
-from pipeline.rendering.report.tables import TrialPage
+from pipeline.rendering.tables.trial_links import TrialPage
 from pipeline.theory.predictions import Theory
 
 SAMPLES = 200_000

@@ -29,8 +29,9 @@ from pipeline.rendering.figures.drawing import Drawn, Figure, draw
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.report import page_template, report_parts
 from pipeline.rendering.report.page_template import fill_template
-from pipeline.rendering.report.tables import NO_TRIALS, TrialPage, tables_of
 from pipeline.rendering.table import Table, marked, word_table
+from pipeline.rendering.tables.report_tables import tables_of
+from pipeline.rendering.tables.trial_links import NO_TRIALS, TrialPage
 
 SEVERAL = ("optima", "delay_tables")
 """Names that denote any number of tables."""

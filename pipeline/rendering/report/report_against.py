@@ -24,8 +24,8 @@ from pipeline.records.results import (
 from pipeline.rendering.figures.drawing import Figure, draw
 from pipeline.rendering.labels import UNITS, criterion_name, interval_texts, percent_text, significant, unit_text
 from pipeline.rendering.report.page_template import fill_template
-from pipeline.rendering.report.tables import digits
 from pipeline.rendering.table import Column, Row, Table, marked, table_of
+from pipeline.rendering.tables.formats import digits
 
 _four = digits(4)
 

@@ -32,8 +32,10 @@ from pipeline.rendering.figures.overview import delay_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
 from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
-from pipeline.rendering.report.tables import MISSED, interval_column, tables_of
 from pipeline.rendering.table import Table
+from pipeline.rendering.tables.estimate_tables import MISSED
+from pipeline.rendering.tables.formats import interval_column
+from pipeline.rendering.tables.report_tables import tables_of
 
 DATES = ("2026-05-02", "2026-01-30", "2026-03-11 14:02")
 LOOP = SourcedLoop(

@@ -1,0 +1,1 @@
+"""Tables of a report: columns, formats and reasons for empty cells."""

@@ -1,0 +1,205 @@
+"""Tables of stability limits, of their shape, and of their agreement with theory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.records.results import ComparisonResult, StraightBound
+from pipeline.rendering.frames import flat
+from pipeline.rendering.labels import UNITS, damping_text, percent_text, significant, stiffness_text
+from pipeline.rendering.table import Column, Row, Table, table_of
+from pipeline.rendering.tables.formats import (
+    RANGE_ENDED,
+    digits,
+    experiment_block,
+    experiment_row,
+    interval_column,
+    interval_ends,
+    ratio_text,
+    show_damping,
+    show_percent_of_share,
+    show_share,
+    show_stiffness,
+)
+from pipeline.rendering.tables.trial_links import TrialPage
+
+UNDECIDED_BELOW = "A trial below it is undecided: look at it, or repeat it."
+
+
+def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table | None:
+    """Return the measured limits at each damping."""
+
+    def place(row: Row, name: str) -> str:
+        return trials.limits.get((row["experiment"], row["damping"], row[name] or 0.0), "")
+
+    def below(row: Row) -> list[str | None]:
+        return [UNDECIDED_BELOW if row["undecided"] else None]
+
+    def ended(row: Row) -> list[str | None]:
+        return [RANGE_ENDED if row["censored"] else None]
+
+    def limit(_: Any, row: Row) -> str:
+        if row["stiffness"] is not None:
+            return stiffness_text(row["stiffness"])
+        return f"≥ {stiffness_text(row['low'])}" if row["low"] else f"≤ {stiffness_text(row['high'])}"
+
+    def interval(row: Row) -> str:
+        if None in (row["stiffness"], row["low"], row["high"]):
+            return ""
+        low, high = stiffness_text(row["low"]), stiffness_text(row["high"])
+        return "" if low == high else f"{low} to {high}"
+
+    caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by "
+    caption += "the growth rates of the trials around it"
+    if any(row["stiffness_large_motion"] is not None for row in rows):
+        caption += "; with friction, both are valid only for this step: under a harder push, walls become unstable at "
+        caption += "the linear limit"
+    columns = (
+        Column("damping", "damping", units.damping, show=show_damping),
+        Column(
+            "stable", show=show_stiffness, why="no stable trial", notes=below, link=lambda row: place(row, "stable")
+        ),
+        Column(
+            "unstable",
+            show=show_stiffness,
+            why="no unstable trial",
+            notes=ended,
+            link=lambda row: place(row, "unstable"),
+        ),
+        Column("limit", "limit, 95 %", show=limit, aside=interval, why="the growth rates do not determine it"),
+        Column("stiffness_large_motion", "harder push", show=show_stiffness, why="no limit", optional=True),
+        Column("truth", show=show_stiffness, why="no truth", optional=True),
+    )
+    shown = [row | {"limit": row["stiffness"] or row["low"] or row["high"] or None} for row in map(dict, rows)]
+
+    def name(row: Row) -> str:
+        # random dampings may be equal when printed
+        return f"{row['experiment']}/{row['damping']:.15g}"
+
+    return table_of("boundary", caption, columns, shown, name, experiment_block)
+
+
+def scores_table(result: ComparisonResult, stiffness: str) -> Table | None:
+    """Return the scores of theory for each experiment."""
+    rows = []
+    for e in result.experiments:
+        for scores in e.scores:
+            row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
+            for name in ("region", "distance", "verdicts", "stiffness", "damping"):
+                found = getattr(scores, name)
+                row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
+            rows.append(row)
+    bases = {scores.basis for e in result.experiments for scores in e.scores}
+
+    def at_largest(row: Row) -> str:
+        return f"at B = {damping_text(row['distance_largest_damping'])}" if "distance_largest" in row else ""
+
+    columns = (
+        Column("experiment"),
+        Column("region_overlap", "overlap of the regions", "%", show=show_share, ends=interval_ends("region_overlap")),
+        Column(
+            "region_covered",
+            "stable part of theory's region",
+            "%",
+            show=show_share,
+            ends=interval_ends("region_covered"),
+        ),
+        interval_column("region_area_ratio", "area, measured : theory"),
+        Column(
+            "stiffness_deviation_percent",
+            "largest stable K",
+            "%",
+            show=lambda value, row: ("≥ " if row["stiffness_lower_bound"] else "") + percent_text(value),
+            aside=lambda row: ratio_text(row, "stiffness_measured", "stiffness_theory"),
+        ),
+        Column(
+            "damping_deviation_percent",
+            "largest stable B",
+            "%",
+            show=lambda value, row: ("≥ " if row["damping_lower_bound"] else "") + percent_text(value),
+            aside=lambda row: ratio_text(row, "damping_measured", "damping_theory"),
+        ),
+        Column("distance_median", "distance of limits, median", "%", show=show_percent_of_share),
+        Column("distance_largest", "largest", "%", show=show_percent_of_share, aside=at_largest),
+        Column("distance_rms", "rms", stiffness, show=digits(3)),
+        Column(
+            "verdicts_agreement",
+            "equal verdicts",
+            "%",
+            show=show_share,
+            aside=lambda row: ratio_text(row, "verdicts_only_theory_stable", "verdicts_only_log_stable"),
+        ),
+    )
+    basis = " and ".join(f"theory by the {basis}" for basis in sorted(bases))
+    return table_of("scores", f"Measured against theory ({basis})", columns, rows, experiment_row)
+
+
+def shapes_table(result: ComparisonResult) -> Table | None:
+    """Return the implied delay and the fitted line of each measured boundary."""
+    units, rows = UNITS[result.motion], []
+    for e in result.experiments:
+        delays, line = e.implied_delay, e.straight_bound
+        if delays is None or (delays.origin.value is None and delays.whole.value is None and line is None):
+            continue
+        row: Row = {"experiment": e.experiment, "reason": delays.whole.reason}
+        for name, each in (("logs", e.delay), ("origin", delays.origin), ("whole", delays.whole)):
+            row |= {name: each.value, f"{name}_low": each.low, f"{name}_high": each.high}
+        if line is not None:
+            row |= {"slope": line.slope, "slope_low": line.slope_low, "slope_high": line.slope_high}
+            sign = "+" if line.slope >= 0 else "\N{MINUS SIGN}"
+            row["line"] = f"K = {stiffness_text(line.stiffness)} {sign} {significant(abs(line.slope), 3)} B"
+            row["dampings"] = f"{line.damping_first:g} to {line.damping_last:g}"
+            row |= {"curvature": line.curvature, "curvature_theory": line.curvature_theory, "shape": shape_words(line)}
+            row |= {"curvature_low": line.curvature_low, "curvature_high": line.curvature_high}
+            row["compared"] = _compared(line)
+        rows.append(row)
+    stiffest = "limits at or above the damping of the largest limit"
+    few = f"fewer than four {stiffest}"
+    curved = f"theory has a stable wall at fewer than four of the {stiffest}"
+    columns = [Column("experiment")]
+    for name, label in (("logs", "by the logs"), ("origin", "near the origin"), ("whole", "by all limits")):
+        columns.append(interval_column(name, label, "samples", group="delay d"))
+    columns += [
+        Column("line", "line", group=stiffest, why=few),
+        interval_column("slope", "slope", f"{units.stiffness} per {units.damping}", group=stiffest, why=few),
+        Column("dampings", "dampings", units.damping, stiffest, why=few),
+        interval_column("curvature", "curvature", f"{units.stiffness} per ({units.damping})²", group=stiffest, why=few),
+        Column("curvature_theory", "of theory", group=stiffest, show=digits(3), why=curved),
+        Column("shape", "shape", group=stiffest, why=few, aside=lambda row: row.get("compared", "")),
+    ]
+    table = table_of(
+        "shapes",
+        "Delay and line that the measured boundary implies, with 95 % intervals",
+        columns,
+        rows,
+        experiment_row,
+    )
+    if table is not None:
+        table.mark(
+            "Pure delay with which an ideal loop of this mass and damping has these limits. A lag or a velocity filter "
+            "makes it longer than the delay of the logs. Friction makes it shorter, as does jitter near the origin."
+        )
+    return table
+
+
+def shape_words(line: StraightBound) -> str | None:
+    """Return whether a measured boundary is straight, and whether theory's curvature is excluded, in words.
+
+    The result is None if the curvature is unknown.
+    """
+    if line.is_straight is None:
+        return None
+    found = "straight" if line.is_straight else "curved"
+    if line.excludes_theory is None:
+        return f"{found}; no curvature of theory to compare"
+    if line.excludes_theory:
+        return f"{found}; theory's curvature is excluded"
+    return "straight or curved as theory: not decided" if line.is_straight else "curved as theory"
+
+
+def _compared(line: StraightBound) -> str:
+    """Return up to which damping the curvatures are compared, if theory has no stable wall beyond. Otherwise empty."""
+    if line.curvature_last is None or line.curvature_last >= line.damping_last:
+        return ""
+    return f"up to B = {line.curvature_last:g}: beyond it, theory has no stable wall"
