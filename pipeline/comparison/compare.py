@@ -42,7 +42,7 @@ from pipeline.records.models import ComparisonRow, Device, Shown
 from pipeline.records.results import ComparisonResult, ExperimentNumbers, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
-from pipeline.rendering.figures.overview import DampedCosts, delay_figure, replay_figure, trend_figure
+from pipeline.rendering.figures.overview import delay_figure, replay_figure, trend_figure
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_page
 from pipeline.store.objects import origin
@@ -149,15 +149,11 @@ class ComparisonPlan:
 
 @dataclass(frozen=True, eq=False)
 class FinishedComparison:
-    """Document of a comparison.
-
-    If the document is recomputed, it comes with the theory of each experiment and theoretical costs over delay.
-    """
+    """Document of a comparison. If it is recomputed, it comes with the theory of each experiment."""
 
     plan: ComparisonPlan
     document: ComparisonResult
     theories: Mapping[str, Theory] = field(default_factory=dict)
-    damped: DampedCosts = field(default_factory=dict)
 
 
 def plan_comparison(selection: ComparisonSelection, report: ReportOptions | None = None) -> ComparisonPlan:
@@ -228,10 +224,9 @@ def run(plan: ComparisonPlan, executor: Executor = compute_stages) -> FinishedCo
             predictions.start(builder.requests())
         with part_of_work("theory: optima", THEORY_BEGINS, 1.0):
             predictions.finish()
-            damped = builder.damped(predictions, numbers) if data.scene.shown.has_figure("delay") else {}
-    return FinishedComparison(
-        plan, _document(plan, numbers, builder.rows(predictions, numbers), lost), theories, damped
-    )
+            predictions.start(builder.damped_requests(numbers))
+            predictions.finish()
+    return FinishedComparison(plan, _document(plan, numbers, builder.rows(predictions, numbers), lost), theories)
 
 
 def write_report(finished: FinishedComparison) -> None:
@@ -285,7 +280,7 @@ def _figures(finished: FinishedComparison) -> Iterator[Figure]:
     if shown.has_figure("maps"):
         yield from map_figures(data, result.experiments, theories, finished.plan.predictions)
     if shown.has_figure("delay"):
-        yield from delay_figure(result.tables, finished.damped)
+        yield from delay_figure(result.tables)
     if shown.has_figure("response"):
         yield from response_figures(data)
         yield from replay_figure(result)

@@ -4,21 +4,24 @@ deviations."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 from typing import Any
 
+from pipeline.comparison.measured_damping import with_measured_damping
 from pipeline.comparison.scene.scene import StoredData, layouts
 from pipeline.comparison.scores.deviation import deviation_of
 from pipeline.device_data.published import find, published_deviation
 from pipeline.records.criteria import DISCRETE, criterion_of
-from pipeline.records.findings import Optimum, holds
+from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow, Deviation, TableLayout
-from pipeline.records.results import ExperimentNumbers, SourcedLoop
-from pipeline.rendering.figures.overview import DampedCosts
+from pipeline.records.results import ExperimentNumbers
 from pipeline.rendering.labels import overshoot_note
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
+
+DAMPED = "theory_damped"
+"""Condition of the rows of theory with the measured damping."""
 
 _NUMBERS = ("stiffness", "damping", "cost")
 
@@ -48,8 +51,7 @@ class TableBuilder:
         result: list[Request] = []
         for table in layouts(self.data):
             for criterion in table.criteria:
-                leading = table.experiments if table.kind == "delay" else (table.theory_from,)
-                for loop in (self.theories[e].normalised for e in leading if e in self.theories):
+                for loop in (self.theories[e].normalised for e in _leading(table) if e in self.theories):
                     result.append((loop, f"{criterion}{DISCRETE}"))
                     if table.kind != "delay" and self.data.scene.shown.has_table(table.name):
                         result.append((loop, criterion))
@@ -58,9 +60,10 @@ class TableBuilder:
     def rows(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> tuple[ComparisonRow, ...]:
         """Return all rows, table after table.
 
-        For each criterion, the row of theory comes before those of the experiments.
+        For each criterion, the rows of theory come before those of the experiments. One of them has the measured
+        damping of the experiment whose parameters theory uses, if it differs from the stated damping.
         """
-        measured = {r.experiment: r for r in results}
+        measured, damped = {r.experiment: r for r in results}, self.damped(results)
         stages = {e.experiment: e for e in self.data.experiments}
 
         @cache  # an experiment may occur in several tables
@@ -69,18 +72,16 @@ class TableBuilder:
             return deviation_of(stages[experiment], best, theory, criterion, predictions) if theory else None
 
         rows: list[ComparisonRow] = []
-        for table in layouts(self.data):
+        for table in self._tables():
             over_delay = table.kind == "delay"
-            # The figure over delay uses the rows even if the table is not shown.
-            if not (over_delay or self.data.scene.shown.has_table(table.name)):
-                continue
-            leading = table.experiments if over_delay else (table.theory_from,)
-            for leader, criterion in product(leading, table.criteria):
+            for leader, criterion in product(_leading(table), table.criteria):
                 theory, discrete = self.theories.get(leader), None
                 if theory is not None:
                     discrete = predictions.get(theory, f"{criterion}{DISCRETE}")
                     kinds = (DISCRETE,) if over_delay else (DISCRETE, "")
                     rows += [self._theory_row(table, criterion, theory, kind, predictions) for kind in kinds]
+                if leader in damped:
+                    rows.append(self._theory_row(table, criterion, damped[leader], DISCRETE, predictions, DAMPED))
                 for experiment in (leader,) if over_delay else table.experiments:
                     result = measured[experiment]
                     # Without both, there is nothing to show. The experiment contains the reason.
@@ -89,32 +90,44 @@ class TableBuilder:
                         rows.append(self._measured_row(table, criterion, result, theory, discrete, parts))
         return tuple(rows)
 
-    def damped(self, predictions: Predictions, results: Sequence[ExperimentNumbers]) -> DampedCosts:
-        """Return theory's costs over delay with the measured damping, if it differs from that of the device file."""
+    def damped(self, results: Sequence[ExperimentNumbers]) -> dict[str, Theory]:
+        """Return theory with the measured damping for each experiment whose damping differs from the stated one."""
         measured = {result.experiment: result.estimates["damping"] for result in results}
-        wanted: dict[tuple[str, str, float], tuple[Theory, str]] = {}
-        for table in layouts(self.data):
-            for name in table.experiments if table.kind == "delay" else ():
-                theory, b = self.theories.get(name), measured[name]
-                if theory is None or b.value is None or b.low is None or b.high is None:
-                    continue
-                if holds(b.low, theory.loop.damping, b.high):
-                    continue
-                loop = replace(theory.loop, damping=max(b.value, 0.0))
-                other = Theory(SourcedLoop(loop=loop, source="measured damping"))
-                for criterion in table.criteria:
-                    wanted[table.name, criterion, loop.delay_samples] = other, f"{criterion}{DISCRETE}"
-        predictions.start((theory.normalised, name) for theory, name in wanted.values())
-        predictions.finish()
-        return {
-            place: best.cost for place, requested in wanted.items() if (best := predictions.get(*requested)) is not None
+        found = {
+            name: with_measured_damping(theory, measured[name])
+            for name, theory in self.theories.items()
+            if name in measured
         }
+        return {name: theory for name, theory in found.items() if theory is not None}
+
+    def damped_requests(self, results: Sequence[ExperimentNumbers]) -> list[Request]:
+        """Return the optima that the rows with the measured damping need."""
+        damped = self.damped(results)
+        wanted = (
+            (damped[leader].normalised, f"{criterion}{DISCRETE}")
+            for table in self._tables()
+            for leader in _leading(table)
+            for criterion in table.criteria
+            if leader in damped
+        )
+        return list(dict.fromkeys(wanted))
+
+    def _tables(self) -> list[TableLayout]:
+        """Return the tables with rows. The figure over delay uses its rows even if the table is not shown."""
+        shown = self.data.scene.shown
+        return [table for table in layouts(self.data) if table.kind == "delay" or shown.has_table(table.name)]
 
     def _theory_row(
-        self, table: TableLayout, criterion: str, theory: Theory, kind: str, predictions: Predictions
+        self,
+        table: TableLayout,
+        criterion: str,
+        theory: Theory,
+        kind: str,
+        predictions: Predictions,
+        condition: str = "",
     ) -> ComparisonRow:
         found, why = predictions.get(theory, criterion + kind), predictions.why(theory, criterion + kind)
-        condition = "theory_discrete" if kind else "theory_continuous"
+        condition = condition or ("theory_discrete" if kind else "theory_continuous")
         note = why if found is None else None if table.kind == "delay" else _region_note(found)
         about = {"theory_mass": theory.loop.apparent().mass, "theory_damping": theory.loop.apparent().damping}
         return self._row(
@@ -125,6 +138,7 @@ class TableBuilder:
             found,
             note,
             theory_source=theory.source,
+            margin=theory.margin(found) if found is not None else None,
             **about,
         )
 
@@ -149,7 +163,7 @@ class TableBuilder:
             measured, theoretical = getattr(best, name), getattr(discrete, name)
             key = "deviation_percent" if name == "cost" else f"{name}_deviation_percent"
             about[key] = 100 * (measured - theoretical) / theoretical if theoretical else None
-        about |= {"censored": best.censored, "trial_id": best.trial_id}
+        about |= {"censored": best.censored, "trial_id": best.trial_id, "margin": best.margin}
         return self._row(table, criterion, condition, delay, best, _optimum_note(criterion, best), **about)
 
     def _published_size(self, table: TableLayout) -> int:
@@ -189,6 +203,11 @@ class TableBuilder:
             **stated,
             **others,
         )
+
+
+def _leading(table: TableLayout) -> tuple[str, ...]:
+    """Return the experiments whose parameters theory uses. Over delay, theory follows each experiment."""
+    return table.experiments if table.kind == "delay" else (table.theory_from,)
 
 
 def _region_note(prediction: Prediction) -> str | None:

@@ -236,6 +236,13 @@ class Loop:
         }
         return tuple(name for name, present in names.items() if present)
 
+    def with_damping(self, value: float) -> Self:
+        """Return the loop with another damping of the device [Ns/m, Nms/rad]. The load of a mode keeps its share."""
+        changes: dict[str, float | None] = {"damping": value}
+        if self.mode and self.damping > 0:
+            changes["mode.load_damping"] = min(self.load_damping / self.damping, 1.0) * value
+        return self.replace(changes)
+
     def with_operator(self) -> Loop:
         """Return the loop with its operator as part of the device.
 

@@ -212,7 +212,8 @@ class ComparisonRow(Record):
     ``experiment`` and ``trial_id`` name the trial of a measured row. In rows of theory they are null, and so are the
     deviations of cost, stiffness and damping from discrete theory. ``published_deviation_percent`` is the deviation of
     a printed measurement from the printed theory. ``theory_mass``, ``theory_damping`` and ``theory_source`` state the
-    device of a row of theory.
+    device of a row of theory. ``margin`` is the stability limit at the damping of the wall, divided by its stiffness:
+    theory's limit in rows of theory, and the lower end of the measured one in other rows.
     """
 
     table: str
@@ -237,6 +238,7 @@ class ComparisonRow(Record):
     theory_mass: float | None = None
     theory_damping: float | None = None
     theory_source: str | None = None
+    margin: float | None = None
 
 
 FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trend", "trials"]

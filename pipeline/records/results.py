@@ -156,11 +156,18 @@ class DampingScore(Record):
     deviation_percent: float
 
 
+ScoreBasis = Literal["device file", "estimates", "measured damping"]
+"""Source of the parameters of a theory: the device file, the logs, or the file with only the damping of the logs."""
+
+
 class Scores(Record):
-    """Scores of theory for an experiment. A missing score is None, and ``missing`` has the reason."""
+    """Scores of theory for an experiment. A missing score is None, and ``missing`` has the reason.
+
+    The ``basis`` "measured damping" occurs as a second entry, if the damping of the logs differs from the device file.
+    """
 
     parameters: SourcedLoop
-    basis: Literal["device file", "estimates"]
+    basis: ScoreBasis
     region: RegionScore | None = None
     distance: DistanceScore | None = None
     verdicts: VerdictScore | None = None

@@ -91,7 +91,11 @@ def criterion_label(criterion: str) -> str:
 
 def condition_label(condition: str) -> str:
     """Return the printed name of a table condition, such as ``theory, discrete cost C*``."""
-    known = {"theory_discrete": "theory, discrete cost C*", "theory_continuous": "theory, continuous cost C"}
+    known = {
+        "theory_discrete": "theory, discrete cost C*",
+        "theory_continuous": "theory, continuous cost C",
+        "theory_damped": "theory, C* with the measured damping",
+    }
     return known.get(condition, condition.replace("_", " "))
 
 

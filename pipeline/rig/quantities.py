@@ -59,20 +59,12 @@ class Quantity:
         return self.write(loop, (self.read(loop) or 0.0) + self.scale(loop) * expm1(x))
 
 
-def with_damping(loop: Loop, value: float) -> Loop:
-    """Return the rig with a new damping [Ns/m, Nms/rad]. The load of a mode keeps its share of the damping."""
-    changes: dict[str, float | None] = {"damping": value}
-    if loop.mode and loop.damping > 0:
-        changes["mode.load_damping"] = min(loop.load_damping / loop.damping, 1.0) * value
-    return loop.replace(changes)
-
-
 QUANTITIES = {
     quantity.name: quantity
     for quantity in (
         Quantity("sampling_period_s", "sampling period T"),
         Quantity("delay_samples", "delay d", (1 / 32, 4.0)),
-        Quantity("damping", "damping b of the device", zero=_SMALL, change=with_damping),
+        Quantity("damping", "damping b of the device", zero=_SMALL, change=Loop.with_damping),
         Quantity("mass", "mass m"),
         Quantity("velocity_cutoff_hz", "cut-off of the velocity filter", parameter="velocity.cutoff_hz"),
         Quantity("actuator_lag_s", "lag of the actuator", (1 / 32, 4.0)),

@@ -12,7 +12,6 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.trials import Floats
-from pipeline.rig.quantities import with_damping
 from pipeline.surface.physical_loop import Loop
 from pipeline.theory.boundary import boundary, stiffness_limit
 from pipeline.theory.cases import Case, costs_of_walls
@@ -206,7 +205,7 @@ def _corners(loop: Loop, tolerance: float) -> list[Loop]:
         if loop.mode:
             changes["mode.mass"] = m * loop.mode.mass
         try:
-            rigs.append(with_damping(loop, b * loop.damping).replace(changes))
+            rigs.append(loop.with_damping(b * loop.damping).replace(changes))
         except ParameterError as error:
             numbers = f"mass {m * loop.mass:.4g}, damping {b * loop.damping:.4g}, delay {d * loop.delay_samples:.4g}"
             raise ParameterError(f"tolerance = {tolerance:g}: leads to {numbers} samples. {error}") from None

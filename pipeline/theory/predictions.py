@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.base.disk import if_writable, read_result, write_result
@@ -23,7 +24,7 @@ from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import SourcedLoop
 from pipeline.records.trials import Floats
-from pipeline.theory.boundary import Boundary, boundary, stabilises
+from pipeline.theory.boundary import Boundary, boundary, stabilises, stiffness_limit
 from pipeline.theory.costs import costs_at
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.passivity import passive_outline
@@ -92,6 +93,13 @@ class Theory:
     def boundary(self) -> Boundary:
         """Normalised stability boundary."""
         return boundary(self.normalised, BOUNDARY_POINTS)
+
+    def margin(self, wall: Prediction) -> float | None:
+        """Return the stability limit at the damping of a wall, divided by its stiffness. None for K = 0."""
+        if not wall.stiffness > 0:
+            return None
+        limit = stiffness_limit(self.normalised, np.array([wall.damping / self.units.damping]))
+        return float(limit[0]) * self.units.stiffness / wall.stiffness
 
     def physical(self, point: OptimalPoint) -> Prediction:
         """Return an optimal point in physical units."""

@@ -4,6 +4,7 @@ import csv
 import dataclasses
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from labs import make_lab
 
@@ -16,6 +17,7 @@ from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.models import ComparisonRow
 from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import is_stable
 from pipeline.theory.predictions import Predictions
 
 CENTRES = 0.002
@@ -218,7 +220,12 @@ def test_ties_are_counted_in_a_note(falcon, falcon_outcome, tmp_path):
     assert row.censored
 
 
-def test_theory_with_the_measured_damping_is_drawn_where_the_file_has_another(sweep, one_process):
+def with_damping(result, damping, **changes):
+    """The numbers of an experiment with another measured damping."""
+    return result.model_copy(update={"estimates": result.estimates | {"damping": damping}, **changes})
+
+
+def test_theory_with_the_measured_damping_has_rows_where_the_file_has_another(sweep, one_process):
     data = open_scene("lwr", sweep.processed, None, ["energy_step_w0"])
     theories = nominal_theories(data)
     builder = TableBuilder(data, theories)
@@ -226,12 +233,40 @@ def test_theory_with_the_measured_damping_is_drawn_where_the_file_has_another(sw
     results = [SimpleNamespace(experiment=e.experiment, estimates={"damping": damping}) for e in data.experiments]
     predictions = Predictions(sweep.raw.parent / "theory-damped")
     with predictions:
-        found = builder.damped(predictions, results)
-        assert len(found) == 7
-        for (table, criterion, delay), cost in found.items():
-            loop = NormalisedLoop.ideal(0.0, 6.0 * 1e-3 / 0.19, delay)
-            assert cost == pytest.approx(optimal_point(loop, f"{criterion}_discrete").cost, rel=1e-9)
-            assert table == "D.6"
+        requests = builder.damped_requests(results)
+        assert len(requests) == len(set(requests)) == 7
+        predictions.start(requests)
+        predictions.finish()
+        for loop, name in requests:
+            expected = optimal_point(NormalisedLoop.ideal(0.0, 6.0 * 1e-3 / 0.19, loop.delay), name)
+            assert predictions.cost(loop, name) == pytest.approx(expected.cost, rel=1e-9)
         same = damping.model_copy(update={"value": 0.0, "low": 0.0, "high": 1e-3})
         results = [SimpleNamespace(experiment=e.experiment, estimates={"damping": same}) for e in data.experiments]
-        assert builder.damped(predictions, results) == {}
+        assert builder.damped_requests(results) == []
+
+
+def test_a_row_with_the_measured_damping_is_next_to_that_with_the_stated_one(falcon, falcon_outcome, one_process):
+    data = open_scene("falcon", falcon.processed, None, ["settle_2pct"])
+    damping = Estimate(value=9.0, low=8.0, high=10.0, unit="Ns/m", method="test")
+    builder = TableBuilder(data, nominal_theories(data))
+    results = [with_damping(falcon_outcome.result.experiments[0], damping)]
+    with Predictions(falcon.processed / "theory") as predictions:
+        predictions.start([*builder.requests(), *builder.damped_requests(results)])
+        predictions.finish()
+        rows = [row for row in builder.rows(predictions, results) if row.criterion == "settle_2pct"]
+    assert [row.condition for row in rows] == ["theory_discrete", "theory_continuous", "theory_damped", "experiment_1"]
+    stated, damped = rows[0], rows[2]
+    assert (stated.theory_damping, damped.theory_damping) == (4.0, 9.0)
+    assert damped.cost <= stated.cost
+    assert damped.theory_source == "device file falcon; without jitter; damping of the logs"
+    loop = NormalisedLoop.ideal(0.0, 9.0 * 1e-3 / 0.58, 4.0)
+    assert damped.stiffness * 1e-6 / 0.58 == pytest.approx(optimal_point(loop, "settle_2pct_discrete").alpha, rel=1e-6)
+    # the limit by the poles, halved in steps, in place of the closed form
+    K, B = damped.stiffness, damped.damping
+    low, high = 1.0, 20.0
+    while high - low > 1e-6:
+        middle = 0.5 * (low + high)
+        inside = is_stable(loop, np.array([middle * K * 1e-6 / 0.58]), np.array([B * 1e-3 / 0.58]))[0]
+        low, high = (middle, high) if inside else (low, middle)
+    assert damped.margin == pytest.approx(low, abs=1e-5)
+    assert rows[3].margin == results[0].optimum["settle_2pct"].margin

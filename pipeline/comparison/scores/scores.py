@@ -7,9 +7,10 @@ import numpy as np
 from pipeline.base.wording import counted
 from pipeline.comparison.limits import MeasuredLimits, Overlap, Stretches, measured_limits, overlap
 from pipeline.comparison.loops.departures import other_gains
+from pipeline.comparison.measured_damping import with_measured_damping
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.measured.stages.stage_tables import ExperimentStages
-from pipeline.records.results import DampingScore, MeasuredExperiment, RegionScore, Scores, StiffnessScore
+from pipeline.records.results import DampingScore, MeasuredExperiment, RegionScore, ScoreBasis, Scores, StiffnessScore
 from pipeline.records.trials import Floats
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.crossings import stable_intervals
@@ -21,8 +22,8 @@ def scores_of(
 ) -> tuple[Scores, ...]:
     """Return the scores of an experiment, with reasons for missing scores.
 
-    The tuple is empty if theory or measured limits are missing.
-
+    The tuple is empty if theory or measured limits are missing. If the measured damping differs from that of the device
+    file, a second entry has the scores of theory with the measured damping.
 
     Parameters
     ----------
@@ -36,6 +37,15 @@ def scores_of(
     # If the command follows other walls, the few remaining trials give no evidence about the device in these units.
     if theory is None or (gains is not None and gains.most):
         return ()
+    bases: dict[ScoreBasis, Theory] = {"device file" if by_file else "estimates": theory}
+    damped = with_measured_damping(theory, result.estimates["damping"]) if by_file else None
+    if damped is not None:
+        bases["measured damping"] = damped
+    return tuple(_scores(result, stages, each, basis) for basis, each in bases.items())
+
+
+def _scores(result: MeasuredExperiment, stages: ExperimentStages, theory: Theory, basis: ScoreBasis) -> Scores:
+    """Return the scores of an experiment against one theory."""
     limits = measured_limits(result.boundary)
     stretches = _theory_stretches(theory, limits.damping)
     predicted = stretches.high.max(axis=0, initial=0.0)
@@ -58,8 +68,7 @@ def scores_of(
         "damping": "no stable trial at K > 0",
     }
     missing = {name: reason for name, reason in why.items() if found[name] is None}
-    basis = "device file" if by_file else "estimates"
-    return (Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found}),)
+    return Scores.model_validate({"parameters": theory.described, "basis": basis, "missing": missing, **found})
 
 
 def _theory_stretches(theory: Theory, damping: Floats) -> Stretches:

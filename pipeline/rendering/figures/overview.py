@@ -5,7 +5,7 @@ Source: Hulin 2017, Fig. 6.12 (costs over delay).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,11 +90,7 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
     return [Figure("response", "replay", title, caption, tuple(panels), size=(350.0, 250.0))]
 
 
-DampedCosts = Mapping[tuple[str, str, float], float]
-"""Optimal costs that theory predicts with the measured damping, by table, criterion and delay [samples]."""
-
-
-def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Figure]:
+def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:
     """Return theoretical and experimental optimal costs over total delay, for each table that is a sweep."""
     figures: list[Figure] = []
     for table in dict.fromkeys(row.table for row in rows):
@@ -105,8 +101,7 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
         for criterion in dict.fromkeys(row.criterion for row in own):
             of = sorted((row for row in own if row.criterion == criterion), key=lambda row: row.delay_samples or 0.0)
             scale, series = printed_scale(criterion), []
-            with_damping = [(d, cost) for (name, c, d), cost in damped.items() if (name, c) == (table, criterion)]
-            for label, kind, points in (*_over_delay(of), ("theory, measured damping", "theory", with_damping)):
+            for label, kind, points in _over_delay(of):
                 x, y = np.array(points, dtype=np.float64).T if points else (np.empty(0), np.empty(0))
                 series += [Series(label, kind, x, y * scale)] if points else []
             costs = "; ".join(
@@ -120,7 +115,7 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
             "Costs of the sampled response at the optimum, theory and experiment. What theory costs on the walls that "
             "were tested is no error of theory: the optimum lies between them. In the manner of Fig. 6.12."
         )
-        if any(name == table for name, *_ in damped):
+        if any(row.condition == "theory_damped" for row in own):
             caption += " Dashed: theory with the damping that the logs show in place of the device file's."
         name, title = f"delay{len(figures) or ''}", "Optimal costs over delay"
         figures.append(Figure("delay", name, title, caption, tuple(panels), size=(440.0, 300.0)))
@@ -130,10 +125,11 @@ def delay_figure(rows: Sequence[ComparisonRow], damped: DampedCosts) -> list[Fig
 def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[tuple[float, float]]]]:
     """Yield label, kind and points (delay, cost) of each series.
 
-    The series are theory, theory on the tested walls, experiment, and published values.
+    The series are theory, theory on the tested walls, experiment, published values, and theory with the measured
+    damping.
     """
     theory = {row.delay_samples or 0.0: row.cost or 0.0 for row in rows if row.condition == "theory_discrete"}
-    measured = [row for row in rows if row.condition != "theory_discrete"]
+    measured = [row for row in rows if not row.condition.startswith("theory")]
     tested, printed = [], []
     for row in measured:
         delay, parts = row.delay_samples or 0.0, row.deviation
@@ -145,6 +141,8 @@ def _over_delay(rows: Sequence[ComparisonRow]) -> Iterator[tuple[str, str, list[
     yield "theory on the tested walls", "linear", tested
     yield "experiment", "optimum", [(row.delay_samples or 0.0, row.cost or 0.0) for row in measured]
     yield "printed measurement", "mark", printed
+    damped = [(row.delay_samples or 0.0, row.cost or 0.0) for row in rows if row.condition == "theory_damped"]
+    yield "theory, measured damping", "theory", damped
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.records.results import ComparisonResult, StraightBound
+from pipeline.base.wording import listed
+from pipeline.records.results import ComparisonResult, Scores, StraightBound
 from pipeline.rendering.frames import flat
-from pipeline.rendering.labels import UNITS, damping_text, percent_text, significant, stiffness_text
+from pipeline.rendering.labels import UNITS, damping_text, percent_text, share_text, significant, stiffness_text
 from pipeline.rendering.table import Column, Row, Table, table_of
 from pipeline.rendering.tables.formats import (
     RANGE_ENDED,
@@ -80,23 +81,26 @@ def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table 
     return table_of("boundary", caption, columns, shown, name, experiment_block)
 
 
-def scores_table(result: ComparisonResult, stiffness: str) -> Table | None:
-    """Return the scores of theory for each experiment."""
+def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Table | None:
+    """Return the scores of theory for each experiment, and those with the measured damping if it is another one."""
     rows = []
     for e in result.experiments:
         for scores in e.scores:
-            row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
+            loop = scores.parameters.loop.apparent()
+            row: Row = {"experiment": e.experiment, "reason": "; ".join(dict.fromkeys(scores.missing.values()))}
+            row |= {"basis": scores.basis, "theory_damping": loop.damping}
             for name in ("region", "distance", "verdicts", "stiffness", "damping"):
                 found = getattr(scores, name)
                 row |= {f"{name}_{key}": value for key, value in flat(found).items()} if found else {}
             rows.append(row)
-    bases = {scores.basis for e in result.experiments for scores in e.scores}
+    bases = {scores.basis for e in result.experiments for scores in e.scores} - {"measured damping"}
 
     def at_largest(row: Row) -> str:
         return f"at B = {damping_text(row['distance_largest_damping'])}" if "distance_largest" in row else ""
 
     columns = (
         Column("experiment"),
+        Column("theory_damping", "theory's b", damping, show=digits(3), aside=lambda row: _OF_BASIS[row["basis"]]),
         Column("region_overlap", "overlap of the regions", "%", show=show_share, ends=interval_ends("region_overlap")),
         Column(
             "region_covered",
@@ -132,7 +136,60 @@ def scores_table(result: ComparisonResult, stiffness: str) -> Table | None:
         ),
     )
     basis = " and ".join(f"theory by the {basis}" for basis in sorted(bases))
-    return table_of("scores", f"Measured against theory ({basis})", columns, rows, experiment_row)
+    table = table_of("scores", f"Measured against theory ({basis})", columns, rows, _score_row)
+    if table is not None:
+        table.mark(*measured_damping_notes(result))
+    return table
+
+
+_OF_BASIS = {"device file": "stated", "estimates": "by the logs", "measured damping": "by the logs"}
+"""Source of theory's damping, by the basis of scores."""
+
+
+def _score_row(row: Row) -> str:
+    """Return the name of a row of scores. The scores with the measured damping are a second row of an experiment."""
+    return f"{row['experiment']}{'/measured-damping' if row['basis'] == 'measured damping' else ''}"
+
+
+def measured_damping_notes(result: ComparisonResult) -> list[str]:
+    """Return what the measured damping explains of the scores, one sentence for each experiment with another damping.
+
+    A last sentence names the experiments in which it explains nothing. The list is empty without a device file.
+    """
+    notes, same = [], []
+    for e in result.experiments if result.known_device else ():
+        damping = e.estimates.get("damping")
+        if len(e.scores) == 1 and damping is not None and None not in (damping.low, damping.high):
+            same.append(e.experiment)
+        if len(e.scores) < 2:
+            continue
+        stated, damped = e.scores
+        changes = [
+            f"{name} {show(before)} to {show(after)} %"
+            for name, before, after, show in (
+                ("overlap of the regions", *_both(stated, damped, "region", "overlap"), share_text),
+                ("largest stable K", *_both(stated, damped, "stiffness", "deviation_percent"), percent_text),
+                ("largest stable B", *_both(stated, damped, "damping", "deviation_percent"), percent_text),
+            )
+            if before is not None and after is not None
+        ]
+        if changes:
+            notes.append(
+                f"Experiment {e.experiment}: the damping of the logs in place of the stated one changes the scores: "
+                f"{', '.join(changes)}."
+            )
+    if same:
+        count = len(result.experiments)
+        where = f"experiment{'s' if len(same) > 1 else ''} {listed(same)}"
+        where = f"all {count} experiments" if len(same) == count > 2 else where
+        notes.append(f"In {where}, the damping of the logs agrees with the stated one: it explains no deviation.")
+    return notes
+
+
+def _both(first: Scores, second: Scores, part: str, name: str) -> tuple[float | None, float | None]:
+    """Return a number of two scores. It is None if the score is missing."""
+    one, other = (getattr(getattr(scores, part), name, None) for scores in (first, second))
+    return one, other
 
 
 def shapes_table(result: ComparisonResult) -> Table | None:

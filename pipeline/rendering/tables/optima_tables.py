@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from statistics import median
 
+from pipeline.records.results import ComparisonResult, ExperimentNumbers
 from pipeline.rendering.labels import (
+    UNITS,
     Units,
     condition_label,
     cost_text,
@@ -20,6 +23,7 @@ from pipeline.rendering.table import Column, Row, Table, is_sweep, table_of
 from pipeline.rendering.tables.formats import (
     censored_note,
     digits,
+    show_at_least,
     show_by,
     show_cost,
     show_damping,
@@ -36,18 +40,24 @@ PARTS = (
 )
 
 
+_SIDES = {"theory_discrete": "theory", "theory_damped": "damped"}
+"""Columns of the form of Table D.6, by condition. Other conditions are experiments."""
+
 PRINTED = "a row of theory, or no printed measurement"
 
 
-def optima_tables(rows: Sequence[Row], units: Units, place: Callable[[Row], str]) -> dict[str, list[Table]]:
+def optima_tables(
+    rows: Sequence[Row], result: ComparisonResult, units: Units, place: Callable[[Row], str]
+) -> dict[str, list[Table]]:
     """Return tables like D.1 to D.5, and tables over delay like D.6."""
     found: dict[str, list[Table]] = {"optima": [], "delay_tables": []}
     for name in dict.fromkeys(row["table"] for row in rows):
         own = [dict(row) for row in rows if row["table"] == name]
         swept = is_sweep(own)
-        for row, after in zip(own, [*own[1:], own[-1]], strict=True):
+        for place_of_row, row in enumerate(own):
             # over delay, each experiment follows its theory
-            row |= {"reason": row["note"], "raw": row["condition"], "of": row["experiment"] or after["experiment"]}
+            experiment = next((after["experiment"] for after in own[place_of_row:] if after["experiment"]), None)
+            row |= {"reason": row["note"], "raw": row["condition"], "of": experiment}
             row["condition"] = condition_label(row["condition"])
             if row["delay_samples"] is not None and (swept or not row["condition"].startswith("theory")):
                 row["condition"] += f" (d = {significant(row['delay_samples'], 3)})"
@@ -58,6 +68,7 @@ def optima_tables(rows: Sequence[Row], units: Units, place: Callable[[Row], str]
                 "stiffness", "stiffness K", units.stiffness, here, show_stiffness, aside=_off("stiffness"), linked=True
             ),
             Column("damping", "damping B", units.damping, here, show_damping, aside=_off("damping"), linked=True),
+            Column("margin", "limit over K", "", here, _show_margin, why="no limit is known there", optional=True),
             Column("cost", "", "", here, show_cost, linked=True),
             Column(
                 "deviation_percent",
@@ -94,6 +105,7 @@ def optima_tables(rows: Sequence[Row], units: Units, place: Callable[[Row], str]
         )
         if table is not None:
             table.mark(*_theory_notes(own, units, swept=swept))
+            table.mark(*damping_notes(own, result, swept=swept), None if swept else closeness_note(own))
         found["delay_tables" if swept else "optima"] += [table] if table else []
     return found
 
@@ -111,6 +123,116 @@ def _theory_notes(rows: Sequence[Row], units: Units, *, swept: bool) -> list[str
     return list(dict.fromkeys(notes))
 
 
+def _show_margin(value: float, row: Row) -> str:
+    """Return the limit over the stiffness of a wall. For a trial, it is a lower bound."""
+    return significant(value, 3) if row["raw"].startswith("theory") else show_at_least(value, row)
+
+
+def damping_notes(rows: Sequence[Row], result: ComparisonResult, *, swept: bool) -> list[str]:
+    """Return what the measured damping explains of the deviations of a table, as sentences.
+
+    The list is empty if theory does not use a device file.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Rows of one table in its order, with their condition as ``raw``.
+    result : ComparisonResult
+    swept : bool
+        Whether the table is over delay. Deviations are then summarised by their median size.
+    """
+    theory = next((row for row in rows if row["raw"] == "theory_discrete"), None)
+    if theory is None or not result.known_device:
+        return []
+    damped = {(row["criterion"], row["delay_samples"]): row for row in rows if row["raw"] == "theory_damped"}
+    here = {row["experiment"] for row in rows}
+    leaders = [e for e in result.experiments if e.experiment in here and _leads(e, theory)]
+    if not damped:
+        known = [e.estimates["damping"] for e in leaders if "damping" in e.estimates]
+        if not known:
+            return []
+        if any(each.low is None or each.high is None for each in known):
+            return ["The logs do not determine the damping, so that its part in these deviations is unknown."]
+        return ["The damping of the logs agrees with the stated one, so that it explains none of these deviations."]
+    changes = "" if swept else _damping_change(theory, next(iter(damped.values())), UNITS[result.motion].damping)
+    texts = {
+        name: _changed_deviations([row for row in rows if row["criterion"] == name], damped, swept=swept)
+        for name in dict.fromkeys(row["criterion"] for row in rows)
+    }
+    parts = [f"{criterion_name(name)} {text}" for name, text in texts.items() if text]
+    return [f"Deviations of the cost with the damping of the logs{changes}: {'; '.join(parts)}."] if parts else []
+
+
+def _damping_change(theory: Row, damped: Row, unit: str) -> str:
+    """Return the measured and the stated damping of theory in brackets."""
+    found, stated = (significant(row["theory_damping"], 3) for row in (damped, theory))
+    return f" (b = {found} instead of {stated} {unit})"
+
+
+def _changed_deviations(rows: Sequence[Row], damped: Mapping[tuple[str, float | None], Row], *, swept: bool) -> str:
+    """Return the deviations of one criterion from theory with the measured and with the stated damping, as text.
+
+    The text is empty if there is no such deviation.
+    """
+    pairs = [
+        (row, 100 * (row["cost"] / other["cost"] - 1))
+        for row in rows
+        if row["deviation_percent"] is not None
+        if (other := _damped_row(damped, row, swept=swept)) is not None and other["cost"]
+    ]
+    if not pairs:
+        return ""
+    if swept:
+        before = median(abs(row["deviation_percent"]) for row, _ in pairs)
+        after = median(abs(percent) for _, percent in pairs)
+        return f"{significant(after, 2)} % instead of {significant(before, 2)} % (median size)"
+    return ", ".join(
+        f"{percent_text(percent)} % instead of {percent_text(row['deviation_percent'])} % "
+        f"(experiment {row['experiment']})"
+        for row, percent in pairs
+    )
+
+
+def _leads(result: ExperimentNumbers, theory: Row) -> bool:
+    """Return whether a row of theory has the mass and damping of the device file for an experiment."""
+    if result.theory is None:
+        return False
+    loop = result.theory.loop.apparent()
+    return (loop.mass, loop.damping) == (theory["theory_mass"], theory["theory_damping"])
+
+
+def _damped_row(damped: Mapping[tuple[str, float | None], Row], row: Row, *, swept: bool) -> Row | None:
+    """Return the row of theory with the measured damping that belongs to a measured row, or None."""
+    if swept:
+        return damped.get((row["criterion"], row["delay_samples"]))
+    return next((each for (criterion, _), each in damped.items() if criterion == row["criterion"]), None)
+
+
+def closeness_note(rows: Sequence[Row]) -> str | None:
+    """Return how many optima of the logs lie closer to the stability limit than those of theory (6.2.4).
+
+    The note is None if no limit is known.
+    """
+    counts = {}
+    for condition, words in (("theory_discrete", "theory"), ("theory_damped", "theory with the measured damping")):
+        of_theory = {row["criterion"]: row["margin"] for row in rows if row["raw"] == condition}
+        pairs = [
+            (row["margin"], of_theory[row["criterion"]])
+            for row in rows
+            if not row["raw"].startswith("theory") and row["margin"] is not None and of_theory.get(row["criterion"])
+        ]
+        if pairs:
+            counts[words] = sum(measured < theory for measured, theory in pairs), len(pairs)
+    if not counts:
+        return None
+    if not any(closer for closer, _ in counts.values()):
+        return (
+            f"By the limit over K, no optimum of the logs lies closer to the limit than that of {' or '.join(counts)}."
+        )
+    parts = [f"{closer} of {of} may lie closer to it than that of {words}" for words, (closer, of) in counts.items()]
+    return f"Optima of the logs and the limit, by the limit over K: {', '.join(parts)}."
+
+
 def delay_form_table(rows: Sequence[Row]) -> Table | None:
     """Return costs over delay in the form of Table D.6.
 
@@ -126,7 +248,7 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
     lines: dict[float, Row] = {}
     for row in own:
         line = lines.setdefault(row["delay_samples"], {"delay": row["delay_samples"]})
-        side = "theory" if row["condition"] == "theory_discrete" else "experiment"
+        side = _SIDES.get(row["condition"], "experiment")
         line[f"{row['criterion']}/{side}"] = row["cost"]
         if side == "experiment":
             line[f"{row['criterion']}/deviation"] = row["deviation_percent"]
@@ -134,6 +256,10 @@ def delay_form_table(rows: Sequence[Row]) -> Table | None:
     for name in criteria:
         show, group = show_by(partial(cost_text, name)), criterion_label(name)
         columns += [Column(f"{name}/{side}", side, "", group, show, why="no cost") for side in ("theory", "experiment")]
+        columns.insert(
+            -1,
+            Column(f"{name}/damped", "with measured damping", "", group, show, why="no other damping", optional=True),
+        )
         columns.append(Column(f"{name}/deviation", "deviation", "%", group, show_percent, why="no theory or no cost"))
     caption = f"{table_label(swept)}: optimal costs of the sampled response over total delay"
     ordered = [lines[delay] for delay in sorted(lines)]

@@ -23,7 +23,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     place = trial_of_row(trials)
     made: dict[str, Table | None] = {
         "overview": overview_table(result),
-        "scores": scores_table(result, units.stiffness),
+        "scores": scores_table(result, units.stiffness, units.damping),
         "experiments": experiments_table(result),
         "measured_optima": measured_optima_table(f["optima"], result, units, place),
         "boundary": boundary_table(f["boundary"], units, trials),
@@ -48,4 +48,4 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
     }
     made["delay_form"] = delay_form_table(f["tables"])
     tables = {name: [table] if table else [] for name, table in made.items()}
-    return tables | optima_tables(f["tables"], units, place)
+    return tables | optima_tables(f["tables"], result, units, place)

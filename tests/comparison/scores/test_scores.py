@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.comparison.experiment_result import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scores.scores import scores_of
-from pipeline.records.findings import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.results import SourcedLoop
 from pipeline.theory.boundary import stiffness_limit
+from pipeline.theory.predictions import Theory
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +94,24 @@ def test_the_largest_stable_damping_is_scored_against_that_of_theory(ideal):
     assert score.lower_bound
     assert score.theory > score.measured
     assert score.deviation_percent == pytest.approx(100 * (score.measured / score.theory - 1), abs=1e-9)
+
+
+@pytest.mark.parametrize(("low", "count"), [(3.0, 1), (5.0, 2)], ids=["agrees", "differs"])
+def test_scores_with_the_measured_damping_follow_if_it_differs_from_the_file(ideal, low, count):
+    result, stages, theory = ideal
+    damping = Estimate(value=low + 2, low=low, high=low + 4, unit="Ns/m", method="test")
+    changed = result.model_copy(update={"estimates": result.estimates | {"damping": damping}})
+    found = scores_of(changed, stages, theory, by_file=True)
+    assert [each.basis for each in found] == ["device file", "measured damping"][:count]
+    assert found[0] == scores_of(result, stages, theory, by_file=True)[0]
+    if count == 2:
+        # a device file with this damping has the same scores
+        loop = replace(theory.loop, damping=7.0)
+        (expected,) = scores_of(
+            result.model_copy(update={"estimates": {"damping": damping.model_copy(update={"low": 6.9, "high": 7.1})}}),
+            stages,
+            Theory(SourcedLoop(loop=loop, source="another file")),
+            by_file=True,
+        )
+        assert found[1].region == expected.region
+        assert found[1].damping.theory > found[0].damping.theory

@@ -16,10 +16,12 @@ from pipeline.records.results import (
     AnswerEstimate,
     ComparisonResult,
     CostRange,
+    DampingScore,
     HeaderLine,
     ImpliedDelay,
     Prediction,
     ReachableCost,
+    Scores,
     SourcedLoop,
     StraightBound,
     Truth,
@@ -33,8 +35,10 @@ from pipeline.rendering.frames import differing_lines, frames, in_order, limit_o
 from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
+from pipeline.rendering.tables.boundary_tables import measured_damping_notes
 from pipeline.rendering.tables.estimate_tables import MISSED
 from pipeline.rendering.tables.formats import interval_column
+from pipeline.rendering.tables.optima_tables import closeness_note, damping_notes
 from pipeline.rendering.tables.report_tables import tables_of
 
 DATES = ("2026-05-02", "2026-01-30", "2026-03-11 14:02")
@@ -89,7 +93,7 @@ def test_nothing_is_shown_where_no_line_differs(result: ComparisonResult) -> Non
 
 
 def test_costs_over_delay_are_drawn_of_sweeps_alone(result: ComparisonResult) -> None:
-    (figure,) = delay_figure(result.tables, {})
+    (figure,) = delay_figure(result.tables)
     panel = figure.panels[0]
     rows = [r for r in result.tables if r.table == "D.6" and r.criterion == "settle_2pct"]
     of = {s.label: s for s in panel.series}
@@ -329,3 +333,94 @@ def test_a_distance_from_the_limit_is_rounded_down_and_agrees_with_its_word(resu
     (wall,) = cells(tables["use"][0])
     assert wall["point_margin"] == "1.4"
     assert wall["point_damping_range_margin"].startswith("1.2")
+
+
+DAMPING = {"damping": estimate(4.0, "Ns/m")}
+
+
+def rows_of_a_table(*, damped: float | None, margins: tuple[float, float, float] = (2.0, 1.9, 1.5)) -> list[dict]:
+    """Theory, theory with the measured damping if there is a cost of it, and one trial, by one criterion."""
+    about = {"criterion": "settle_2pct", "delay_samples": 4.0, "theory_mass": 0.58, "theory_damping": 4.0}
+    row = {**about, "experiment": None, "deviation_percent": None}
+    rows = [row | {"raw": "theory_discrete", "cost": 20.0, "margin": margins[0]}]
+    if damped is not None:
+        rows.append(row | {"raw": "theory_damped", "cost": damped, "margin": margins[1], "theory_damping": 9.0})
+    trial = {"raw": "experiment_1", "experiment": "0", "cost": 30.0, "deviation_percent": 50.0, "margin": margins[2]}
+    return [*rows, row | trial]
+
+
+def led(result: ComparisonResult, damping: Any) -> ComparisonResult:
+    """A report whose first experiment has the theory of `LOOP`, and a damping from its logs."""
+    first = result.experiments[0]
+    first = first.model_copy(update={"experiment": "0", "theory": LOOP, "estimates": first.estimates | damping})
+    return result.model_copy(update={"experiments": (first,), "known_device": True})
+
+
+def test_the_part_of_the_measured_damping_in_a_deviation_is_stated(result: ComparisonResult) -> None:
+    (note,) = damping_notes(rows_of_a_table(damped=25.0), led(result, DAMPING), swept=False)
+    assert "(b = 9 instead of 4 Ns/m)" in note
+    assert "+20.0 % instead of +50.0 % (experiment 0)" in note, "30/25 and 30/20"
+    (note,) = damping_notes(rows_of_a_table(damped=25.0), led(result, DAMPING), swept=True)
+    assert note.endswith("20 % instead of 50 % (median size).")
+
+
+def test_a_measured_damping_that_agrees_or_is_unknown_explains_nothing(result: ComparisonResult) -> None:
+    rows = rows_of_a_table(damped=None)
+    (note,) = damping_notes(rows, led(result, DAMPING), swept=False)
+    assert "agrees with the stated one" in note
+    (note,) = damping_notes(rows, led(result, {"damping": estimate(None, "Ns/m", "no trial")}), swept=False)
+    assert "do not determine the damping" in note
+    other = led(result, DAMPING).model_copy(update={"known_device": False})
+    assert damping_notes(rows, other, swept=False) == []
+
+
+def test_optima_closer_to_the_limit_than_those_of_theory_are_counted() -> None:
+    assert closeness_note(rows_of_a_table(damped=25.0)) == (
+        "Optima of the logs and the limit, by the limit over K: 1 of 1 may lie closer to it than that of theory, "
+        "1 of 1 may lie closer to it than that of theory with the measured damping."
+    )
+    note = closeness_note(rows_of_a_table(damped=25.0, margins=(1.2, 1.1, 1.5)))
+    assert note.startswith("By the limit over K, no optimum of the logs lies closer")
+    assert "1 of 1" in closeness_note(rows_of_a_table(damped=None))
+    assert closeness_note([row | {"margin": None} for row in rows_of_a_table(damped=None)]) is None
+
+
+def test_scores_with_the_measured_damping_are_a_second_row(result: ComparisonResult) -> None:
+    first = led(result, DAMPING).experiments[0]
+    stated = Scores(parameters=LOOP, basis="device file", damping=damping_score(100.0, 200.0))
+    damped = Scores(parameters=LOOP, basis="measured damping", damping=damping_score(100.0, 125.0))
+    both = led(result, DAMPING).model_copy(
+        update={"experiments": (first.model_copy(update={"scores": (stated, damped)}),)}
+    )
+    (note,) = measured_damping_notes(both)
+    assert note.endswith("changes the scores: largest stable B −50.0 to −20.0 %.")
+    (table,) = tables_of(both)["scores"]
+    assert [name for _, rows in table.blocks for name, _ in rows] == ["scores/0", "scores/0/measured-damping"]
+    assert "theory by the device file" in table.caption
+    alone = both.model_copy(update={"experiments": (first.model_copy(update={"scores": (stated,)}),)})
+    assert measured_damping_notes(alone) == [
+        "In experiment 0, the damping of the logs agrees with the stated one: it explains no deviation."
+    ]
+    assert measured_damping_notes(alone.model_copy(update={"known_device": False})) == []
+
+
+def damping_score(measured: float, theory: float) -> DampingScore:
+    percent = 100 * (measured / theory - 1)
+    return DampingScore(measured=measured, lower_bound=False, theory=theory, deviation_percent=percent)
+
+
+def test_costs_with_the_measured_damping_are_drawn_and_listed_over_delay(result: ComparisonResult) -> None:
+    damped = [
+        row.model_copy(update={"condition": "theory_damped", "cost": 0.5 * row.cost})
+        for row in result.tables
+        if row.table == "D.6" and row.condition == "theory_discrete"
+    ]
+    more = result.model_copy(update={"tables": (*result.tables, *damped)})
+    (figure,) = delay_figure(more.tables)
+    curves = {s.label: s for s in figure.panels[0].series}
+    assert curves["theory, measured damping"].y.tolist() == (0.5 * curves["theory"].y).tolist()
+    assert "Dashed" in figure.caption
+    assert "Dashed" not in delay_figure(result.tables)[0].caption
+    (table,) = tables_of(more)["delay_form"]
+    assert "settle_2pct/damped" in {cell.name for cell in table.rows[0]}
+    assert "settle_2pct/damped" not in {cell.name for cell in tables_of(result)["delay_form"][0].rows[0]}
