@@ -42,7 +42,7 @@ from pipeline.records.models import ComparisonRow, Device, Shown
 from pipeline.records.results import ComparisonResult, ExperimentNumbers, ExperimentResult, Truth
 from pipeline.rendering.figures.boundaries import answer_figure, boundary_figures
 from pipeline.rendering.figures.drawing import Figure, write_figures
-from pipeline.rendering.figures.overview import delay_figure, replay_figure, trend_figure
+from pipeline.rendering.figures.overview import delay_figure, replay_figure, sensitivity_figure, trend_figure
 from pipeline.rendering.report.report import ReportData, answer_lines
 from pipeline.rendering.report.report import write as write_page
 from pipeline.store.objects import origin
@@ -277,6 +277,8 @@ def _figures(finished: FinishedComparison) -> Iterator[Figure]:
     yield from boundary_figures(
         result.experiments, theories, motion, shown, sweep=data.scene.delay_sweep, printed=printed
     )
+    if shown.has_figure("boundaries"):
+        yield from sensitivity_figure(result.experiments)
     if shown.has_figure("maps"):
         yield from map_figures(data, result.experiments, theories, finished.plan.predictions)
     if shown.has_figure("delay"):

@@ -50,6 +50,11 @@ class MeasuredLimits:
     censored: Booleans
     known: Booleans
 
+    @property
+    def top(self) -> Floats:
+        """Stiffness above which nothing was tested, shape (n,) [N/m, Nm/rad]. It is infinite above a known limit."""
+        return np.where(self.censored | ~self.known, self.limit, np.inf)
+
 
 @dataclass(frozen=True)
 class Overlap:

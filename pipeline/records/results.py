@@ -346,6 +346,39 @@ class StraightBound(Record):
         return not ends[0] <= self.curvature_theory <= ends[1]
 
 
+ChangeCode = Literal[
+    "delay",
+    "mass",
+    "damping",
+    "spring",
+    "operator",
+    "velocity_filter",
+    "actuator_lag",
+    "vibration_mode",
+    "friction",
+    "delay_jitter",
+]
+"""Number or part of a loop that is changed to see its effect."""
+
+
+class LoopChange(Record):
+    """Changed number or part of a loop, and the change of a result that it causes, in percent."""
+
+    code: ChangeCode
+    percent: float
+
+
+class RegionCauses(Record):
+    """Changes of the area of theory's stable region by the numbers and parts of the logs, in percent (6.2.3).
+
+    Each of the ``changes`` replaces one number or part of the device file that differs from the logs.
+    ``together_percent`` is the change for the device of the logs, with friction and jitter.
+    """
+
+    changes: tuple[LoopChange, ...]
+    together_percent: float
+
+
 class Cause(Record):
     """Cause of an experiment's deviation from the ideal loop: a code, a sentence, and its evidence."""
 
@@ -378,6 +411,8 @@ class LoopFindings(Record):
     """Loop, limits, passive wall and causes of an experiment. A missing result is None, with a reason.
 
     ``loop`` is None if no requested result needs a device. ``optimum`` states for each optimum whether it is passive.
+    ``sensitivities`` are changes of the largest stable stiffness: for one sample less of delay, and without each part
+    of the loop. ``region_causes`` is None without a device file or an adequate loop.
     """
 
     loop: LoopResult | None = None
@@ -388,6 +423,8 @@ class LoopFindings(Record):
     implied_delay: ImpliedDelay | None = None
     straight_bound: StraightBound | None = None
     replay: WallReplay | None = None
+    sensitivities: tuple[LoopChange, ...] = ()
+    region_causes: RegionCauses | None = None
     causes: tuple[Cause, ...] = ()
 
 

@@ -10,7 +10,7 @@ from pipeline.base.wording import true_minus
 from pipeline.device.parameters import ESTIMATE_PARAMETERS, MOTIONS, PARAMETERS, Dimension, Motion, unit_of
 from pipeline.records.criteria import CRITERIA, criterion_of, is_criterion
 from pipeline.records.findings import DampingRange, Estimate, Optimum
-from pipeline.records.results import AnswerEstimate
+from pipeline.records.results import AnswerEstimate, ChangeCode
 
 MISSING = "–"
 
@@ -97,6 +97,21 @@ def condition_label(condition: str) -> str:
         "theory_damped": "theory, C* with the measured damping",
     }
     return known.get(condition, condition.replace("_", " "))
+
+
+CHANGES: dict[ChangeCode, str] = {
+    "delay": "delay",
+    "mass": "mass",
+    "damping": "damping",
+    "spring": "spring",
+    "operator": "hand",
+    "velocity_filter": "velocity filter",
+    "actuator_lag": "lag",
+    "vibration_mode": "vibration",
+    "friction": "friction",
+    "delay_jitter": "jitter",
+}
+"""Names of the numbers and parts of a loop that are changed to see their effect."""
 
 
 def table_label(name: str) -> str:

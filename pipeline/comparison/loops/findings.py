@@ -28,6 +28,7 @@ from pipeline.comparison.loops.loop_basis import (
 )
 from pipeline.comparison.loops.passive_wall import is_passive, passive_wall
 from pipeline.comparison.loops.recording_faults import unsafe_recording, words_of
+from pipeline.comparison.loops.sensitivity import region_causes, sensitivities
 from pipeline.comparison.loops.wall_replay import (
     limits_off,
     limits_with_intervals,
@@ -153,6 +154,10 @@ def examine_loop(
         implied_delay=implied_delay(measured, basis),
         straight_bound=straight_bound(measured, basis),
         replay=found.replay if isinstance(found, Inadequate) else None,
+        sensitivities=sensitivities(found.basis.loop, found.limits) if isinstance(found, Adequate) else (),
+        region_causes=region_causes(measured, of_file, found.basis, found.limits)
+        if isinstance(found, Adequate)
+        else None,
         causes=causes,
     )
 

@@ -90,10 +90,9 @@ def _region(limits: MeasuredLimits, stretches: Stretches) -> RegionScore | None:
 
     Its uncertainty follows from the intervals of the limits.
     """
-    top = np.where(limits.censored | ~limits.known, limits.limit, np.inf)
 
     def shared(limit: Floats) -> Overlap:
-        return overlap(limits.damping, Stretches.up_to(limit), stretches, top)
+        return overlap(limits.damping, Stretches.up_to(limit), stretches, limits.top)
 
     value, low, high = shared(limits.limit), shared(limits.low), shared(limits.high)
     if not (value.second > 0 and value.union > 0):

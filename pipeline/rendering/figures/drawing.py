@@ -97,6 +97,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "edge": {"color": INK, "lw": 1.2},
     "dots": {"color": GREEN, "dots": 2.6},
     "residual": {"dots": 3.4},
+    "bar": {"bar": 0.8},
     "hover": {"color": INK},
     "course": {"lw": 1.6},
     "line": {"color": INK, "lw": 1.3},
@@ -115,7 +116,8 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 """Appearance of each kind of series, in the order of drawing and of the legend: arguments of `plot`; ``fill`` is the
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
-``high``, ``span`` the opacity of a strip over the whole height. A series without a colour gets that of its number."""
+``high``, ``span`` the opacity of a strip over the whole height, ``bar`` the width that the bars of all series share. A
+series without a colour gets that of its number."""
 
 
 PALE_INTERVAL = "95 % interval"
@@ -131,7 +133,8 @@ class Series:
 
     ``low`` and ``high`` are the ends of an interval in the direction ``along`` ("x" or "y"). ``value`` is a third
     number for each point, and ``value_name`` is its name. ``number`` is the index of an experiment in the report, which
-    gives it the same colour in each figure. A label that begins with an underscore is left out of legends.
+    gives it the same colour in each figure. ``bars`` is the number of series of bars that share the width. A label that
+    begins with an underscore is left out of legends.
     """
 
     label: str
@@ -144,6 +147,7 @@ class Series:
     along: str = "x"
     value: Floats | None = None
     value_name: str = ""
+    bars: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,7 +415,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
     if series.kind == "hover":  # `Panel.paint` draws these series. They are needed here for hovering and for files.
         return
     look = dict(LOOKS[series.kind])
-    fill, dots_, interval, span = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span"))
+    fill, dots_, interval, span, bar = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span", "bar"))
     number = series.number or 0
     look.setdefault("color", INK if series.number is None else SERIES[number % len(SERIES)])
     if series.kind in ("measured", "bound"):
@@ -422,6 +426,9 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
     x, y = series.x, series.y
     if span:
         axes.axvspan(x[0], x[-1], color=look["color"], alpha=span, lw=0, **named)
+        return
+    if bar:
+        axes.bar(x, y, width=bar / series.bars, color=look["color"], **named)
         return
     if dots_:
         dots(axes, x, y, look["color"], dots_)

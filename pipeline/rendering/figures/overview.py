@@ -11,13 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.records.models import ComparisonRow
-from pipeline.records.results import ComparisonResult
+from pipeline.records.results import ChangeCode, ComparisonResult, ExperimentNumbers
 from pipeline.records.trials import Floats
-from pipeline.rendering.figures.drawing import Figure, Panel, Series, around
+from pipeline.rendering.figures.drawing import LOOKS, Figure, Panel, Series, around
 from pipeline.rendering.frames import frames
 from pipeline.rendering.labels import (
+    CHANGES,
     UNITS,
     criterion_label,
+    percent_text,
     printed_scale,
     quantity_name,
     shortened,
@@ -88,6 +90,50 @@ def replay_figure(result: ComparisonResult) -> list[Figure]:
     )
     title = "Residuals of the identified loop at all walls"
     return [Figure("response", "replay", title, caption, tuple(panels), size=(350.0, 250.0))]
+
+
+def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
+    """Return the bar chart of what limits each device, if a loop was identified.
+
+    A bar is the change of the largest stable stiffness by one sample less of delay, or without a part of the loop.
+    """
+    known = [(number, e) for number, e in enumerate(results) if e.sensitivities]
+    codes = [code for code in CHANGES if any(code == each.code for _, e in known for each in e.sensitivities)]
+    if not codes:
+        return []
+    series, words, values = [], [], []
+    for place, (number, e) in enumerate(known):
+        percent = {each.code: each.percent for each in e.sensitivities}
+        x = np.array([codes.index(code) for code in percent], dtype=np.float64)
+        y = np.array([*percent.values()])
+        width = LOOKS["bar"]["bar"] / len(known)
+        x += width * (place - 0.5 * (len(known) - 1))
+        series.append(Series(f"experiment {e.experiment}", "bar", x, y, number=number, bars=len(known)))
+        values.append(y)
+        texts = ", ".join(f"{_changed(code)} {percent_text(p)} %" for code, p in percent.items())
+        words.append(f"experiment {e.experiment}: {texts}")
+    ticks = tuple(_changed(code, "\n") for code in codes)
+    name = "change of largest K [%]"
+    panel = Panel(
+        "",
+        ("", name),
+        tuple(series),
+        f"Changes of the largest stable stiffness. {'; '.join(words)}.",
+        ((-0.6, len(codes) - 0.4), around(np.zeros(1), *values)),
+        ticks=ticks,
+    )
+    caption = (
+        "Change of the largest stable stiffness of the identified loop by one sample less of delay, or without one of "
+        "its parts. A part with a positive bar limits the device; one with a negative bar keeps it stable."
+    )
+    return [
+        Figure("boundaries", "boundaries-sensitivity", "What limits the device", caption, (panel,), size=(560.0, 260.0))
+    ]
+
+
+def _changed(code: ChangeCode, space: str = " ") -> str:
+    """Return a change of a loop in words. The line may be broken at the ``space``."""
+    return f"a sample less{space}of delay" if code == "delay" else f"without{space}{CHANGES[code]}"
 
 
 def delay_figure(rows: Sequence[ComparisonRow]) -> list[Figure]:

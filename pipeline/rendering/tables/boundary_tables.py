@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pipeline.base.wording import listed
-from pipeline.records.results import ComparisonResult, Scores, StraightBound
+from pipeline.base.wording import first_clause, listed
+from pipeline.records.findings import MATTERS
+from pipeline.records.results import ComparisonResult, ExperimentNumbers, Scores, StraightBound
 from pipeline.rendering.frames import flat
-from pipeline.rendering.labels import UNITS, damping_text, percent_text, share_text, significant, stiffness_text
+from pipeline.rendering.labels import (
+    CHANGES,
+    UNITS,
+    damping_text,
+    percent_text,
+    share_text,
+    significant,
+    size_text,
+    stiffness_text,
+)
 from pipeline.rendering.table import Column, Row, Table, table_of
 from pipeline.rendering.tables.formats import (
     RANGE_ENDED,
@@ -19,6 +29,7 @@ from pipeline.rendering.tables.formats import (
     interval_ends,
     ratio_text,
     show_damping,
+    show_percent,
     show_percent_of_share,
     show_share,
     show_stiffness,
@@ -179,10 +190,8 @@ def measured_damping_notes(result: ComparisonResult) -> list[str]:
                 f"{', '.join(changes)}."
             )
     if same:
-        count = len(result.experiments)
-        where = f"experiment{'s' if len(same) > 1 else ''} {listed(same)}"
-        where = f"all {count} experiments" if len(same) == count > 2 else where
-        notes.append(f"In {where}, the damping of the logs agrees with the stated one: it explains no deviation.")
+        where = experiments_text(same, len(result.experiments))
+        notes.append(f"{where}: the damping of the logs agrees with the stated one, so that it explains no deviation.")
     return notes
 
 
@@ -260,3 +269,94 @@ def _compared(line: StraightBound) -> str:
     if line.curvature_last is None or line.curvature_last >= line.damping_last:
         return ""
     return f"up to B = {line.curvature_last:g}: beyond it, theory has no stable wall"
+
+
+def regions_table(result: ComparisonResult) -> Table | None:
+    """Return how much of the difference between measured and theoretical region each number of the logs explains."""
+    known = [e for e in result.experiments if e.scores and e.scores[0].region and e.scores[0].basis == "device file"]
+    rows = []
+    for e in known:
+        region = e.scores[0].region
+        assert region is not None, "experiments without a region are left out"
+        low, high = (100 * (end - 1) for end in (region.area_ratio_low, region.area_ratio_high))
+        row: Row = {"experiment": e.experiment, "measured": 100 * (region.area_ratio - 1)}
+        row |= {"measured_low": low, "measured_high": high, "reason": _no_causes(e)}
+        if e.region_causes is not None:
+            row |= {change.code: change.percent for change in e.region_causes.changes}
+            row["together"] = e.region_causes.together_percent
+        rows.append(row)
+    of_logs = "theory's region with the number or part of the logs"
+    agrees = "agrees with the device file"
+    columns = (
+        Column("experiment"),
+        Column("measured", "measured region, 95 %", "%", show=show_percent, ends=interval_ends("measured")),
+        *(
+            Column(code, label, "%", of_logs, show_percent, why=agrees, optional=True)
+            for code, label in CHANGES.items()
+        ),
+        Column("together", "all of them", "%", of_logs, show_percent, why="needs an adequate loop"),
+    )
+    table = table_of("regions", "Area of the stable region: difference from theory", columns, rows, experiment_row)
+    if table is not None:
+        table.mark(*(sentence for e in known if (sentence := region_sentence(e))), _equal_regions(known))
+    return table
+
+
+def region_sentence(result: ExperimentNumbers) -> str:
+    """Return why the measured region of an experiment is smaller or larger than that of theory.
+
+    The text is empty if the interval of the measured area includes that of theory, or if they differ by at most 2 %.
+    """
+    region = result.scores[0].region
+    if region is None or _is_as_large(result):
+        return ""
+    percent = 100 * (region.area_ratio - 1)
+    size = f"{'smaller' if percent < 0 else 'larger'} than theory's"
+    whole = f"Experiment {result.experiment}: the measured region is {size_text(percent)} {size}"
+    if reason := _no_causes(result):
+        return f"{whole}. The cause is unknown: {reason}."
+    causes = result.region_causes
+    assert causes is not None, "there is no reason without causes only if there are causes"
+    same = [change for change in causes.changes if change.percent * percent > 0]
+    main = max(same, key=lambda change: abs(change.percent), default=None)
+    if main is None or abs(main.percent) < 100 * MATTERS:
+        return f"{whole}. No number or part of the logs explains it."
+    together = f"All numbers and parts of the logs together change it by {percent_text(causes.together_percent)} %"
+    low, high = 100 * (region.area_ratio_low - 1), 100 * (region.area_ratio_high - 1)
+    explained = ", which explains it" if low <= causes.together_percent <= high else "; the rest is unexplained"
+    cause = f"By the logs, the main cause is: {CHANGES[main.code]} ({percent_text(main.percent)} %)"
+    return f"{whole}. {cause}. {together}{explained}."
+
+
+def _is_as_large(result: ExperimentNumbers) -> bool:
+    region = result.scores[0].region
+    if region is None:
+        return False
+    return region.area_ratio_low <= 1 <= region.area_ratio_high or abs(region.area_ratio - 1) <= MATTERS
+
+
+def _no_causes(result: ExperimentNumbers) -> str:
+    """Return why the causes of the size of a region are unknown, or ""."""
+    if result.region_causes is not None:
+        return ""
+    return "no device was identified" if result.loop is None else first_clause(result.loop.reason)
+
+
+def _equal_regions(results: Sequence[ExperimentNumbers]) -> str | None:
+    """Return in which experiments the measured region is as large as that of theory, or None if in none of them."""
+    same = [e.experiment for e in results if _is_as_large(e)]
+    if not same:
+        return None
+    where = experiments_text(same, len(results))
+    return f"{where}: the measured region is as large as theory's, within its interval or 2 %."
+
+
+def experiments_text(names: Sequence[str], count: int) -> str:
+    """Return names of experiments as the subject of a sentence, or their number if they are all.
+
+    >>> experiments_text(["1", "2"], 3), experiments_text(["a", "b", "c"], 3)
+    ('Experiments 1 and 2', 'All 3 experiments')
+    """
+    if len(names) == count > 2:
+        return f"All {count} experiments"
+    return f"Experiment{'s' if len(names) > 1 else ''} {listed(names)}"

@@ -6,7 +6,7 @@ from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import frames
 from pipeline.rendering.labels import UNITS, quantity_name, unit_text
 from pipeline.rendering.table import Column, Table, records, table_of
-from pipeline.rendering.tables.boundary_tables import boundary_table, scores_table, shapes_table
+from pipeline.rendering.tables.boundary_tables import boundary_table, regions_table, scores_table, shapes_table
 from pipeline.rendering.tables.cost_tables import measured_optima_table, rules_table, use_table
 from pipeline.rendering.tables.estimate_tables import experiments_table, loops_table, methods_table, truth_table
 from pipeline.rendering.tables.formats import interval_column, range_end_note
@@ -30,6 +30,7 @@ def tables_of(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> dict[s
         "methods": methods_table(f["estimates"], result),
         "loops": loops_table(result),
         "shapes": shapes_table(result),
+        "regions": regions_table(result),
         **device_tables(f),
         "rules": rules_table(result),
         "outcomes": outcomes_table(result),

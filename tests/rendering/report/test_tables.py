@@ -19,8 +19,12 @@ from pipeline.records.results import (
     DampingScore,
     HeaderLine,
     ImpliedDelay,
+    LoopChange,
+    LoopResult,
     Prediction,
     ReachableCost,
+    RegionCauses,
+    RegionScore,
     Scores,
     SourcedLoop,
     StraightBound,
@@ -30,12 +34,12 @@ from pipeline.records.results import (
     UseRegion,
 )
 from pipeline.rendering.figures.drawing import draw
-from pipeline.rendering.figures.overview import delay_figure, trend_figure
+from pipeline.rendering.figures.overview import delay_figure, sensitivity_figure, trend_figure
 from pipeline.rendering.frames import differing_lines, frames, in_order, limit_of
 from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
-from pipeline.rendering.tables.boundary_tables import measured_damping_notes
+from pipeline.rendering.tables.boundary_tables import measured_damping_notes, region_sentence
 from pipeline.rendering.tables.estimate_tables import MISSED
 from pipeline.rendering.tables.formats import interval_column
 from pipeline.rendering.tables.optima_tables import closeness_note, damping_notes
@@ -399,7 +403,7 @@ def test_scores_with_the_measured_damping_are_a_second_row(result: ComparisonRes
     assert "theory by the device file" in table.caption
     alone = both.model_copy(update={"experiments": (first.model_copy(update={"scores": (stated,)}),)})
     assert measured_damping_notes(alone) == [
-        "In experiment 0, the damping of the logs agrees with the stated one: it explains no deviation."
+        "Experiment 0: the damping of the logs agrees with the stated one, so that it explains no deviation."
     ]
     assert measured_damping_notes(alone.model_copy(update={"known_device": False})) == []
 
@@ -424,3 +428,78 @@ def test_costs_with_the_measured_damping_are_drawn_and_listed_over_delay(result:
     (table,) = tables_of(more)["delay_form"]
     assert "settle_2pct/damped" in {cell.name for cell in table.rows[0]}
     assert "settle_2pct/damped" not in {cell.name for cell in tables_of(result)["delay_form"][0].rows[0]}
+
+
+def region(ratio: float, half: float) -> RegionScore:
+    """A measured region whose area is ``ratio`` times that of theory."""
+    shares = dict.fromkeys(("overlap", "overlap_low", "overlap_high", "covered", "covered_low", "covered_high"), 0.9)
+    areas = {"area_ratio": ratio, "area_ratio_low": ratio - half, "area_ratio_high": ratio + half}
+    about = {"measured_area": ratio, "theory_area": 1.0, "damping_low": 0.0, "damping_high": 9.0}
+    return RegionScore(**shares, **areas, **about, dampings=9, censored=0)
+
+
+def smaller(result: ComparisonResult, ratio: float, causes: RegionCauses | None, half: float = 0.05) -> Any:
+    """An experiment with this region, and with causes of its size."""
+    scores = Scores(parameters=LOOP, basis="device file", region=region(ratio, half))
+    loop = LoopResult(source="estimated", adequate=causes is not None, reason="replay fails; more")
+    changes = {"scores": (scores,), "region_causes": causes, "loop": loop, "experiment": "0"}
+    return result.experiments[0].model_copy(update=changes)
+
+
+FILTERED = RegionCauses(
+    changes=(
+        LoopChange(code="velocity_filter", percent=-30.0),
+        LoopChange(code="delay", percent=-8.0),
+        LoopChange(code="mass", percent=50.0),
+    ),
+    together_percent=-38.0,
+)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "causes", "text"),
+    [
+        (0.6, FILTERED, "40 % smaller than theory's. By the logs, the main cause is: velocity filter (−30.0 %)."),
+        (0.6, FILTERED, "All numbers and parts of the logs together change it by −38.0 %, which explains it."),
+        (0.4, FILTERED, "change it by −38.0 %; the rest is unexplained."),
+        (1.4, FILTERED, "40 % larger than theory's. By the logs, the main cause is: mass (+50.0 %)."),
+        (0.6, RegionCauses(changes=(), together_percent=0.0), "No number or part of the logs explains it."),
+        (0.6, None, "The cause is unknown: replay fails."),
+    ],
+)
+def test_the_cause_of_a_smaller_or_larger_region_is_named(
+    result: ComparisonResult, ratio: float, causes: RegionCauses | None, text: str
+) -> None:
+    assert text in region_sentence(smaller(result, ratio, causes))
+
+
+def test_a_region_as_large_as_that_of_theory_needs_no_cause(result: ComparisonResult) -> None:
+    same = smaller(result, 0.97, FILTERED)
+    assert region_sentence(same) == region_sentence(smaller(result, 0.99, FILTERED, half=0.001)) == ""
+    (table,) = tables_of(result.model_copy(update={"experiments": (same,)}))["regions"]
+    assert table.notes == ["Experiment 0: the measured region is as large as theory's, within its interval or 2 %."]
+    cells = {cell.name: cell.text for cell in table.rows[0]}
+    assert (cells["measured"], cells["velocity_filter"], cells["together"]) == ("−3.0", "−30.0", "−38.0")
+    assert tables_of(result)["regions"] == []
+
+
+def test_bars_show_what_limits_each_device(result: ComparisonResult) -> None:
+    changes = (LoopChange(code="delay", percent=50.0), LoopChange(code="friction", percent=-20.0))
+    first, second, *_ = result.experiments
+    known = [
+        first.model_copy(update={"sensitivities": changes}),
+        second.model_copy(update={"sensitivities": changes[:1]}),
+    ]
+    (figure,) = sensitivity_figure(known)
+    panel = figure.panels[0]
+    assert panel.ticks == ("a sample less\nof delay", "without\nfriction")
+    assert [s.y.tolist() for s in panel.series] == [[50.0, -20.0], [50.0]]
+    # bars of a change are next to each other, centred at its name
+    assert np.mean([s.x[0] for s in panel.series]) == pytest.approx(0.0)
+    assert panel.series[1].x[0] - panel.series[0].x[0] == pytest.approx(0.4)
+    low, high = panel.limits[1]
+    assert low < -20.0 < 50.0 < high
+    (drawn,) = draw(figure).panels
+    assert "without" in drawn
+    assert "a sample less of delay +50.0 %" in panel.words
+    assert sensitivity_figure(result.experiments) == []
