@@ -21,6 +21,7 @@ from pipeline.comparison.loops.wall_replay import large_motion_limits
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import StoredData, needed_stages
 from pipeline.comparison.scores.scores import scores_of
+from pipeline.comparison.stated_masses import mass_deviations
 from pipeline.comparison.summary.recommended_walls import region_to_use
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import ESTIMATE_PARAMETERS
@@ -134,6 +135,7 @@ def experiment_numbers(data: StoredData, stages: ExperimentStages, theory: Theor
         scores=scores_of(measured, stages, theory, by_file=data.device is not None),
         use=use,
         use_reason=why or None,
+        masses=mass_deviations(measured, data.device, theory.loop if data.device is not None and theory else None),
         truth=truth,
         truth_held=truth_held(estimates.values(), boundary) if truth is not None else None,
     )

@@ -20,10 +20,10 @@ from pipeline.base.errors import ParameterError, StoreError
 from pipeline.base.provenance import schema_folder
 from pipeline.device.parts import Positive
 from pipeline.records.findings import NonNegative, Record
-from pipeline.records.models import Name, PublishedBound
+from pipeline.records.models import Name, PublishedBound, PublishedMass
 
 _FILE, _THEORY, _ARMS = "hulin-2017.csv", "hulin-2017-theory.csv", "hulin-2017-human-arm.csv"
-_BOUNDS = "hulin-2017-bounds.csv"
+_BOUNDS, _MASSES = "hulin-2017-bounds.csv", "hulin-2017-masses.csv"
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
 """Tables of purely theoretical values. Their numbers are stored as text because the printed digits matter."""
@@ -311,3 +311,14 @@ def published_bound(device: str) -> PublishedBound | None:
         If the file that ships with the package is missing or damaged.
     """
     return next((row for row in shipped_rows(_BOUNDS, PublishedBound) if row.device == device), None)
+
+
+def published_mass(device: str) -> PublishedMass | None:
+    """Return the weighed mass of a device, or None if there is none.
+
+    Raises
+    ------
+    StoreError
+        If the file that ships with the package is missing or damaged.
+    """
+    return next((row for row in shipped_rows(_MASSES, PublishedMass) if row.device == device), None)

@@ -87,6 +87,17 @@ class PublishedBound(Record):
     slope: float
 
 
+class PublishedMass(Record):
+    """Mass or inertia of a device without an operator [kg, kg m^2] that does not come from logs, by section.
+
+    Source: Hulin 2017, secs. 6.1.2 and 6.2.2.
+    """
+
+    device: Name
+    section: Name
+    mass: Positive
+
+
 class TableLayout(Record):
     """Layout of a published table: its criteria, its experiments, and the source of the parameters for theory."""
 

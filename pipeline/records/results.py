@@ -684,6 +684,33 @@ class MeasuredExperiment(Record):
         return max(known, key=lambda point: (point.stable, point.damping), default=None)
 
 
+MassSource = Literal["device file", "weighed"]
+"""Source of a stated mass."""
+
+
+class MassDeviation(Record):
+    """Stated mass or inertia [kg, kg m^2], and the deviations of the masses of the logs from it, in percent.
+
+    It is the apparent mass of the device file, or a weighed mass by ``section`` of its publication. ``percent`` is the
+    deviation of the estimate with its 95 % interval, ``momentum_percent`` that of the momentum balance (6.4).
+    """
+
+    source: MassSource
+    section: str = ""
+    stated: float
+    percent: float | None = None
+    low: float | None = None
+    high: float | None = None
+    momentum_percent: float | None = None
+    momentum_low: float | None = None
+    momentum_high: float | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the interval of the estimate excludes the stated mass."""
+        return self.low is not None and self.high is not None and not self.low <= 0 <= self.high
+
+
 class ExperimentNumbers(MeasuredExperiment, LoopFindings):
     """All results for an experiment, except the first screen.
 
@@ -695,6 +722,7 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
     scores: tuple[Scores, ...] = ()
     use: UseRegion | None = None
     use_reason: str | None = None
+    masses: tuple[MassDeviation, ...] = ()
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
 

@@ -158,7 +158,7 @@ def test_the_conclusions_have_the_numbers_of_the_demo(demo_documents):
         "a region without overshoot": f"{real['optimum']['overshoot']['stiffness']:,.0f} N/m",
         "smaller range of damping": f"{damping:.0f} %",
         "costs converge over delay": f"+{over_delay[0]:.1f} %, +{over_delay[1]:.1f} %",
-        "apparent inertia": f"{first['loop']['mass']['value']:.3f} kg",
+        "apparent inertia": f"{first['loop']['mass']['value']:.3f} kg, {first['masses'][1]['percent']:.1f} % from",
         "settling needs no inertia": "left out",
         "optima are not passive": "no",
     }

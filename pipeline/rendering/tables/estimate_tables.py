@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
-from pipeline.records.results import ComparisonResult, SourcedLoop
+from pipeline.records.results import ComparisonResult, MassDeviation, SourcedLoop
 from pipeline.rendering.labels import (
     UNITS,
     damping_text,
     estimate_texts,
+    percent_text,
     quantity_name,
     significant,
+    span,
     stiffness_text,
     unit_text,
 )
@@ -59,6 +61,8 @@ def experiments_table(result: ComparisonResult) -> Table | None:
         row |= {"set-up": ", ".join(filter(None, [e.configuration, grip]))}
         row |= {"theory": _theory(e.theory, result), "source": e.theory.source if e.theory else ""}
         row |= {f"thesis_{name}": _thesis_value(e.estimates.get(name), method) for name, method in THESIS.items()}
+        row |= {_STATED[mass.source]: mass.stated for mass in e.masses}
+        row |= {f"{_STATED[mass.source]}_aside": _mass_deviation_text(mass) for mass in e.masses}
         rows.append(row | e.estimates | {"delay_samples": e.delay})
     columns = [Column("experiment"), Column("set-up"), Column("trials", "all", group="trials", show=show_number)]
     columns += [Column(v, group="trials", show=show_number) for v in verdicts]
@@ -77,10 +81,67 @@ def experiments_table(result: ComparisonResult) -> Table | None:
         if name in quantities
     ]
     columns += [
+        Column(
+            name,
+            source,
+            unit_text(unit_of["mass"]),
+            f"stated {quantity_name('mass')}, and deviation of the logs",
+            show=digits(3),
+            aside=_stated_aside(name),
+            why="not stated",
+            optional=True,
+        )
+        for source, name in _STATED.items()
+        if "mass" in quantities
+    ]
+    columns += [
         Column("theory", "theory uses", aside=lambda row: row["source"], optional=True, why="no parameters for theory")
     ]
-    return table_of(
+    table = table_of(
         "experiments", "Experiments, verdicts on stability and estimated parameters", columns, rows, experiment_row
+    )
+    if table is not None:
+        table.mark(mass_note(result))
+    return table
+
+
+_STATED = {"device file": "stated_mass", "weighed": "weighed_mass"}
+"""Columns of the stated masses, by their source."""
+
+
+def _stated_aside(name: str) -> Callable[[Row], str]:
+    return lambda row: row.get(f"{name}_aside") or ""
+
+
+def _mass_deviation_text(mass: MassDeviation) -> str:
+    """Return the deviations of the masses of the logs from a stated one, as text."""
+    parts = []
+    if mass.percent is not None:
+        ends = span(percent_text, mass.low, mass.high)
+        parts.append(f"logs {percent_text(mass.percent)} %{f' ({ends})' if ends else ''}")
+    if mass.momentum_percent is not None:
+        parts.append(f"momentum {percent_text(mass.momentum_percent)} %")
+    return ", ".join(parts)
+
+
+def mass_note(result: ComparisonResult) -> str | None:
+    """Return in which experiments the apparent mass of the logs differs from a stated one (6.3).
+
+    The note is None if no mass is stated, or if the logs give no interval.
+    """
+    known = [(e.experiment, mass) for e in result.experiments for mass in e.masses if mass.low is not None]
+    if not known:
+        return None
+    parts = []
+    for source, name in (("device file", "that of the device file"), ("weighed", "the weighed one")):
+        masses = [mass for _, mass in known if mass.source == source]
+        if different := sum(mass.differs for mass in masses):
+            parts.append(f"from {name} in {different} of {counted(len(masses), 'experiment')}")
+    if not parts:
+        return "The apparent mass of the logs agrees with each stated mass, within its interval."
+    return (
+        f"The apparent mass of the logs differs {' and '.join(parts)}, by more than its interval. It includes the "
+        "force per command and the controllers of the drive, and is the one that theory needs (6.3)."
     )
 
 

@@ -21,6 +21,7 @@ from pipeline.records.results import (
     ImpliedDelay,
     LoopChange,
     LoopResult,
+    MassDeviation,
     Prediction,
     ReachableCost,
     RegionCauses,
@@ -40,7 +41,7 @@ from pipeline.rendering.labels import cost_text, percent_text
 from pipeline.rendering.report import report
 from pipeline.rendering.table import Table
 from pipeline.rendering.tables.boundary_tables import measured_damping_notes, region_sentence
-from pipeline.rendering.tables.estimate_tables import MISSED
+from pipeline.rendering.tables.estimate_tables import MISSED, mass_note
 from pipeline.rendering.tables.formats import interval_column
 from pipeline.rendering.tables.optima_tables import closeness_note, damping_notes
 from pipeline.rendering.tables.report_tables import tables_of
@@ -503,3 +504,33 @@ def test_bars_show_what_limits_each_device(result: ComparisonResult) -> None:
     assert "without" in drawn
     assert "a sample less of delay +50.0 %" in panel.words
     assert sensitivity_figure(result.experiments) == []
+
+
+def weighed(*masses: MassDeviation) -> ComparisonResult:
+    found = report_data().result
+    first = found.experiments[0].model_copy(update={"masses": masses, "experiment": "0"})
+    return found.model_copy(update={"experiments": (first,)})
+
+
+SAME = MassDeviation(source="device file", stated=0.58, percent=-1.0, low=-3.0, high=1.0, momentum_percent=6.0)
+LIGHTER = MassDeviation(source="weighed", section="6.1.2", stated=0.95, percent=-40.0, low=-42.0, high=-38.0)
+
+
+def test_stated_masses_are_next_to_the_estimated_ones() -> None:
+    (table,) = tables_of(weighed(SAME, LIGHTER))["experiments"]
+    cells = {cell.name: (cell.text, cell.aside) for cell in table.rows[0]}
+    assert cells["stated_mass"] == ("0.580", "logs −1.0 % (−3.0 to +1.0), momentum +6.0 %")
+    assert cells["weighed_mass"] == ("0.950", "logs −40.0 % (−42.0 to −38.0)")
+    assert "weighed_mass" not in {cell.name for cell in tables_of(weighed(SAME))["experiments"][0].rows[0]}
+
+
+def test_a_note_states_whether_the_apparent_mass_differs() -> None:
+    assert (
+        mass_note(weighed(SAME)) == "The apparent mass of the logs agrees with each stated mass, within its interval."
+    )
+    note = mass_note(weighed(SAME, LIGHTER))
+    assert note.startswith("The apparent mass of the logs differs from the weighed one in 1 of 1 experiment,")
+    heavier = LIGHTER.model_copy(update={"source": "device file"})
+    assert "from that of the device file in 1 of 1 experiment" in mass_note(weighed(heavier))
+    assert mass_note(weighed()) is None
+    assert mass_note(weighed(MassDeviation(source="device file", stated=0.58))) is None
