@@ -223,12 +223,14 @@ def boundary_figures(
     groups |= {name: [(n, r) for n, r in numbered if r.configuration == name] for name in dict.fromkeys(held)}
     groups = {title: group for title, group in groups.items() if group}
     panels = [
-        limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown, len(results)), motion)
+        limits_panel(title if len(groups) > 1 else "", _over_each_other(group, theories, shown), motion)
         for title, group in groups.items()
     ]
     if printed is not None:
         panels = [replace(panel, series=(*panel.series, _straight(printed, panel.series))) for panel in panels]
     dashed = " Dashed, in the same colour: theory." if theories and shown.has_overlay("theory") else ""
+    if any(s.variant is not None for panel in panels for s in panel.series):
+        dashed += " Grey: theory for other delays."
     if len(results) > 1 or shown.delays or printed is not None:
         title = "Stability limits of all experiments"
         figures.append(limits_figure(title, f"{MEASURED}{dashed}", panels, "boundaries-all"))
@@ -269,23 +271,24 @@ def _straight(bound: PublishedBound, beside: Sequence[Series]) -> Series:
 
 
 def _over_each_other(
-    group: Sequence[tuple[int, ExperimentNumbers]], theories: Mapping[str, Theory], shown: Shown, others: int
+    group: Sequence[tuple[int, ExperimentNumbers]], theories: Mapping[str, Theory], shown: Shown
 ) -> list[Series]:
-    """Return limits of experiments with theory. The colours of delays come after those of all experiments."""
+    """Return limits of experiments with theory. Curves for other delays are grey, with different dashes."""
     series: list[Series] = []
     for number, result in group:
         grip = "" if result.grip == "none" else f", {result.grip} grip"
         series += measured(result.boundary, f"experiment {result.experiment}{grip}", number)
         theory = theories.get(result.experiment)
         if theory is not None and shown.has_overlay("theory") and not shown.delays:
-            series.append(by_theory(theory, "_theory", number))
+            series.append(by_theory(theory, f"_theory, experiment {result.experiment}", number))
     first = next((theories[r.experiment] for _, r in group if r.experiment in theories), None)
     if first is None or not (shown.delays or shown.has_overlay("theory")):
         return series
     low, high = first.loop.delay_range
-    for number, delay in enumerate(shown.delays or ((low, high) if low < high else ()), start=others):
+    for variant, delay in enumerate(shown.delays or ((low, high) if low < high else ())):
         loop = replace(first.loop, jitter_samples=(), delay_samples=float(delay))
-        series.append(by_theory(Theory(SourcedLoop(loop=loop, source=first.source)), f"theory, d = {delay:g}", number))
+        curve = by_theory(Theory(SourcedLoop(loop=loop, source=first.source)), f"theory, d = {delay:g}")
+        series.append(replace(curve, variant=variant))
     return series
 
 

@@ -33,6 +33,9 @@ if TYPE_CHECKING:  # importing matplotlib takes half a second, and only drawing 
 # out because it vanishes on white, and their black because it vanishes on a dark page.
 BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY = "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9"
 INK, FAINT, PAPER, NOTE = "#010101", "#dddddd", "#fffffe", "#b87503"
+GREY = "#767676"
+"""Colour of curves that belong to no experiment. It has enough contrast in light and dark mode."""
+
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Markers that distinguish the series in grey, in the order of `SERIES`."""
@@ -79,6 +82,9 @@ LARGER = 1.4
 """Largest text size in print and on a phone, relative to the drawing. Legends leave room for this size."""
 
 _DASHED, _DOTTED = (0, (5, 2)), (0, (1, 1.8))
+VARIANTS = (_DASHED, _DOTTED, (0, (5, 1.5, 1, 1.5)), (0, (9, 3)), (0, (5, 1.5, 1, 1.5, 1, 1.5)), (0, (2.5, 2.5)))
+"""Dashes that distinguish the variants of a curve, such as theory for several delays."""
+
 LOOKS: dict[str, dict[str, Any]] = {
     "others": {"color": INK, "lw": 0.8, "alpha": 0.45},
     "use": {"color": GREEN, "lw": 1.4, "fill": 0.3},
@@ -133,8 +139,9 @@ class Series:
 
     ``low`` and ``high`` are the ends of an interval in the direction ``along`` ("x" or "y"). ``value`` is a third
     number for each point, and ``value_name`` is its name. ``number`` is the index of an experiment in the report, which
-    gives it the same colour in each figure. ``bars`` is the number of series of bars that share the width. A label that
-    begins with an underscore is left out of legends.
+    gives it the same colour in each figure. ``bars`` is the number of series of bars that share the width. ``variant``
+    is the index of a curve that belongs to no experiment; variants are grey, with different dashes. A label that begins
+    with an underscore is left out of legends.
     """
 
     label: str
@@ -148,6 +155,7 @@ class Series:
     value: Floats | None = None
     value_name: str = ""
     bars: int = 1
+    variant: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -418,6 +426,8 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
     fill, dots_, interval, span, bar = (look.pop(name, 0.0) for name in ("fill", "dots", "interval", "span", "bar"))
     number = series.number or 0
     look.setdefault("color", INK if series.number is None else SERIES[number % len(SERIES)])
+    if series.variant is not None:
+        look |= {"color": GREY, "ls": VARIANTS[series.variant % len(VARIANTS)]}
     if series.kind in ("measured", "bound"):
         look["marker"] = MARKERS[number % len(MARKERS)]
     if "mfc" in look:

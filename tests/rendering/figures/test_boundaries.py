@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import simulated
@@ -20,6 +22,7 @@ from pipeline.rendering.figures.boundaries import (
     measured,
     plane_figure,
 )
+from pipeline.rendering.figures.drawing import GREY, SERIES, draw
 from pipeline.theory.predictions import Theory
 
 
@@ -96,6 +99,22 @@ def test_experiments_share_colours_over_all_figures_and_overlays_are_those_asked
     assert {s.kind for f in few for p in f.panels for s in p.series} == {"measured", "bound"}
     delays = boundary_figures(results, theories, "translation", Shown(delays=(2, 3), overlays=("theory",)), sweep=True)
     assert [s.label for s in delays[0].panels[0].series if s.kind == "theory"] == ["theory, d = 2", "theory, d = 3"]
+
+
+def test_theory_for_a_range_of_delays_never_has_the_colour_of_an_experiment() -> None:
+    results = [experiment(str(n)) for n in range(1, 9)]
+    shown = Shown(delays=(2, 3, 4, 5), overlays=("theory",))
+    figure, *_ = boundary_figures(results, {"1": theory()}, "translation", shown, sweep=True)
+    curves = [s for s in figure.panels[0].series if s.variant is not None]
+    assert [s.label for s in curves] == [f"theory, d = {d}" for d in (2, 3, 4, 5)]
+    assert "Grey: theory for other delays." in figure.caption
+    assert GREY not in SERIES
+    (svg,) = draw(figure).panels
+    tags = [tag for tag in re.findall(r"<[^>]*>", svg) if f'stroke="{GREY}"' in tag]
+    dashes = {re.search(r'stroke-dasharray="([^"]*)"', tag)[1] for tag in tags}
+    assert len(dashes) == 4, "each with its own dashes"
+    plain, *_ = boundary_figures(results[:2], {}, "translation", Shown(overlays=("theory",)), sweep=True)
+    assert "Grey" not in plain.caption
 
 
 def test_experiments_without_an_operator_are_together_and_configurations_with_one_apart() -> None:
