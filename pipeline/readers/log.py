@@ -131,6 +131,7 @@ class Log:
         return Samples(
             *(self.time, self.command, self.position, header.sampling_period_s),
             *(header.stiffness, header.damping, header.step, None if row is None else int(row)),
+            motion=header.motion,
         )
 
     @cached_property

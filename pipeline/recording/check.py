@@ -78,6 +78,7 @@ def check_trial(trial: Trial) -> tuple[Finding, ...]:
         Samples(
             *(trial.time, trial.command, trial.position, trial.sampling_period_s),
             *(trial.stiffness, trial.damping, trial.step, trial.step_row),
+            motion=trial.motion,
         )
     )
 

@@ -9,6 +9,7 @@ from statistics import NormalDist
 
 import numpy as np
 
+from pipeline.device.parameters import Dimension, Motion, unit_of
 from pipeline.records.findings import Finding, FindingCode, Severity
 from pipeline.records.trials import Floats, Integers
 
@@ -89,6 +90,8 @@ class Samples:
         Virtual wall K [N/m, Nm/rad] and B [Ns/m, Nms/rad], and external step F_0 [N, Nm]; all 0 for a free motion.
     step_row : int, optional
         Declared row of the step, counted from 0.
+    motion : {"translation", "rotation"} or a motion with the unit of a drive, optional
+        Kind of motion, for the units in sentences. None if the log does not state it.
     """
 
     time: Floats
@@ -99,6 +102,18 @@ class Samples:
     damping: float = 0.0
     step: float = 0.0
     step_row: int | None = None
+    motion: Motion | None = None
+
+    def unit(self, dimension: Dimension) -> str:
+        """Return the unit of a dimension, or both units if the motion is unknown.
+
+        >>> nothing = np.empty(0)
+        >>> Samples(nothing, nothing, nothing, 1e-3).unit("velocity")
+        'm/s (or rad/s)'
+        """
+        if self.motion is None:
+            return " (or ".join(unit_of(dimension, motion) for motion in ("translation", "rotation")) + ")"
+        return unit_of(dimension, self.motion)
 
     def __len__(self) -> int:
         return len(self.position)

@@ -74,8 +74,8 @@ def travel_stop(samples: Samples) -> Finding | None:
         return samples.finding(
             "travel_stop",
             "cut",
-            f"The position stops at {x[row]:.5g} m (or rad) in row {row}, which it reaches at "
-            f"{size[row - 2] / samples.period:.3g} m/s (or rad/s): a travel stop.",
+            f"The position stops at {x[row]:.5g} {samples.unit('length')} in row {row}, which it reaches at "
+            f"{size[row - 2] / samples.period:.3g} {samples.unit('velocity')}: a travel stop.",
             "Rows from there on are left out. Record smaller or shorter steps, away from the stop.",
             first_row=row,
             rows=len(x) - row,

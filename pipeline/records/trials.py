@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.provenance import digest_all
+from pipeline.device.parameters import Motion
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -45,6 +46,8 @@ class Trial:
         Declared row of the command edge. If it is None, the edge is detected in the log.
     integrated : bool
         Whether positions are integrals of a sensor's velocity, so that they do not lie on the grid of a sensor.
+    motion : Motion, optional
+        Kind of motion, which determines the units. None if it is unknown.
 
     Examples
     --------
@@ -66,6 +69,7 @@ class Trial:
     velocity: Floats | None = None
     step_row: int | None = None
     integrated: bool = False
+    motion: Motion | None = None
 
     @property
     def rows(self) -> int:
@@ -134,6 +138,8 @@ class Trials:
         Declared row of each trial, -1 if it is not declared, or None if no trial declares it.
     integrated : bool, shape (n,), optional
         Whether positions are integrals, or None if this applies to no trial.
+    motion : Motion, optional
+        Kind of motion of all trials. None if it is unknown, or if they differ.
 
     Examples
     --------
@@ -156,6 +162,7 @@ class Trials:
     velocity: Floats | None = None
     step_row: Integers | None = None
     integrated: Booleans | None = None
+    motion: Motion | None = None
 
     def __len__(self) -> int:
         return len(self.trial_id)
@@ -180,6 +187,7 @@ class Trials:
             velocity=None if self.velocity is None else _present(self.velocity[inside]),
             step_row=None if declared < 0 else declared,
             integrated=self.integrated is not None and bool(self.integrated[place]),
+            motion=self.motion,
         )
 
     @property
@@ -221,7 +229,14 @@ class Trials:
             velocity=_joined_where_present([each.velocity for each in listed], listed),
             step_row=declared if (declared >= 0).any() else None,
             integrated=integrated if integrated.any() else None,
+            motion=common_motion(each.motion for each in listed),
         )
+
+
+def common_motion(motions: Iterable[Motion | None]) -> Motion | None:
+    """Return the motion that all trials have, or None if they differ."""
+    found = set(motions)
+    return found.pop() if len(found) == 1 else None
 
 
 def _present(values: Floats) -> Floats | None:

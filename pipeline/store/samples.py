@@ -17,7 +17,7 @@ from pipeline.base.errors import StoreError
 from pipeline.base.json_object import JsonObject
 from pipeline.records.table_files import damaged_file
 from pipeline.records.tables import LOCATION, OF_TRIALS
-from pipeline.records.trials import NO_STEP_ROW, Floats, Trial, Trials
+from pipeline.records.trials import NO_STEP_ROW, Floats, Trial, Trials, common_motion
 from pipeline.store.storage import ATTEMPTS, read_trials, row_parts
 
 _OPTIONAL = ("force", "velocity")
@@ -119,6 +119,7 @@ def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
         velocity=None if velocity is None or np.isnan(velocity).all() else velocity,
         step_row=rows if (rows != NO_STEP_ROW).any() else None,
         integrated=integrated if integrated.any() else None,
+        motion=common_motion(table.column("motion").to_pylist()) if "motion" in table.column_names else None,
     )
 
 

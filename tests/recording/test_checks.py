@@ -121,6 +121,11 @@ def test_rows_behind_a_travel_stop_are_cut(bounce):
     (finding,) = check_recording(Samples(PERIOD * k, command, x, PERIOD))
     assert (finding.code, finding.severity) == ("travel_stop", "cut")
     assert abs(finding.first_row - first) <= 2
+    units = {None: ("m (or rad)", "m/s (or rad/s)"), "translation": ("m", "m/s"), "rotation": ("rad", "rad/s")}
+    for motion, (length, velocity) in units.items():
+        (finding,) = check_recording(Samples(PERIOD * k, command, x, PERIOD, motion=motion))
+        assert f" {length} in row" in finding.sentence
+        assert f" {velocity}: a travel stop." in finding.sentence
 
 
 def test_a_brake_by_the_command_is_no_travel_stop():

@@ -36,6 +36,13 @@ def test_trials_return_each_trial_as_it_was_given(trials: list[Trial]) -> None:
             np.testing.assert_array_equal(found.samples[name], values)
 
 
+def test_trials_of_one_motion_have_it_and_others_have_none() -> None:
+    turning = [_trial(name, 3, motion="rotation") for name in "ab"]
+    assert Trials.of(turning)[1].motion == Trials.of(turning).select([0]).motion == "rotation"
+    assert Trials.of([*turning, _trial("c", 3, motion="translation")]).motion is None
+    assert Trials.of([_trial("a", 3)])[0].motion is None
+
+
 def test_rows_are_views_and_not_copies(trials: list[Trial]) -> None:
     joined = Trials.of(trials)
     assert np.shares_memory(joined[1].position, joined.position)

@@ -255,3 +255,8 @@ def test_corrections_that_were_written_at_once_both_count(processed):
     write_corrections(processed, [second.model_copy(update={"exclusion_reason": ""})])
     assert set(read_exclusions(processed)) == {first.trial_id, third.trial_id}
     assert len(list((processed / "corrections").iterdir())) == 1
+
+
+def test_stored_trials_have_the_motion_of_their_device(lwr, falcon):
+    assert lwr.stages("delay-2").samples.motion == "rotation"
+    assert falcon.stages("1").samples[0].motion == "translation"
