@@ -269,7 +269,8 @@ def _figures(finished: FinishedComparison) -> Iterator[Figure]:
         number = data.scene.experiments.index(headline.experiment)
         theory = theories.get(headline.experiment) if shown.has_overlay("theory") else None
         others = [each for each in result.experiments if each is not headline]
-        yield answer_figure(headline, theory, motion, number, trials_of(data.experiments[number]), others)
+        step = result.answer.next if result.answer is not None else None
+        yield answer_figure(headline, theory, motion, number, trials_of(data.experiments[number]), others, step)
     if headline is not None and shown.has_figure("response") and (wall := _recommended(finished, headline)) is not None:
         yield wall
     known = data.device.published_as if data.device is not None else ""

@@ -84,6 +84,13 @@ class RegionScore(Record):
     censored: int
 
 
+class DampingSpan(Record):
+    """Range of damping [Ns/m, Nms/rad]. An end is None if the range extends to the end of the tested dampings."""
+
+    low: float | None = None
+    high: float | None = None
+
+
 class DistanceScore(Record):
     """Signed distance of the measured boundary from theory at the tested dampings.
 
@@ -94,7 +101,8 @@ class DistanceScore(Record):
     out, because the distance is unknown. ``bounded`` is the number of dampings whose limit has bounds on both sides, or
     a lower bound above theory. At ``agreeing`` of these, theory lies in the interval of the limit or within 2 % of it.
     At ``above`` of these, the limit lies above theory. ``largest`` is taken over the bounded dampings if there are any.
-    The median is ``steady`` if it does not depend on any single limit.
+    The median is ``steady`` if it does not depend on any single limit. ``apart`` contains the dampings at which most
+    bounded limits disagree with theory, as in `Prediction`.
     """
 
     median: float
@@ -109,6 +117,7 @@ class DistanceScore(Record):
     agreeing: int
     above: int
     steady: bool = False
+    apart: DampingSpan | None = None
 
 
 class VerdictScore(Record):
@@ -571,6 +580,8 @@ class Prediction(Record):
     if ``code`` is "unknown". ``costs`` is the number of compared costs, and ``costs_experiments`` that of their
     experiments. ``delay_samples`` is the delay of the theory to which the limits are compared, and
     ``of_file`` is true if its parameters are those of the device file instead of estimates from the logs.
+    ``apart`` contains the dampings at which most limits deviate by more than their interval, if they are neighbours. It
+    is null if the deviating limits are scattered, or if there are none. With both ends null, all limits deviate.
 
     ``boundary`` and ``optimal_costs`` are judged separately (6.3). The boundary is predicted if at most one limit in
     twenty lies outside, and partly predicted if the regions nevertheless overlap well. Costs are predicted if their
@@ -594,6 +605,7 @@ class Prediction(Record):
     costs_experiments: int = 0
     delay_samples: float | None = None
     of_file: bool = False
+    apart: DampingSpan | None = None
     reason: str = ""
 
 

@@ -204,7 +204,7 @@ def _scores(results: Iterable[ExperimentNumbers]) -> Iterator[Row]:
         for name, found in scores:
             values = flat(found) if isinstance(found, Record) and name != "parameters" else {}
             ends = {f"{key}_{end}" for key in values for end in ("low", "high")}
-            for key in (key for key in values if key not in ends):
+            for key in (key for key in values if key not in ends and values[key] is not None):
                 interval = {end: values.get(f"{key}_{end}") for end in ("low", "high")}
                 yield {**about, "score": name, "quantity": key, "value": float(values[key]), **interval}
         for name, reason in scores.missing.items():

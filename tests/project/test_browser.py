@@ -435,6 +435,12 @@ def test_all_five_answers_are_above_the_fold(browser: Any, sweep: Any, falcon_ou
             )
             assert len(ends) == 10
             assert max(ends) <= 1000, path
+            assert not page.locator(".short").is_visible(), "the answers themselves are"
+        with Opened(browser, path, width=390) as page:
+            assert page.locator(".short li").count() == 5
+            box = page.locator(".short").bounding_box()
+            assert box["y"] + box["height"] <= 844, "the five answers are in the first view of a phone"
+            assert box["x"] + box["width"] <= 390
     with Opened(browser, seven, width=390) as page:
         shown = page.locator(".overview thead tr:last-child th").all()[:4]
         assert [each.inner_text().split()[0] for each in shown] == ["experiment", "K", "B", "boundary"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.comparison.limits import MeasuredLimits
 from pipeline.records.findings import MATTERS
-from pipeline.records.results import DistanceScore, VerdictScore
+from pipeline.records.results import DampingSpan, DistanceScore, VerdictScore
 from pipeline.records.trials import Booleans, Floats
 
 NEAR_ZERO = 0.25
@@ -20,6 +20,10 @@ percentage of it.
 
 FEWEST_COMPARISONS = 5
 """Smallest number of comparisons whose median may be shown as a main result."""
+
+MOSTLY, FEWEST_DEVIATING = 0.8, 3
+"""Smallest share of deviating limits that a range of damping must have, and smallest number of them. Two neighbours may
+deviate by chance."""
 
 NEGLIGIBLE = 1e-3
 """Threshold for the magnitude of a median. Below it, the sign of the median is not significant. Such a median is
@@ -70,7 +74,41 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         agreeing=int((bounded & ~above & ~below).sum()),
         above=int(above.sum()),
         steady=is_steady(share),
+        apart=deviating_span(limits.damping[known][relative][bounded], (above | below)[bounded]),
     )
+
+
+def deviating_span(damping: Floats, deviates: Booleans) -> DampingSpan | None:
+    """Return the range of neighbouring dampings at which limits deviate from theory, or None if they are scattered.
+
+    Parameters
+    ----------
+    damping : float64, shape (n,)
+        Increasing dampings of the compared limits [Ns/m, Nms/rad].
+    deviates : bool, shape (n,)
+
+    Notes
+    -----
+    The range is that with the largest number of deviating limits less the number of others. It must contain `MOSTLY` of
+    the deviating limits, `MOSTLY` of its limits must deviate, and there must be at least `FEWEST_DEVIATING` of them.
+
+    >>> deviating_span(np.arange(6.0), np.array([False, False, False, True, True, True]))
+    DampingSpan(low=3.0, high=None)
+    >>> deviating_span(np.arange(6.0), np.array([True, False, False, True, False, True])) is None
+    True
+    """
+    count, total = len(damping), int(deviates.sum())
+    best, first, last = 0, 0, -1
+    for begin in range(count):
+        surplus = np.cumsum(np.where(deviates[begin:], 1, -1))
+        place = len(surplus) - 1 - int(np.argmax(surplus[::-1]))
+        if surplus[place] > best:
+            best, first, last = int(surplus[place]), begin, begin + place
+    inside = int(deviates[first : last + 1].sum())
+    if inside < max(FEWEST_DEVIATING, MOSTLY * total) or inside < MOSTLY * (last + 1 - first):
+        return None
+    low = None if first == 0 else float(damping[first])
+    return DampingSpan(low=low, high=None if last == count - 1 else float(damping[last]))
 
 
 def is_steady(values: Floats) -> bool:

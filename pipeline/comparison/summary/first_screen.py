@@ -326,6 +326,7 @@ def _prediction(result: ExperimentNumbers, rows: Sequence[ComparisonRow], misled
         below=distance.bounded - distance.agreeing - distance.above,
         overlap_percent=100 * region.overlap,
         safe=distance.above > 0 and distance.agreeing + distance.above == distance.bounded,
+        apart=distance.apart,
         boundary=_graded(outside <= max(BY_CHANCE * distance.bounded, 1), region.overlap >= WELL),
     )
 

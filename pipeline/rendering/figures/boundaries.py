@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import FigureKind, Motion, Overlay, PublishedBound, Shown
-from pipeline.records.results import ExperimentNumbers, SourcedLoop
+from pipeline.records.results import ExperimentNumbers, NextWall, SourcedLoop
 from pipeline.records.trials import Floats
 from pipeline.rendering.figures.drawing import Figure, Panel, Series, reach
 from pipeline.rendering.labels import UNITS, damping_text, stiffness_text
@@ -118,11 +118,12 @@ def answer_figure(
     number: int,
     trials: tuple[Floats, Floats, Floats],
     others: Sequence[ExperimentNumbers] = (),
+    step: NextWall | None = None,
 ) -> Figure:
     """Return the figure of the first screen.
 
-    It shows measured and theoretical limits, limits with friction, walls to use, all trials, and the limits of other
-    experiments.
+    It shows measured and theoretical limits, limits with friction, walls to use, all trials, the next wall to measure,
+    and the limits of other experiments with their names.
 
     Parameters
     ----------
@@ -135,6 +136,8 @@ def answer_figure(
         Stiffness, damping and verdict.
     others : sequence of ExperimentNumbers
         Other experiments of the report. Their limits do not change the range of the axes.
+    step : NextWall, optional
+        Next wall to measure.
     """
     K, B, verdict = trials
     series = list(measured(result.boundary, "measured limit", number, intervals=True))
@@ -155,7 +158,9 @@ def answer_figure(
     for place, other in enumerate(others):
         label = f"_experiment {other.experiment}" if place else "other experiments"
         line = next(measured(other.boundary, label, None, intervals=True))
-        series.append(Series(label, "others", line.x, line.y))
+        series.append(Series(label, "others", line.x, line.y, tag=other.experiment))
+    if step is not None:
+        series.append(Series("next wall", "next", np.array([step.stiffness]), np.array([step.damping])))
     title = f"Where experiment {result.experiment} is stable"
     caption = "Every trial, and the limit of stability at each damping, estimated from the growth rates of the trials"
     if any(point.low for point in result.boundary):

@@ -117,6 +117,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "final": {"color": INK, "lw": 0.8, "ls": _DOTTED},
     "span": {"color": SKY, "span": 0.3},
     "gap": {"color": VERMILLION, "span": 0.5},
+    "next": {"color": PURPLE, "ls": "none", "marker": "D", "ms": 6, "mfc": "none", "mew": 1.6},
     "mark": {"color": VERMILLION, "ls": "none", "marker": "o", "ms": 7, "mfc": "none", "mew": 1.5},
     "estimate": {"color": BLUE, "ls": "none", "marker": "o", "ms": 6, "mew": 0, "interval": 1.4},
 }
@@ -140,8 +141,8 @@ class Series:
     ``low`` and ``high`` are the ends of an interval in the direction ``along`` ("x" or "y"). ``value`` is a third
     number for each point, and ``value_name`` is its name. ``number`` is the index of an experiment in the report, which
     gives it the same colour in each figure. ``bars`` is the number of series of bars that share the width. ``variant``
-    is the index of a curve that belongs to no experiment; variants are grey, with different dashes. A label that begins
-    with an underscore is left out of legends.
+    is the index of a curve that belongs to no experiment; variants are grey, with different dashes. ``tag`` is a text
+    at the visible point of a curve with the largest x. A label that begins with an underscore is left out of legends.
     """
 
     label: str
@@ -156,6 +157,7 @@ class Series:
     value_name: str = ""
     bars: int = 1
     variant: int | None = None
+    tag: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -464,6 +466,20 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         axes.fill([], [], fc=(look["color"], fill), ec=look["color"], lw=look.get("lw", 0.0), **named)
         return
     axes.plot(x, y, **look, **named)
+    seen = (x <= axes.get_xlim()[1]) & (y <= axes.get_ylim()[1]) & np.isfinite(x)
+    if series.tag and seen.any():
+        farthest = int(np.argmax(np.where(seen, x, -np.inf)))
+        box: dict[str, Any] = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.8}
+        axes.annotate(
+            shortened(series.tag, 14),
+            (x[farthest], y[farthest]),
+            xytext=(2, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8.0,
+            annotation_clip=True,
+            bbox=box,
+        )
 
 
 def dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False) -> None:

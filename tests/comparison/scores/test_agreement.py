@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.limits import MeasuredLimits, Stretches, measured_limits, overlap
-from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
+from pipeline.comparison.scores.agreement import boundary_distance, deviating_span, verdict_agreement
 from pipeline.records.findings import BoundaryPoint
 
 NONE = np.zeros(4, dtype=bool)
@@ -176,3 +176,57 @@ def test_limits_by_growth_rates_come_first():
     point = BoundaryPoint(damping=4, stable=1000, unstable=1200, censored=False, estimate=1010, low=990, high=1030)
     found = measured_limits((point,))
     assert (found.limit[0], found.low[0], found.high[0]) == (1010, 990, 1030)
+
+
+def flags(text):
+    return np.array([mark == "x" for mark in text])
+
+
+@pytest.mark.parametrize(
+    ("text", "span"),
+    [
+        ("...xxxx", (3.0, None)),
+        ("xxxx...", (None, 3.0)),
+        ("..xxxx..", (2.0, 5.0)),
+        ("..xxx.x", (2.0, None)),
+        ("xxxxx", (None, None)),
+        ("x..x..x", None),
+        (".....xx", None),
+        ("xxx....xxx", None),
+        (".......", None),
+        ("", None),
+    ],
+)
+def test_limits_that_part_from_theory_are_a_range_of_damping_if_they_are_neighbours(text, span):
+    found = deviating_span(np.arange(float(len(text))), flags(text))
+    assert (None if found is None else (found.low, found.high)) == span
+
+
+def test_the_range_contains_most_deviating_limits_and_few_others():
+    """By a search of all ranges: the surplus of deviating limits is the largest."""
+    random = np.random.default_rng(3)
+    shares = []
+    for _ in range(300):
+        deviates = random.random(12) < random.choice([0.1, 0.9], 12, p=[0.5, 0.5])
+        deviates = np.sort(deviates) ^ (random.random(12) < 0.1)
+        found = deviating_span(np.arange(12.0), deviates)
+        surplus = {(i, j): 2 * int(deviates[i : j + 1].sum()) - (j + 1 - i) for i in range(12) for j in range(i, 12)}
+        shares.append(found is not None)
+        if found is not None:
+            first, last = int(found.low or 0), int(11 if found.high is None else found.high)
+            assert surplus[first, last] == max(surplus.values())
+            assert deviates[first : last + 1].sum() >= 0.8 * deviates.sum()
+            assert deviates[first : last + 1].mean() >= 0.8
+    assert 0.2 < np.mean(shares) < 0.95, "both cases occur"
+
+
+def test_a_distance_names_the_dampings_at_which_limits_part():
+    damping = np.arange(8.0)
+    theory = np.full(8, 1000.0)
+    limit = np.where(damping >= 4, 1300.0, 1000.0)
+    no = np.zeros(8, dtype=bool)
+    limits = MeasuredLimits(damping, limit, limit - 20, limit + 20, no, ~no)
+    found = boundary_distance(limits, theory)
+    assert (found.above, found.apart.low, found.apart.high) == (4, 4.0, None)
+    agreeing = MeasuredLimits(damping, theory, theory - 20, theory + 20, no, ~no)
+    assert boundary_distance(agreeing, theory).apart is None

@@ -11,9 +11,9 @@ from pipeline.comparison.scores.agreement import is_steady
 from pipeline.comparison.summary.first_screen import COARSE, answer
 from pipeline.records.findings import Limit
 from pipeline.records.models import ComparisonRow, Deviation
-from pipeline.records.results import AnswerEstimate, Cause
+from pipeline.records.results import AnswerEstimate, Cause, DampingSpan
 from pipeline.rendering.labels import answer_texts, at_least
-from pipeline.rendering.report.report import answer_lines
+from pipeline.rendering.report.report import ReportData, answer_lines, render
 
 
 def told(data, result, rows=None, **changes):
@@ -336,3 +336,71 @@ def test_a_constant_delay_of_theory_outside_that_of_the_logs_is_said_with_the_ji
     change = float(found.sentence.split("by +")[1].split(" %")[0])
     assert 100 * (4.5 / 4.38 - 1) < change < 100 * ((5 / 4.88) ** 2 - 1) + 1
     assert told(data, result, causes=(jitter,)).causes == (jitter,), "the delays agree"
+
+
+@pytest.mark.parametrize(
+    ("span", "text"),
+    [
+        (DampingSpan(low=72.0), "(9 above; mainly from B = 72 Ns/m on)."),
+        (DampingSpan(high=72.0), "(9 above; mainly up to B = 72 Ns/m)."),
+        (DampingSpan(low=24.0, high=72.0), "(9 above; mainly from B = 24 to 72 Ns/m)."),
+        (DampingSpan(), "(9 above)."),
+        (None, "(9 above)."),
+    ],
+)
+def test_the_dampings_at_which_theory_and_limits_part_are_named(data, result, span, text):
+    distance = result.experiments[0].scores[0].distance
+    bent = distance.model_copy(update={"bounded": 20, "agreeing": 11, "above": 9, "apart": span})
+    found = told(data, result, scores=scored(result, distance=bent))
+    assert found.predicts.apart == span
+    assert text in lines_of(result.model_copy(update={"answer": found}))[2]
+
+
+def test_measured_numbers_are_distinguished_from_predicted_ones(result):
+    line = lines_of(result)[0]
+    assert "Measured: settling time (2 %)" in line
+    assert "(predicted)" not in line
+    assert "(measured)" not in lines_of(result)[1], "no number next to it is predicted"
+    estimates = [
+        each.model_copy(update={"large_motion": 9000.0}) if each.name == "stiffness_max" else each
+        for each in result.answer.estimates
+    ]
+    both = result.answer.model_copy(update={"estimates": tuple(estimates)})
+    second = lines_of(result.model_copy(update={"answer": both}))[1]
+    assert "(measured), at B = " in second
+    assert "for a much harder push 9000 (predicted)" in second
+    wall = result.answer.wall.model_copy(update={"margin_large_motion": 1.31})
+    pushed = lines_of(result.model_copy(update={"answer": result.answer.model_copy(update={"wall": wall})}))[0]
+    assert "; for a much harder push 1.3 × K (predicted)." in pushed
+
+
+def short_lines(result, answer):
+    """The answers in short, as on a phone."""
+    page = render(ReportData(result.model_copy(update={"answer": answer})))
+    block = re.search(r'<ul class="short".*?</ul>', page, re.DOTALL)[0]
+    return [" ".join(re.sub(r"<[^>]*>", " ", item).split()) for item in re.findall(r"<li>(.*?)</li>", block, re.DOTALL)]
+
+
+def test_the_answers_in_short_are_five_lines(data, result):
+    answer = result.answer
+    wall, step = answer.wall, answer.next
+    assert [line.replace("\N{NO-BREAK SPACE}", " ") for line in short_lines(result, answer)] == [
+        f"Wall: K = {wall.stiffness:g} N/m, B = {wall.damping:g} Ns/m",
+        f"Sure: {answer.wall_trials} good trials, limit at least {at_least(wall.margin)} × K",
+        "Theory: boundary yes, costs not known",
+        "Deviates: nothing found",
+        f"Next: K = {step.stiffness:g} N/m, B = {step.damping:g} Ns/m",
+    ]
+
+
+def test_the_answers_in_short_name_causes_and_what_is_missing(data, result):
+    causes = (
+        Cause(code="coulomb_friction", sentence="", evidence=""),
+        Cause(code="few_trials", sentence="", evidence=""),
+    )
+    none = {"wall": None, "next": None, "causes": causes, "estimates": (), "estimates_reason": "No loop."}
+    lines = short_lines(result, result.answer.model_copy(update=none))
+    assert lines[:2] == ["Wall: none recommended", "Sure: no estimates; no intervals"]
+    assert lines[3:] == ["Deviates: Coulomb friction, few trials", "Next: no wall"]
+    alone = short_lines(result, result.answer.model_copy(update={"wall_trials": 1}))
+    assert alone[1].startswith("Sure: chosen by itself, limit at least")

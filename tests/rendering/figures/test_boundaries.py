@@ -13,7 +13,7 @@ from pipeline.device.loop import Loop
 from pipeline.device_data.published import published_bound
 from pipeline.records.findings import BoundaryPoint, Limit
 from pipeline.records.models import Shown
-from pipeline.records.results import Cause, SourcedLoop, StraightBound, UsePoint, UseRegion
+from pipeline.records.results import Cause, NextWall, SourcedLoop, StraightBound, UsePoint, UseRegion
 from pipeline.rendering.figures.boundaries import (
     answer_figure,
     boundary_figures,
@@ -158,6 +158,10 @@ def test_answer_shows_the_limits_of_other_experiments_within_its_own_range() -> 
     figure = answer_figure(experiment("1"), theory(), "translation", 0, nothing, others)
     lines = [s for s in figure.panels[0].series if s.kind == "others"]
     assert [s.label for s in lines] == ["other experiments", "_experiment 3"], "one entry of the legend"
+    assert [s.tag for s in lines] == ["2", "3"], "each line has a name in the drawing"
+    near = [experiment(name) for name in ("zwei", "drei")]
+    svg = draw(answer_figure(experiment("1"), theory(), "translation", 0, nothing, near)).panels[0]
+    assert re.findall(r">(zwei|drei)</text>", svg) == ["zwei", "drei"]
     own = next(measured(experiment("1").boundary, "", None, intervals=True))
     assert np.nanmax(lines[0].x) == pytest.approx(9 * np.nanmax(own.x))
     assert figure.panels[0].limits == alone.panels[0].limits
@@ -243,3 +247,14 @@ def test_the_line_through_the_limits_is_drawn_between_its_dampings() -> None:
     (figure,) = boundary_figures([result], {}, "translation", Shown(), sweep=False)
     (drawn,) = (s for s in figure.panels[0].series if s.kind == "straight")
     assert (drawn.x.tolist(), drawn.y.tolist()) == ([860, 820], [4, 8])
+
+
+def test_the_next_wall_to_measure_is_marked_in_the_answer() -> None:
+    nothing = np.array([]), np.array([]), np.array([])
+    step = NextWall(stiffness=12_000.0, damping=300.0, why="", command="")
+    figure = answer_figure(experiment("1"), theory(), "translation", 0, nothing, (), step)
+    (mark,) = (s for s in figure.panels[0].series if s.kind == "next")
+    assert (mark.x.tolist(), mark.y.tolist(), mark.label) == ([12_000.0], [300.0], "next wall")
+    assert figure.panels[0].limits[1][1] > 300.0, "it is within the axes"
+    without = answer_figure(experiment("1"), theory(), "translation", 0, nothing)
+    assert "next" not in {s.kind for s in without.panels[0].series}
