@@ -743,12 +743,34 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
         """Delay from the logs: the fitted delay unless walls contradict the loop, otherwise the integer factor
         (6.3)."""
         factor = self.estimates["delay_samples"]
-        fitted = factor.by_method.get("model")
-        if fitted is None or fitted.value is None or self.loop is None:
+        if self.loop is None:
             return factor
-        judged = self.replay is not None and self.replay.verdicts_same is not None
-        doubted = factor.warning is not None and NOT_ADEQUATE in factor.warning
-        return fitted if self.loop.adequate or not (judged or doubted) else factor
+        return delay_of_logs(
+            factor,
+            adequate=self.loop.adequate,
+            judged=self.replay is not None and self.replay.verdicts_same is not None,
+            doubted=factor.warning is not None and NOT_ADEQUATE in factor.warning,
+        )
+
+
+def delay_of_logs(factor: Estimate, *, adequate: bool, judged: bool, doubted: bool) -> Estimate:
+    """Return the fitted delay unless walls contradict the loop or it is doubted, otherwise the integer factor (6.3).
+
+    Parameters
+    ----------
+    factor : Estimate
+        Integer factor, with the fitted delay by the method "model".
+    adequate : bool
+        Whether the loop is adequate.
+    judged : bool
+        Whether the loop was compared with verdicts.
+    doubted : bool
+        Whether intervals of a loop that is not adequate may be too narrow.
+    """
+    fitted = factor.by_method.get("model")
+    if fitted is None or fitted.value is None:
+        return factor
+    return fitted if adequate or not (judged or doubted) else factor
 
 
 class ExperimentResult(ExperimentNumbers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from pipeline.comparison.loops.recording_faults import cause_of
 from pipeline.comparison.loops.wall_replay import LOW, coarse
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import PARAMETERS, Motion
+from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, damping_of_stiffest, linear_limits, step_limits
-from pipeline.records.findings import MATTERS
+from pipeline.records.findings import MATTERS, Estimate
 from pipeline.records.results import Cause, CauseCode, MeasuredExperiment
+from pipeline.records.trials import Floats
 from pipeline.rendering.labels import Units, percent_text, share_text, significant, span
 
 FEW = 10
@@ -41,7 +43,8 @@ Candidate = tuple[float, Cause]
 class LoopEvidence:
     """Input for the search of causes.
 
-    It has the experiment, its usual trial, departures, velocity filter, other gains, and the loop if there is one.
+    It has the experiment, its usual trial, departures, velocity filter, other gains, the loop if there is one, the loop
+    of the device file, and the delay of the logs.
     """
 
     result: MeasuredExperiment
@@ -52,6 +55,8 @@ class LoopEvidence:
     velocity: CourseFilter | None
     gains: OtherGains | None
     basis: LoopBasis | None
+    stated: Loop | None
+    delay: Estimate
 
     @property
     def motion(self) -> Motion:
@@ -233,12 +238,48 @@ def _jitter(evidence: LoopEvidence, device: IdentifiedLoop) -> Iterator[Candidat
     jitter = evidence.result.estimates.get("jitter_samples")
     if jitter is not None and (jitter.low or 0.0) > 0:
         later = device.values["delay_samples"] + (jitter.low or 0.0)
-        yield _candidate(
-            "delay_jitter",
-            _limit_change(device.loop, device.at({**device.values, "delay_samples": later}), evidence)[0],
-            f"The delay jitters within a trial: standard deviation {significant(jitter.value or 0.0, 2)} samples.",
-            f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples",
+        effect, _ = _limit_change(device.loop, device.at({**device.values, "delay_samples": later}), evidence)
+        dampings = np.array([point.damping for point in evidence.result.boundary])
+        yield effect, jitter_cause(jitter, evidence.delay, evidence.stated, dampings)
+
+
+def jitter_cause(jitter: Estimate, delay: Estimate, stated: Loop | None, dampings: Floats) -> Cause:
+    """Return a jittering delay as a cause, compared with the constant delay of the device file if it excludes this one.
+
+    Parameters
+    ----------
+    jitter, delay : Estimate
+        Standard deviation of the delay within a trial, and delay of the logs [samples].
+    stated : Loop or None
+        Loop of the device file.
+    dampings : float64, shape (n,)
+        Tested dampings [Ns/m, Nms/rad]. The sentence states the median change of theory's limits at them with the delay
+        of the logs.
+    """
+    interval = f"95 %: {span(lambda value: significant(value, 2), jitter.low, jitter.high)} samples"
+    change = None if stated is None else _delay_effect(delay, stated.apparent(), dampings)
+    if stated is None or change is None or delay.value is None:
+        sentence = (
+            f"The delay jitters within a trial: standard deviation {significant(jitter.value or 0.0, 2)} samples."
         )
+        return Cause(code="delay_jitter", sentence=sentence, evidence=interval)
+    sentence = (
+        f"The delay jitters and acts like {significant(delay.value, 3)} samples, theory uses "
+        f"{significant(stated.delay_samples, 3)}: this changes limits by {percent_text(100 * change)} %."
+    )
+    return Cause(code="delay_jitter", sentence=sentence, evidence=f"standard deviation of the jitter, {interval}")
+
+
+def _delay_effect(delay: Estimate, stated: Loop, dampings: Floats) -> float | None:
+    """Return the median relative change of limits with the delay of the logs, or None if it agrees with the stated
+    one."""
+    if delay.value is None or delay.low is None or delay.high is None or stated.delay_samples > LARGEST_DELAY:
+        return None
+    constant = linear_limits(stated, dampings)
+    if delay.low <= stated.delay_samples <= delay.high or not (constant > 0).any():
+        return None
+    jittering = linear_limits(replace(stated, delay_samples=delay.value, jitter_samples=()), dampings)
+    return float(np.median(jittering[constant > 0] / constant[constant > 0])) - 1
 
 
 def _course(evidence: LoopEvidence) -> Iterator[Candidate]:

@@ -40,11 +40,19 @@ from pipeline.comparison.loops.wall_replay import (
     wall_replay,
 )
 from pipeline.device.loop import Loop
+from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import StepTrial, limits_of
-from pipeline.records.findings import Limit, Quantity
+from pipeline.records.findings import Estimate, Limit, Quantity
 from pipeline.records.models import Device, Experiment
-from pipeline.records.results import LIMITS_WITHIN, LoopFindings, LoopResult, MeasuredExperiment, WallReplay
+from pipeline.records.results import (
+    LIMITS_WITHIN,
+    LoopFindings,
+    LoopResult,
+    MeasuredExperiment,
+    WallReplay,
+    delay_of_logs,
+)
 from pipeline.records.trials import Floats
 from pipeline.rendering.labels import Units, significant
 
@@ -134,7 +142,8 @@ def examine_loop(
     trial = usual_trial(measured, stages)
     found = LogsUnusable(unusable) if unusable else judge_loop(measured, stages, of_file, trial)
     basis = found.basis if isinstance(found, Inadequate) else None
-    causes = causes_of(LoopEvidence(measured, stages, trial, units, departures, velocity, gains, basis))
+    delay = _delay(measured, found, stages)
+    causes = causes_of(LoopEvidence(measured, stages, trial, units, departures, velocity, gains, basis, of_file, delay))
     # The damping of a hand vanishes when it lets go.
     grips = _grips(stages, entry) if of_file is None or of_file.operator is None else []
     refused = _passivity_unknown(found, grips, trial)
@@ -159,6 +168,18 @@ def examine_loop(
         if isinstance(found, Adequate)
         else None,
         causes=causes,
+    )
+
+
+def _delay(measured: MeasuredExperiment, found: Findings, stages: ExperimentStages) -> Estimate:
+    """Return the delay of the logs: the fitted one, unless the loop is not confirmed."""
+    device = stages.once(identified_loop)
+    judged = isinstance(found, Inadequate) and found.replay is not None and found.replay.verdicts_same is not None
+    return delay_of_logs(
+        measured.estimates["delay_samples"],
+        adequate=isinstance(found, Adequate),
+        judged=judged,
+        doubted=device is None or not device.is_reliable,
     )
 
 

@@ -30,7 +30,6 @@ from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.campaign import TRIALS, Campaign, PlanOptions, campaign_of, forecast_of
-from pipeline.planning.loop_limits import linear_limits
 from pipeline.planning.planner import NOTES, plan_of
 from pipeline.records.findings import DRIFTS, MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
@@ -48,7 +47,6 @@ from pipeline.records.results import (
 from pipeline.rendering.labels import (
     Units,
     estimate_texts,
-    percent_text,
     quantity_name,
     share_text,
     significant,
@@ -129,7 +127,7 @@ def answer(
     misled = fault is not None or (gains is not None and gains.most)
     first = f"Correct the recording first: {fault.remedy}".rstrip(".") if fault else "Correct the headers first"
     step = NextStep(reason=first) if misled else _next(data, result, of_file, stages)
-    causes = [*_with_delay_of_theory(result), *_other_parameters(result, of_file, data.units)]
+    causes = [*result.causes, *_other_parameters(result, of_file, data.units)]
     wall = result.use.point if result.use else None
     return Answer(
         experiment=result.experiment,
@@ -369,32 +367,6 @@ def _untested_damping(result: ExperimentNumbers) -> float | None:
 def _ends_at_last_damping(result: ExperimentNumbers) -> bool:
     """Return whether the largest limit is at the largest tested damping."""
     return result.stiffest is not None and result.stiffest.damping == max(p.damping for p in result.boundary)
-
-
-def _with_delay_of_theory(result: ExperimentNumbers) -> list[Cause]:
-    """Return the causes. A jittering delay is compared with the constant delay of theory if it excludes this delay.
-
-    The sentence then contains the median change of theory's limits at the tested dampings with the delay of the logs.
-    """
-    theory, delay = result.scores[0].parameters.loop.apparent() if result.scores else None, result.delay
-    if theory is None or delay.value is None or delay.low is None or delay.high is None:
-        return list(result.causes)
-    damping = np.array([point.damping for point in result.boundary])
-    constant = linear_limits(theory, damping)
-    if delay.low <= theory.delay_samples <= delay.high or not (constant > 0).any():
-        return list(result.causes)
-    jittering = linear_limits(replace(theory, delay_samples=delay.value), damping)
-    change = float(np.median(jittering[constant > 0] / constant[constant > 0])) - 1
-    sentence = (
-        f"The delay jitters and acts like {significant(delay.value, 3)} samples, theory uses "
-        f"{significant(theory.delay_samples, 3)}: this changes limits by {percent_text(100 * change)} %."
-    )
-    return [
-        Cause(code=cause.code, sentence=sentence, evidence=f"standard deviation of the jitter, {cause.evidence}")
-        if cause.code == "delay_jitter"
-        else cause
-        for cause in result.causes
-    ]
 
 
 def _graded(well: bool, partly: bool) -> Literal["yes", "partly", "no"]:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from kinds import kinds, record
 from labs import compare
 
 import pipeline
+from pipeline.comparison.loops.causes import jitter_cause
 from pipeline.comparison.loops.loop_basis import filter_quantities
 from pipeline.device.parts import Butterworth, Difference
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
+from pipeline.records.findings import Estimate
 from pipeline.records.models import Device
 from pipeline.simulation.sweep import write_sweep
 from pipeline.surface.stored import costs
@@ -80,3 +83,23 @@ def test_a_filter_is_known_as_well_as_single_logs_agree():
     assert (cutoff.low, cutoff.high) == pytest.approx((49.995, 50.005))
     # a device file states what it states
     assert filter_quantities(logs[1])["cutoff_hz"].low == 50.0
+
+
+def test_a_constant_delay_of_theory_outside_that_of_the_logs_is_said_with_the_jitter():
+    device = load_device("falcon")
+    stated, dampings = device.loop_for(device.experiments[0]), np.arange(0.0, 150.0, 16.0)
+    jitter = Estimate(value=0.75, low=0.7, high=0.8, unit="samples", method="test")
+    delay = Estimate(value=3.88, low=3.62, high=3.95, unit="samples", method="test")
+    found = jitter_cause(jitter, delay, stated, dampings)
+    assert found.sentence.startswith(
+        "The delay jitters and acts like 3.88 samples, theory uses 4: this changes limits by +"
+    )
+    plain = jitter_cause(jitter, delay, None, dampings)
+    assert found.evidence.endswith(plain.evidence)
+    assert plain.evidence == "95 %: 0.70 to 0.80 samples"
+    # near the origin, K = B/((d + 1/2) T): a delay of 3.88 instead of 4 raises limits by at least 2.7 %
+    change = float(found.sentence.split("by +")[1].split(" %")[0])
+    assert 100 * (4.5 / 4.38 - 1) < change < 100 * ((5 / 4.88) ** 2 - 1) + 1
+    same = delay.model_copy(update={"low": 3.9, "high": 4.1})
+    assert jitter_cause(jitter, same, stated, dampings) == plain, "the delays agree"
+    assert plain.sentence == "The delay jitters within a trial: standard deviation 0.75 samples."

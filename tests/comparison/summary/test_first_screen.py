@@ -322,22 +322,6 @@ def test_the_wall_to_measure_next_lies_beyond_the_last_damping_if_the_largest_li
     assert found.command.endswith(f"--dampings {found.damping:g}")
 
 
-def test_a_constant_delay_of_theory_outside_that_of_the_logs_is_said_with_the_jitter(data, result):
-    jitter = Cause(code="delay_jitter", sentence="The delay jitters.", evidence="95 %: 0.7 to 0.8 samples")
-    estimates = dict(result.experiments[0].estimates)
-    logs = {"value": 3.88, "low": 3.62, "high": 3.95, "by_method": {}}
-    estimates["delay_samples"] = estimates["delay_samples"].model_copy(update=logs)
-    (found,) = told(data, result, causes=(jitter,), estimates=estimates).causes
-    assert found.sentence.startswith(
-        "The delay jitters and acts like 3.88 samples, theory uses 4: this changes limits by +"
-    )
-    assert found.evidence.endswith(jitter.evidence)
-    # near the origin, K = B/((d + 1/2) T): a delay of 3.88 instead of 4 raises limits by at least 2.7 %
-    change = float(found.sentence.split("by +")[1].split(" %")[0])
-    assert 100 * (4.5 / 4.38 - 1) < change < 100 * ((5 / 4.88) ** 2 - 1) + 1
-    assert told(data, result, causes=(jitter,)).causes == (jitter,), "the delays agree"
-
-
 @pytest.mark.parametrize(
     ("span", "text"),
     [
