@@ -425,8 +425,9 @@ def _numbers(interval: Interval, is_identified: bool) -> dict[str, float | None]
 def _replay_document(found: Identification) -> dict[str, Any]:
     logs = [
         {
-            name: None if isinstance(value, float) and np.isnan(value) else value
-            for name, value in each._asdict().items()
+            "log": each.log,
+            "fit_percent": None if np.isnan(each.fit_percent) else each.fit_percent,
+            "naive_percent": None if np.isnan(each.naive_percent) else each.naive_percent,
         }
         for each in found.replay
     ]

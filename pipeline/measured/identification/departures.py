@@ -28,17 +28,23 @@ CAUSES = {
 
 def departure(choice: Choice) -> str:
     """Return a sentence that names what the errors of a device depend on. The result is empty if they depend on nothing
-    known.
+    known."""
+    shares = shares_between_groups(choice)
+    name = max(shares, key=lambda each: shares[each])
+    return f"{CAUSES[name]} This is {100 * shares[name]:.0f} % of their variance." if shares[name] > SHARE else ""
+
+
+def shares_between_groups(choice: Choice) -> dict[str, float]:
+    """Return the share of the variance of the prediction errors that lies between groups, for each grouping in
+    `CAUSES`.
 
     R^2 is the share of the variance of n errors that lies between g groups. It is adjusted for chance to 1 - (1 - R^2)
-    (n - 1)/(n - g).
+    (n - 1)/(n - g), and may be slightly negative.
     """
     segments = choice.segments
     columns = columns_of(segments, choice.fit.device, (), whole=segments)
     errors = columns.values[np.arange(len(segments.places)) + columns.starts * segments.segment, -1]
-    shares = {name: _share(errors, groups) for name, groups in _groupings(choice).items()}
-    name = max(shares, key=lambda each: shares[each])
-    return f"{CAUSES[name]} This is {100 * shares[name]:.0f} % of their variance." if shares[name] > SHARE else ""
+    return {name: _share(errors, groups) for name, groups in _groupings(choice).items()}
 
 
 def _groupings(choice: Choice) -> dict[str, Integers]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.measured.identification.likelihood import LIMITS, WORTH, Device, Fit, fitted, free_motion
 from pipeline.measured.identification.noise import WHITE
-from pipeline.measured.identification.part_table import CLOSER, PARTS
+from pipeline.measured.identification.part_table import CLOSER, PARTS, TriedPart
 from pipeline.measured.identification.recordings import LogUnits, Recording
 from pipeline.measured.identification.replay import medians, replays
 from pipeline.measured.identification.scatter import solve
@@ -108,8 +108,8 @@ def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
 
 def with_mode(
     logs: tuple[list[Recording], LogUnits, int], fit: Fit, parts: dict[str, float]
-) -> tuple[Segments, Fit, dict[str, float]] | None:
-    """Return segments, fit and parts of a device with friction and a mode, or None if free runs do not require a mode.
+) -> tuple[Segments, Fit, dict[str, float]] | TriedPart:
+    """Return segments, fit and parts of a device with friction and a mode, or why free runs do not require a mode.
 
     ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
     accepted if its likelihood exceeds the others by its threshold and it is `_followed`. The search uses `informative`
@@ -124,20 +124,22 @@ def with_mode(
         plain.append({"gamma": numbers["mode_frequency"] ** 2} | rigid)
     without = max((free_fit(some, Device(each)) for each in plain), key=lambda each: each[1].likelihood)
     if not known and _variance(*without) < VISIBLE * some.white:
-        return None
+        return TriedPart("small errors", np.nan, required_gain(SENSED["motor"]))
     fits = sorted((free_fit(some, *each) for each in _starts(some, fit, without)), key=lambda each: -each[1].likelihood)
-    worth = (each for each in fits if _is_required(each[1].likelihood - without[1].likelihood, each[1]))
+    best = TriedPart("gain", fits[0][1].likelihood - without[1].likelihood, required_gain(SENSED[_side(fits[0][1])]))
+    worth = [each for each in fits if _is_required(each[1].likelihood - without[1].likelihood, each[1])]
     found = next((each for each in worth if known or _followed(logs, without[1], each[1])), None)
     if found is None:
-        return None
+        is_enough = best.gain >= best.required
+        return replace(best, decision="free runs" if worth else "at a limit" if is_enough else "gain")
     gain = found[1].likelihood - without[1].likelihood
     if some is not segments:
         found = free_fit(segments, found[1].device, errors=found[0].free)
         if not (known or _followed(logs, without[1], found[1])):
-            return None
-    if not _has_load(*found):
-        return None
+            return TriedPart("free runs", gain, required_gain(SENSED[_side(found[1])]))
     side = _side(found[1])
+    if not _has_load(*found):
+        return TriedPart("no load", gain, required_gain(SENSED[side]))
     absent = {*SENSED.values(), *LOAD_PARTS} | ({"stiffness"} if "gamma" not in found[1].device.numbers else set())
     rest = {name: value for name, value in parts.items() if name not in absent}
     return *found, {**rest, SENSED[side]: gain, **_load_parts(found[1])}
@@ -166,10 +168,15 @@ def _side(fit: Fit) -> str:
     return "load" if "spring_damping_fraction" in fit.device.numbers else "motor"
 
 
+def required_gain(part: str) -> float:
+    """Return the gain of log-likelihood required for a mode, with damping and friction on its load."""
+    return PARTS[part].threshold + CLOSER * len(LOAD_PARTS)
+
+
 def _is_required(gain: float, fit: Fit) -> bool:
     """Return whether a gain of log-likelihood suffices for a mode, and its numbers are inside their limits."""
     part, numbers = PARTS[SENSED[_side(fit)]], fit.device.numbers
-    if gain < part.threshold + CLOSER * len(LOAD_PARTS):
+    if gain < required_gain(SENSED[_side(fit)]):
         return False
     return all(LIMITS[name][0] < numbers[name] < LIMITS[name][1] for name in ("gain", *part.numbers[::2]))
 

@@ -117,6 +117,8 @@ class Identification:
         and so on). Empty for fewer than `FEWEST` logs.
     departure : str
         Sentence that names the group in which the errors of free motions differ, empty if they differ in none.
+    quasi_static : bool
+        Whether the damping is from displacements over windows, because rows do not show the inertia.
     choice : Choice
     """
 
@@ -137,6 +139,7 @@ class Identification:
     covariance: Floats
     folds: list[dict[str, float]]
     departure: str
+    quasi_static: bool
     choice: Choice
 
     @property
@@ -236,6 +239,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         where,
+        alone is not None,
         choice,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -131,3 +132,40 @@ PARTS: dict[str, Part] = {
     "load damping": Part(("load_damping",), _load_dampings, size="load_damping", needs="mode"),
 }
 """Parts that forward selection considers. The bounds of their numbers are in `likelihood.LIMITS`."""
+
+Decision = Literal[
+    "accepted",
+    "undecided",
+    "imitated",
+    "no start",
+    "white noise",
+    "random force",
+    "size",
+    "gain",
+    "left out",
+    "at a limit",
+    "free runs",
+    "small errors",
+    "no load",
+]
+"""Result of the test of a part. All except the first two are reasons for a rejection.
+
+``imitated``: another part explains the same motion. ``no start``, ``white noise``, ``random force``: the gain is too
+small at the best starting value, with the noise of the readings alone, and with the random force of the device.
+``size``: the part cannot be distinguished from one of size 0. ``gain``: the gain is below the required one. ``left
+out``: the same for logs left out. ``at a limit``: a number of the part is at a limit of its search. ``free runs``: the
+errors of free runs and the random force do not fall enough. ``small errors``: free runs without the part are as
+accurate as the readings. ``no load``: the mass of the load of a mode is not identifiable.
+"""
+
+
+@dataclass(frozen=True)
+class TriedPart:
+    """Result of the test of a part, with the gain of log-likelihood in the last step of the test and the required one.
+
+    The gain is NaN if the test ended before a fit with the part.
+    """
+
+    decision: Decision
+    gain: float
+    required: float

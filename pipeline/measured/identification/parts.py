@@ -12,7 +12,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.first_guess import BALANCED, first_guesses
-from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, free_fit, with_mode
+from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, free_fit, required_gain, with_mode
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     DONE,
@@ -26,7 +26,7 @@ from pipeline.measured.identification.likelihood import (
     spread,
 )
 from pipeline.measured.identification.noise import WHITE, Noise
-from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Part
+from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Decision, Part, TriedPart
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.replay import medians, replays, replays_left_out
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
@@ -130,7 +130,7 @@ class Choice:
     A part with a gain of 0 is undecided, and its number is included as unknown. ``assumed`` contains the names of
     parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag. For a
     delay that cannot be separated from a lag, it contains the other end of the delay's range. Keys are names of
-    `ESTIMATED`.
+    `ESTIMATED`. ``tried`` contains the test of each part that was tried.
     """
 
     fit: Fit
@@ -139,6 +139,7 @@ class Choice:
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float] = field(default_factory=dict)
+    tried: dict[str, TriedPart] = field(default_factory=dict)
 
     @property
     def moving(self) -> bool:
@@ -168,6 +169,8 @@ class ChosenParts:
         Upper ends of friction and spring [SI], from a fit with both.
     free : tuple of float
         Filter that whitens the errors of free runs, as in `Segments`, if free runs determine the device.
+    tried : dict of str to TriedPart
+        Test of each part that was tried. Empty if the parts were read from a stored table.
     """
 
     numbers: dict[str, float]
@@ -179,11 +182,26 @@ class ChosenParts:
     assumed: tuple[str, ...]
     bounds: dict[str, float]
     free: tuple[float, ...] = ()
+    tried: dict[str, TriedPart] = field(default_factory=dict)
 
     @property
     def device(self) -> Device:
         """Initial device for a fit."""
         return Device(self.numbers, self.noise, reading=self.reading)
+
+
+Logs = tuple[list[Recording], LogUnits, int]
+"""Recordings, their units, and the number of rows before a segment whose commands may still act in it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Intermediate result of the selection: a fit to segments, its parts with their gains, and all tests so far."""
+
+    segments: Segments
+    fit: Fit
+    parts: dict[str, float]
+    tried: dict[str, TriedPart]
 
 
 def held_out(fit: Fit) -> float:
@@ -260,85 +278,99 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
     begin = _begin(some, units, base, most)
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
     with part_of_work("", 0.1, 0.5):
-        fit, segments, parts, bounds = _first(some, units, lead, begin)
-    if segments.scale:
-        heavy = _with_gravity((some, units, most), (*base, *GRAVITY), (segments, fit, lead))
-        lead, fit, segments, parts, bounds = heavy or (lead, fit, segments, parts, bounds)
+        state, bounds = _first(some, units, lead, begin)
+    if state.segments.scale:
+        heavy = _with_gravity((some, units, lead), (*base, *GRAVITY), most, state)
+        lead, state, bounds = heavy or (lead, state, bounds)
     with part_of_work("", 0.5, 1.0):
-        fit, parts = _further((some, units, lead), segments, fit, parts)
-    if set(parts) - {"friction", "stiffness"}:
-        segments, fit, parts = _pruned((some, units, lead), segments, fit, parts)
-    segments, fit, parts = _swinging((some, units, lead), segments, fit, parts)
-    fit, parts = _without_imitations(segments, fit, parts)
-    device = fit.device
+        state = _further((some, units, lead), state)
+    if set(state.parts) - {"friction", "stiffness"}:
+        state = _pruned((some, units, lead), state)
+    state = _without_imitations(_swinging((some, units, lead), state))
+    device, segments = state.fit.device, state.segments
+    # a part that was accepted and is absent from the result imitated a later one
+    tried = {
+        name: replace(test, decision="imitated") if test.decision == "accepted" and name not in state.parts else test
+        for name, test in state.tried.items()
+    }
     found = device.numbers, device.noise, device.reading
-    chosen = ChosenParts(*found, units, lead, parts, assumed, bounds, segments.free)
-    return chosen, fit, float(np.median(segments.rows))
+    chosen = ChosenParts(*found, units, lead, state.parts, assumed, bounds, segments.free, tried)
+    return chosen, state.fit, float(np.median(segments.rows))
 
 
 def _with_gravity(
-    logs: tuple[list[Recording], LogUnits, int], base: tuple[str, ...], plain: tuple[Segments, Fit, int]
-) -> tuple[int, Fit, Segments, dict[str, float], dict[str, float]] | None:
+    logs: Logs, base: tuple[str, ...], most: int, plain: Selection
+) -> tuple[int, Selection, dict[str, float]] | None:
     """Return the first fit of an arm under gravity, or None if gravity does not explain the logs.
 
     Without gravity, no device may be near the one that explains the motion, so that gravity cannot be added later.
     Free runs of logs left out decide, since both fits may use different rows. For a single log, the random forces
-    decide. The result is the number of rows before a segment, the fit, its segments, parts and bounds (see `_first`).
+    decide. ``most`` is the longest delay of the search. The result is the number of rows before a segment whose
+    commands may still act in it, the selection, and its bounds (see `_first`).
     """
-    some, units, most = logs
-    without = _velocity_fit(some, units, plain[2], *plain[:2])
+    some, units, _ = logs
+    without = _velocity_fit(logs, plain.segments, plain.fit)
     if without is None or without > EXPLAINED:
         return None
     begin = _begin(some, units, base, most)
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
-    fit, segments, parts, bounds = _first(some, units, lead, begin)
-    found = _velocity_fit(some, units, lead, segments, fit)
-    if "stiffness" in parts:
+    state, bounds = _first(some, units, lead, begin)
+    found = _velocity_fit((some, units, lead), state.segments, state.fit)
+    if "stiffness" in state.parts:
         # a spring may take up a few degrees of gravity, and is wild without one of the logs
-        alone = refined(segments, _springless(fit.device), far=False)
-        springless = _velocity_fit(some, units, lead, segments, alone)
+        alone = refined(state.segments, _springless(state.fit.device), far=False)
+        springless = _velocity_fit((some, units, lead), state.segments, alone)
         if found is None or (springless is not None and springless >= found):
-            fit, found = alone, springless
-            parts = {name: gain for name, gain in parts.items() if name != "stiffness"}
+            found = springless
+            parts = {name: gain for name, gain in state.parts.items() if name != "stiffness"}
+            state = replace(state, fit=alone, parts=parts)
     if found is None or 100 - found > LEFT**0.5 * (100 - without):
         return None
-    if len(some) == 1 and not _takes_away(plain[1], fit):
+    if len(some) == 1 and not _takes_away(plain.fit, state.fit):
         return None
-    gain = sum(_loss(fit, name, signed=True) for name in GRAVITY)
-    return lead, fit, segments, parts | {"gravity": gain}, bounds
+    gain = sum(_loss(state.fit, name, signed=True) for name in GRAVITY)
+    test = TriedPart("accepted", gain, PARTS["gravity"].threshold)
+    return lead, replace(state, parts=state.parts | {"gravity": gain}, tried=state.tried | {"gravity": test}), bounds
 
 
-def _velocity_fit(some: list[Recording], units: LogUnits, lead: int, segments: Segments, fit: Fit) -> float | None:
+def _velocity_fit(logs: Logs, segments: Segments, fit: Fit) -> float | None:
     """Return the median fit of free runs to logs left out [%], or to the log itself if there is only one."""
-    if len(some) == 1:
-        return medians(replays(some, units, lead, replace(fit.device, effects=None)))[0]
-    return medians(replays_left_out(some, units, lead, segments, fit))[0]
+    if len(logs[0]) == 1:
+        return medians(replays(*logs, replace(fit.device, effects=None)))[0]
+    return medians(replays_left_out(*logs, segments, fit))[0]
 
 
-def _swinging(
-    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
-) -> tuple[Segments, Fit, dict[str, float]]:
-    """Return segments, fit and parts after free runs decide on a mode, for logs with friction or a slow mode.
+def _swinging(logs: Logs, state: Selection) -> Selection:
+    """Return the selection after free runs decide on a mode, for logs with friction or a slow mode.
 
     From `FEWEST` logs behind walls on, segments show the mode, since walls reverse the motion at different rows.
     """
+    segments, fit, parts = state.segments, state.fit, state.parts
     numbers = fit.device.numbers
     if not fit.few and any(any(each.wall) for each in logs[0]):
-        return segments, fit, parts
+        return state
     phase = numbers.get("mode_frequency", np.inf) * float(np.median(segments.rows))
     rubs = parts.get("friction", 0.0) > 0 and numbers["coulomb"] > 0
     swings = rubs or ("coulomb" not in numbers and phase < FEW_PERIODS)
     if not swings or "delay" not in numbers or fit.device.noise.jitter:
-        return segments, fit, parts
+        return state
     found = with_mode(logs, fit, parts)
-    if found is not None:
-        return found
+    modes = SENSED.values()
+    if not isinstance(found, TriedPart):
+        gains = {name: gain for name, gain in found[2].items() if name in (*modes, *LOAD_PARTS)}
+        tests = {name: TriedPart("accepted" if gain else "undecided", gain, WORTH) for name, gain in gains.items()}
+        for name in tests.keys() & set(modes):
+            tests[name] = replace(tests[name], required=required_gain(name))
+        return Selection(*found, state.tried | tests)
+    mode = next((name for name in modes if name in parts), SENSED["motor"])
     if "mode_frequency" not in numbers:
-        return segments, fit, parts
+        # the test on segments is the more precise one if free runs show no error
+        return state if found.decision == "small errors" else replace(state, tried=state.tried | {mode: found})
     left = {name: value for name, value in numbers.items() if name not in (*MODE, "load_damping")}
     fit = refined(segments, replace(fit.device, numbers=left, effects=None))
-    rest = {name: gain for name, gain in parts.items() if name not in (*SENSED.values(), *LOAD_PARTS)}
-    return segments, fit, rest
+    rest = {name: gain for name, gain in parts.items() if name not in (*modes, *LOAD_PARTS)}
+    without = {name: replace(test, decision="imitated") for name, test in state.tried.items() if name in LOAD_PARTS}
+    return Selection(segments, fit, rest, state.tried | without | {mode: found})
 
 
 def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
@@ -366,7 +398,7 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
         bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
-    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds)
+    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds, chosen.tried)
 
 
 def _largest_bound(name: str, units: LogUnits) -> float:
@@ -428,27 +460,34 @@ def _unseen_lag(segments: Segments, fit: Fit) -> float:
 
 def _first(
     recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
-) -> tuple[Fit, Segments, dict[str, float], dict[str, float]]:
-    """Return the fit with friction and spring if present or possible, its segments, these parts, and bounds.
+) -> tuple[Selection, dict[str, float]]:
+    """Return the selection with friction and spring if present or possible, and bounds.
 
     The search starts from each of the given devices. Bounds are the upper ends of friction and spring [SI], from a fit
     with both.
     """
-    bounds, fit = {}, None
+    bounds, fit, tried = {}, None, dict[str, TriedPart]()
     if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
         whole = _searched(segments, begin)
         bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
-        fit, parts = _worth(segments, whole, begin[0])
+        fit, spring = _worth(segments, whole, begin[0])
         gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
         rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
         if rubs or _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
-            return fit, segments, {"friction": gain if rubs else 0.0} | parts, bounds
+            tried = {"friction": TriedPart("accepted" if rubs else "undecided", gain, WORTH), "stiffness": spring}
+            return Selection(segments, fit, {"friction": gain if rubs else 0.0} | _found(spring), tried), bounds
+        tried = {"friction": TriedPart("size", gain, WORTH)}
     segments = segments_of(recordings, units, lead, False)
     starts = [_sliding(each) for each in begin]
     fit = refined(segments, _sliding(fit.device), far=False) if fit is not None else _searched(segments, starts)
     bounds["stiffness"] = _upper(fit, "stiffness", units)
-    fit, parts = _worth(segments, fit, starts[0])
-    return fit, segments, parts, bounds
+    fit, spring = _worth(segments, fit, starts[0])
+    return Selection(segments, fit, _found(spring), tried | {"stiffness": spring}), bounds
+
+
+def _found(spring: TriedPart) -> dict[str, float]:
+    """Return the part of a spring with its gain if it is accepted."""
+    return {"stiffness": spring.gain} if spring.decision == "accepted" else {}
 
 
 def _upper(fit: Fit, name: str, units: LogUnits) -> float:
@@ -456,8 +495,8 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
     return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
 
 
-def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, float]]:
-    """Return the fit with its spring if the logs show a spring. Otherwise, return the fit without a spring.
+def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, TriedPart]:
+    """Return the fit with its spring if the logs show a spring, otherwise the fit without a spring, and the test.
 
     If the logs seem to show a spring, the search is repeated without it from the same start. With a single wall, a
     spring may imitate the command.
@@ -466,8 +505,10 @@ def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, dict[str, 
     # relative to the largest command, at the largest displacement
     if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
         free = refined(segments, _springless(begin))
-        return (free, {}) if free.likelihood > fit.likelihood - WORTH else (fit, {"stiffness": gain})
-    return refined(segments, _springless(fit.device), far=False, noisy=False), {}
+        if free.likelihood > fit.likelihood - WORTH:
+            return free, TriedPart("gain", fit.likelihood - free.likelihood, WORTH)
+        return fit, TriedPart("accepted", gain, WORTH)
+    return refined(segments, _springless(fit.device), far=False, noisy=False), TriedPart("size", gain, WORTH)
 
 
 def _springless(device: Device) -> Device:
@@ -569,44 +610,47 @@ def _likelihood(segments: Segments, device: Device) -> float:
     return solve(moments_of(segments, device), np.empty(0, dtype=np.int64)).here
 
 
-def _pruned(
-    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
-) -> tuple[Segments, Fit, dict[str, float]]:
-    """Remove friction and spring if they only imitated another part, and return segments, fit and parts.
+def _pruned(logs: Logs, state: Selection) -> Selection:
+    """Remove friction and spring if they only imitated another part, and return the selection.
 
     Friction that another part has hidden is added.
     """
     recordings, units, lead = logs
+    segments, fit, parts, tried = state.segments, state.fit, state.parts, dict(state.tried)
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
         if name not in parts:
             continue
         if (gain := _loss(fit, number)) > WORTH:
+            tried[name] = TriedPart("accepted", parts[name] or gain, WORTH)
             parts = parts | {name: parts[name] or gain}
             continue
         if name == "friction":
             if _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
+                tried[name] = TriedPart("undecided", gain, WORTH)
                 parts = parts | {"friction": 0.0}
                 continue
             segments = segments_of(recordings, units, lead, False)
         left = {key: value for key, value in fit.device.numbers.items() if key != number}
         fit = refined(segments, replace(fit.device, numbers=left, effects=None), far=False)
+        tried[name] = TriedPart("imitated", gain, WORTH)
         parts = {key: value for key, value in parts.items() if key != name}
-    return segments, fit, parts
+    return Selection(segments, fit, parts, tried)
 
 
-def _without_imitations(segments: Segments, fit: Fit, parts: dict[str, float]) -> tuple[Fit, dict[str, float]]:
-    """Remove gains of the drive that only imitated a part found after them, and return fit and parts.
+def _without_imitations(state: Selection) -> Selection:
+    """Remove gains of the drive that only imitated a part found after them, and return the selection.
 
     Without its part, a device may follow only one log. If all commands of a log have the same size, a log that is left
     out then decides on the gain by size of the others.
     """
+    segments, fit, parts = state.segments, state.fit, state.parts
     for name in sorted(IMITATING & parts.keys()):
         left = {key: value for key, value in fit.device.numbers.items() if key not in PARTS[name].numbers}
         device = replace(fit.device, numbers=left, effects=None)
         other = climbed(segments, device) if segments.free else refined(segments, device, far=False)
         if other.likelihood > fit.likelihood - PARTS[name].threshold:
             fit, parts = other, {key: value for key, value in parts.items() if key != name}
-    return fit, parts
+    return replace(state, fit=fit, parts=parts)
 
 
 def _loss(fit: Fit, name: str, *, signed: bool = False) -> float:
@@ -618,64 +662,70 @@ def _loss(fit: Fit, name: str, *, signed: bool = False) -> float:
     return 0.5 * (found.value / found.error) ** 2 if (signed or found.value > 0) and found.error > 0 else 0.0
 
 
-def _further(
-    logs: tuple[list[Recording], LogUnits, int], segments: Segments, fit: Fit, parts: dict[str, float]
-) -> tuple[Fit, dict[str, float]]:
-    """Add force limit, lag and mode to a fit. The most likely part is added first, since each may replace another."""
+def _further(logs: Logs, state: Selection) -> Selection:
+    """Add drive, lag and mode to a selection. The most likely part is added first, since each may replace another."""
+    segments, fit, parts, tried = state.segments, state.fit, state.parts, dict(state.tried)
     some, left, rounds = _some(segments), dict(PARTS), 0
     while left and "delay" in fit.device.numbers:
-        alone, tried = replace(fit.device, effects=None), {}
+        alone, candidates = replace(fit.device, effects=None), dict[str, Fit]()
         plain = fit if some is segments else refined(some, alone, far=False)
-        # if only reading noise remains, most parts can be excluded at the start of their search
-        least = ROUNDED_ROW * float(some.rows.sum())
-        is_white, white = plain.device.noise == WHITE, climbed(some, replace(plain.device, noise=WHITE, effects=None))
+        white = climbed(some, replace(plain.device, noise=WHITE, effects=None))
         for number, (name, part) in enumerate(left.items()):
             report(1 - 0.5**rounds * (1 - 0.5 * number / len(left)))
             if part.numbers[0] in alone.names or (part.needs and part.needs not in parts):
                 continue
             if part.turning and not segments.scale:
                 continue
-            start = _having(some, alone, part)
-            enough = min(least, CLOSER) if part.needs else least
-            if is_white and _promise(some, start, part) - _promise(some, plain.device, part) < enough:
-                continue
-            other = _candidate(some, start, plain, white)
-            if other is None or (part.size and _loss(other, part.size) < WORTH):
-                continue
-            if other.likelihood - plain.likelihood >= part.threshold:
-                tried[name] = other
-        if not tried:
+            other, tried[name] = _tested(some, alone, part, (plain, white))
+            if other is not None:
+                candidates[name] = other
+        if not candidates:
             break
         rounds += 1
-        name = max(tried, key=lambda each: tried[each].likelihood - PARTS[each].threshold)
+        name = max(candidates, key=lambda each: candidates[each].likelihood - PARTS[each].threshold)
         # far from the solution, noise may replace the residual, so it is estimated again
-        other = refined(segments, replace(tried[name].device, effects=None), far=False)
+        other = refined(segments, replace(candidates[name].device, effects=None), far=False)
         fit = plain if some is segments else refined(segments, alone, far=False)
         part, gain = left.pop(name), held_out(other) - held_out(fit)
-        worth = gain > WORTH * len(part.numbers) and _is_inside(other.device, part)
-        if worth and _predicts(logs, segments, name, (fit, other)):
+        required = WORTH * len(part.numbers)
+        decision: Decision = "left out" if gain <= required else "at a limit"
+        if gain > required and _is_inside(other.device, part):
+            decision = "accepted" if _predicts(logs, segments, name, (fit, other)) else "free runs"
+        tried[name] = TriedPart(decision, gain, required)
+        if decision == "accepted":
             fit, parts = other, parts | {name: gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # jitter may have replaced the residual before the search for a part ended
         fit = refined(segments, replace(fit.device, effects=None), far=False)
-    return fit, parts
+    return Selection(segments, fit, parts, tried)
 
 
-def _candidate(some: Segments, start: Device, plain: Fit, white: Fit) -> Fit | None:
-    """Return the fit with an additional part, starting from a given device, or None if it is not better than ``plain``.
+def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) -> tuple[Fit | None, TriedPart]:
+    """Return the fit with an additional part, or None if the part is not required, and the test.
 
-    ``plain`` is the fit without the part, and ``white`` is the same with reading noise only. A real part makes the
-    motion more likely in both cases.
+    The search begins near the device ``alone``. The ``fits`` without the part are one with all noise (``plain``) and
+    one with the noise of the readings alone (``white``). A real part makes the motion more likely in both cases.
     """
+    plain, white = fits
+    start, noise = _having(some, alone, part), plain.device.noise
+    if noise == WHITE:
+        # if only reading noise remains, most parts can be excluded at the start of their search
+        least = ROUNDED_ROW * float(some.rows.sum())
+        required = min(least, CLOSER) if part.needs else least
+        if (gain := _promise(some, start, part) - _promise(some, plain.device, part)) < required:
+            return None, TriedPart("no start", gain, required)
     climb = climbed(some, start, FIRST_STEPS)
-    if climb.likelihood < white.solved.here + WORTH:
-        return None
-    noise = plain.device.noise
+    if (gain := climb.likelihood - white.solved.here) < WORTH:
+        return None, TriedPart("white noise", gain, WORTH)
     within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
-    if within.likelihood < plain.likelihood + BESIDE:
-        return None
+    if (gain := within.likelihood - plain.likelihood) < BESIDE:
+        return None, TriedPart("random force", gain, BESIDE)
     # a part does not cause jitter, so none is searched for if the fit without the part has none
-    return refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
+    found = refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
+    if part.size and (gain := _loss(found, part.size)) < WORTH:
+        return None, TriedPart("size", gain, WORTH)
+    gain = found.likelihood - plain.likelihood
+    return (found if gain >= part.threshold else None), TriedPart("gain", gain, part.threshold)
 
 
 def _some(segments: Segments) -> Segments:
@@ -694,9 +744,7 @@ def _is_inside(device: Device, part: Part) -> bool:
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
 
 
-def _predicts(
-    logs: tuple[list[Recording], LogUnits, int], segments: Segments, name: str, fits: tuple[Fit, Fit]
-) -> bool:
+def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) -> bool:
     """Return whether the second fit, which has one more part, predicts more of the motion than the first one.
 
     There are two ways: the fit leaves less random force (`_takes_away`), or its free runs of logs left out have at most

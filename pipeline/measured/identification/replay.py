@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,12 +42,47 @@ HALVED = 0.5
 """Largest error of a device that follows its command, relative to the error of a motion without the command."""
 
 
-class Replay(NamedTuple):
-    """Fit of free runs to a log, and fit of a naive motion that does not follow the command [%] (`_naive_errors`)."""
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """Free run over a window of a log, with time [s], command [N, Nm], measured and simulated position [m, rad].
+
+    All arrays have the shape (rows,).
+    """
+
+    time: Floats
+    command: Floats
+    position: Floats
+    simulated: Floats
+
+    def velocities(self, half: int) -> tuple[Floats, Floats]:
+        """Return the measured and the simulated velocity [m/s, rad/s], smoothed over ``half`` rows on each side.
+
+        The shape is (rows - 2 half,). It is (0,) for a window without enough rows.
+        """
+        period = float(np.ptp(self.time)) / max(len(self.time) - 1, 1) or 1.0
+        measured, simulated = (smoothed_velocity([each], half) / period for each in (self.position, self.simulated))
+        return measured, simulated
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Free runs of one log, and their fit.
+
+    Parameters
+    ----------
+    log : str
+    fit_percent, naive_percent : float
+        Fit of the free runs, and fit of a naive motion that does not follow the command (`_naive_errors`) [%].
+    half : int
+        Number of rows on each side over which the velocity is smoothed.
+    windows : tuple of FreeRun
+    """
 
     log: str
     fit_percent: float
     naive_percent: float
+    half: int
+    windows: tuple[FreeRun, ...]
 
 
 def follows(fit_percent: float | None, naive_percent: float | None) -> bool:
@@ -60,7 +94,7 @@ def follows(fit_percent: float | None, naive_percent: float | None) -> bool:
 
 def medians(replay: Sequence[Replay]) -> tuple[float | None, float | None]:
     """Return the median fits of the device and of the naive prediction without the command, or None without motion."""
-    fits = np.array([each[1:] for each in replay if np.isfinite(each.fit_percent)])
+    fits = np.array([(each.fit_percent, each.naive_percent) for each in replay if np.isfinite(each.fit_percent)])
     return (float(np.median(fits[:, 0])), float(np.median(fits[:, 1]))) if len(fits) else (None, None)
 
 
@@ -85,15 +119,17 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
     if not len(windows):
         return []
     ends = np.cumsum(windows.rows)[:-1]
-    readings = np.split(windows.position[windows.places], ends)
-    times = np.split(windows.time[windows.places], ends)
+    times, commands, readings = (
+        np.split(each[windows.places], ends) for each in (windows.time, windows.command, windows.position)
+    )
     errors = np.split(_errors(windows, device), ends)
     result = []
     for trial in np.unique(windows.trial).tolist():
         inside, half = np.flatnonzero(windows.trial == trial), int(halves[trial])
         naive = _naive_errors([times[s] for s in inside], [readings[s] for s in inside])
         of_device, *of_naive, velocity = (
-            _velocity(each, half) for each in ([errors[s] for s in inside], *naive, [readings[s] for s in inside])
+            smoothed_velocity(each, half)
+            for each in ([errors[s] for s in inside], *naive, [readings[s] for s in inside])
         )
         size = float(np.linalg.norm(velocity - velocity.mean())) if len(velocity) else 0.0
         noise = recordings[trial].motion.error / units.position * np.sqrt(max(len(velocity), 1))
@@ -101,8 +137,18 @@ def replays(recordings: Sequence[Recording], units: LogUnits, lead: int, device:
         lefts = [max(float(each @ each) - NOISES * noise**2, 0.0) ** 0.5 for each in (of_device, *of_naive)]
         # a log cannot test a device if its readings hide the changes of the motion
         moves = size > max(STILL * noise, 1e-9) and min(lefts[1:]) > 0
-        fits = [100 * (1 - left / size) if moves else np.nan for left in (lefts[0], min(lefts[1:]))]
-        result.append(Replay(recordings[trial].name, *fits))
+        fit, without = (100 * (1 - left / size) if moves else np.nan for left in (lefts[0], min(lefts[1:])))
+        origin = float(recordings[trial].position[0]) if units.origin is None else units.origin
+        runs = tuple(
+            FreeRun(
+                units.period * times[s],
+                units.command * commands[s],
+                origin + units.position * readings[s],
+                origin + units.position * (readings[s] - errors[s]),
+            )
+            for s in inside.tolist()
+        )
+        result.append(Replay(recordings[trial].name, fit, without, half, runs))
     return result
 
 
@@ -170,7 +216,7 @@ def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Flo
     return moved, [error - acceleration * curve for error, curve in zip(moved, bent, strict=True)]
 
 
-def _velocity(windows: list[Floats], half: int) -> Floats:
+def smoothed_velocity(windows: list[Floats], half: int) -> Floats:
     """Return the smoothed velocity [1/row] of all windows, from parabolas over ``half`` rows on each side."""
     about = np.arange(half, -half - 1, -1.0)
     return np.concatenate(
