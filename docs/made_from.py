@@ -30,6 +30,14 @@ MADE_FROM: dict[str, tuple[str, ...]] = {
         "pipeline/rendering/templates/report/brief.html.j2",
     ),
     "identification.svg": ("docs/make_identification.py",),
+    "identification-page.png": (
+        "docs/make_identification.py",
+        "pipeline/surface/identification_page.py",
+        "pipeline/surface/free_run_residuals.py",
+        "pipeline/rendering/templates/sectioned_page.html.j2",
+        "pipeline/rendering/templates/report.css",
+        _DRAWING,
+    ),
     "scatter.svg": ("docs/make_scatter.py",),
     "service.png": (
         *_ANSWERS,

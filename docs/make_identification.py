@@ -1,7 +1,14 @@
-"""Draw `img/identification.svg`: the worked example of the page on identification, and print its numbers."""
+"""Draw `img/identification.svg`: the worked example of the page on identification, and print its numbers.
+
+Take `img/identification-page.png`, a picture of the page on the same logs, in Chromium (`apt-get install chromium`).
+"""
 
 from __future__ import annotations
 
+import io
+import os
+import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +23,7 @@ from pipeline.measured.identification.scatter import solve
 from pipeline.measured.identification.search import refined
 
 FILE = Path(__file__).parent / "img" / "identification.svg"
+PICTURE, SIZE, COLOURS = FILE.with_name("identification-page.png"), (1440, 1000), 128
 T, ROWS, EDGE = 1e-3, 300, 20
 MASS, DAMPING, FRICTION, DELAY, NOISE, QUANTUM = 0.6, 4.0, 0.15, 2.4, 3e-5, 1e-5
 STEPS = (4.0, -4.0, 5.0, -5.0, 6.0, -6.0, 8.0, -8.0)
@@ -35,6 +43,32 @@ def recorded(step: float, seed: int) -> Recording:
             v += force / MASS * h
             x += v * h
     return Recording(f"{step:g} N", T * np.arange(ROWS), command, position, T)
+
+
+def picture(logs: list[Recording]) -> None:
+    """Write the page on the logs, and take a picture of its first part."""
+    from PIL import Image
+    from playwright.sync_api import sync_playwright
+
+    import pipeline
+
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))))
+    before = Path.cwd()
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
+        os.chdir(folder)  # names of logs are short
+        Path("logs").mkdir()
+        for number, log in enumerate(logs):
+            rows = zip(log.time.tolist(), log.command.tolist(), log.position.tolist(), strict=True)
+            lines = ["# motion: translation", "time_s,command,position", *(f"{t!r},{u!r},{x!r}" for t, u, x in rows)]
+            Path("logs", f"step_{number}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        page = pipeline.identify("logs").write_report("motor.html").resolve()
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        opened = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, color_scheme="light")
+        opened.goto(page.as_uri())
+        drawn = Image.open(io.BytesIO(opened.screenshot())).convert("RGB")
+        drawn.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(PICTURE, optimize=True)
+        browser.close()
+        os.chdir(before)
 
 
 def main() -> None:
@@ -80,6 +114,7 @@ def main() -> None:
     right.set_ylabel("log-likelihood less its largest")
     right.legend(frameon=False, fontsize="small")
     figure.savefig(FILE, metadata={"Date": None})
+    picture(logs)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import LogError, ParameterError, UsageError
+from pipeline.base.paths import check_output
 from pipeline.base.progress import part_of_work
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.loop_basis import filter_of_numbers, filter_quantities
@@ -40,7 +41,9 @@ from pipeline.recording.signals import same_samples
 from pipeline.records.findings import are_unsafe
 from pipeline.records.trials import Trial
 from pipeline.rendering.frames import frame_of
+from pipeline.rendering.report.sectioned_page import SectionedPage, render
 from pipeline.simulation.simulate import applied_delay_moments, delays_of
+from pipeline.surface.identification_page import Evidence, identification_page, refusal_page
 from pipeline.surface.wall_filter import WallFilter, wall_filter
 from pipeline.theory.boundary import outline
 
@@ -70,9 +73,11 @@ class IdentifiedDevice:
     ``estimates``: ``name``, ``value``, ``low``, ``high``, ``unit``, ``told`` (whether the parameter is identifiable
     from the logs alone). ``replay``: ``log``, ``fit_percent``, ``naive_percent``. ``loop``: the linear loop as `Loop`,
     or None if mass or delay cannot be identified. ``document``: what `pipeline identify --json` prints.
+    ``evidence``: data of the page.
     """
 
     document: dict[str, Any]
+    evidence: Evidence = field(repr=False)
 
     def __str__(self) -> str:
         """Return a table of the parameters with their intervals.
@@ -119,6 +124,36 @@ class IdentifiedDevice:
         """
         write_text(Path(path), device_text(self.document, Path(path).stem))
 
+    def write_report(self, path: PathLike) -> Path:
+        """Write a page on the identification, and return its path.
+
+        The page shows measured motion against free runs, residuals, parameters, parts that were tried, and walls. An
+        existing page is replaced.
+
+        Raises
+        ------
+        UsageError
+            If the path does not end in .html, or is a folder.
+        PipelineError
+            If the file cannot be written.
+        """
+        check_report(Path(path), "")
+        return _write_page(identification_page(self.document, self.evidence), Path(path))
+
+
+class WallSampling(NamedTuple):
+    """Sampling period [s] and delay [samples] of the walls that a device would render.
+
+    None is replaced by the value of the logs.
+    """
+
+    period: float | None = None
+    delay: float | None = None
+
+
+OF_LOGS = WallSampling()
+"""Period and delay of the logs."""
+
 
 def identify(
     paths: PathLike | Sequence[PathLike],
@@ -126,6 +161,7 @@ def identify(
     *,
     period: float | None = None,
     delay: float | None = None,
+    report: PathLike | None = None,
 ) -> IdentifiedDevice:
     """Identify a device from logs with command and position. Neither a wall nor a phase at rest is needed.
 
@@ -139,6 +175,9 @@ def identify(
         Sampling period T [s] of the wall that the device would render. The default is the period of the logs.
     delay : float, optional
         Delay of that wall [samples of T]. The default is the delay estimated from the logs.
+    report : path, optional
+        Page (.html) to write, as by `IdentifiedDevice.write_report`. If no device can be identified, the page states
+        the reason.
 
     Raises
     ------
@@ -152,25 +191,71 @@ def identify(
     """
     places = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
     given = profile if profile is None or isinstance(profile, str) else Path(profile)
-    return IdentifiedDevice(identified_device([Path(path) for path in places], given, period, delay))
+    reading = Reading([Path(path) for path in places], given)
+    return identified_device(reading, WallSampling(period, delay), None if report is None else Path(report))
 
 
-def identified_device(
-    paths: Sequence[Path],
-    profile: str | Path | Profile | None = None,
-    period: float | None = None,
-    delay: float | None = None,
-    ignore: Sequence[str] = (),
-    advance: Callable[[int, int | None], None] | None = None,
-) -> dict[str, Any]:
-    """Return the document printed by `pipeline identify --json`; parameters and errors as in `identify`."""
-    asked = requested_profiles(profile, paths)
-    profiles = tuple(map(_unparted, asked.profiles))
-    sources = find_sources(paths, profiles, ignore=(*ignore, *asked.ignore))
-    found_logs = _read(sources, advance)
-    read, refused = found_logs.logs, found_logs.refused
-    if not read:
-        raise UsageError(f"{', '.join(map(str, paths))}: no log found. Give log files, or folders that contain logs.")
+@dataclass(frozen=True)
+class Reading:
+    """Logs to read.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    profile : str, Path or Profile, optional
+    ignore : sequence of str
+        Patterns of names of files that are not logs.
+    advance : callable, optional
+        Function that receives the number of files read and their total number. The last call has None as total.
+    """
+
+    paths: Sequence[Path]
+    profile: str | Path | Profile | None = None
+    ignore: Sequence[str] = ()
+    advance: Callable[[int, int | None], None] | None = None
+
+
+def identified_device(reading: Reading, wall: WallSampling = OF_LOGS, report: Path | None = None) -> IdentifiedDevice:
+    """Return the device identified from logs, and write the page ``report`` if it is given. Errors as in `identify`."""
+    if report is not None:
+        check_report(report, "")
+    read = _read(reading)
+    try:
+        result = _identified(read, wall)
+    except ParameterError as error:
+        if report is not None:
+            logs = {name: len(log.time) for name, log in read.logs}
+            _write_page(refusal_page(str(error), logs, read.document), report)
+        raise
+    if report is not None:
+        result.write_report(report)
+    return result
+
+
+def check_report(path: Path, option: str) -> None:
+    """Check that a page can be written. The name must end in .html, so that no log or device file is replaced.
+
+    Raises
+    ------
+    UsageError
+        If the path does not end in .html, or is a folder.
+    PipelineError
+        If no file can be created in the folder.
+    """
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"{option} {path}: expected a name that ends with .html.".strip())
+    check_output(path, option)
+
+
+def _write_page(page: SectionedPage, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, render(page))
+    return path
+
+
+def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
+    """Return the device identified from logs that were read."""
+    read = read_logs.logs
     known = {name: device.motion for name, device in known_devices().items()}
     motions = {motion_of(log, known) for _, log in read}
     if len(motions) > 1:
@@ -188,11 +273,13 @@ def identified_device(
         with part_of_work("fit", 0.1, 0.95):
             found = identified(recordings)
     except ParameterError as error:
-        raise ParameterError(" ".join([str(error), *_first_findings(read)])) from error
-    velocity = wall_filter(trials)
-    document = _document(found, recordings, motions.pop(), velocity, period, delay)
-    rows = [{"log": name, **each.document} for name, log in (*read, *found_logs.copies) for each in log.findings]
-    return document | {"findings": rows, "refused": refused, "copies": [name for name, _ in found_logs.copies]}
+        findings = _first_findings(read)
+        reason = f"{str(error).rstrip('.')}." if findings else str(error)
+        raise ParameterError(" ".join([reason, *findings])) from error
+    document = _document(found, recordings, motions.pop(), wall_filter(trials), wall)
+    return IdentifiedDevice(
+        document | read_logs.document, Evidence(found, recordings, any(log.header.simulated for _, log in read))
+    )
 
 
 def _unparted(profile: Profile) -> Profile:
@@ -207,17 +294,27 @@ class _Read(NamedTuple):
     copies: list[tuple[str, Log]]
     refused: list[dict[str, Any]]
 
+    @property
+    def document(self) -> dict[str, Any]:
+        """Entries of the document on the recordings: ``findings``, ``refused`` and ``copies``."""
+        rows = [{"log": name, **each.document} for name, log in (*self.logs, *self.copies) for each in log.findings]
+        return {"findings": rows, "refused": self.refused, "copies": [name for name, _ in self.copies]}
 
-def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] | None = None) -> _Read:
-    """Read the logs of all sources.
 
-    ``advance`` is called with the number of sources read and their total number. The last call has None as total.
+def _read(reading: Reading) -> _Read:
+    """Read all logs.
 
     Raises
     ------
     LogError
         If all sources are rejected. The first error of a source that matches a profile has priority.
+    UsageError
+        If no log is found.
     """
+    asked = requested_profiles(reading.profile, reading.paths)
+    profiles = tuple(map(_unparted, asked.profiles))
+    sources = find_sources(reading.paths, profiles, ignore=(*reading.ignore, *asked.ignore))
+    advance = reading.advance
     read: list[tuple[str, Log]] = []
     copies: list[tuple[str, Log]] = []
     errors: list[tuple[Source, LogError]] = []
@@ -242,6 +339,9 @@ def _read(sources: Sequence[Source], advance: Callable[[int, int | None], None] 
     if errors and not read:
         source, why = next((pair for pair in errors if pair[1].code != "no-profile"), errors[0])
         raise why if source.shown in why.reason else why.reworded(f"{source.shown}: {why.reason}")
+    if not read:
+        names = ", ".join(map(str, reading.paths))
+        raise UsageError(f"{names}: no log found. Give log files, or folders that contain logs.")
     refused = [{"path": source.shown, "reason": error.reason, "row": error.row} for source, error in errors]
     return _Read(read, copies, refused)
 
@@ -340,10 +440,9 @@ def _document(
     recordings: list[Recording],
     motion: Motion,
     velocity: WallFilter | None,
-    period: float | None,
-    delay: float | None,
+    wall: WallSampling,
 ) -> dict[str, Any]:
-    own = found.units.period
+    own, period, delay = found.units.period, wall.period, wall.delay
     wall_period, walls = own if period is None else period, velocity is not None
     velocity = velocity.at(own, wall_period) if velocity else None
     loop = _loop_document(found, DRIFT if walls else "", velocity)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from free_masses import DAMPING, DELAY, MASS, T, written
 from real_drives import KINDS
 from typer.testing import CliRunner
 
@@ -20,23 +21,6 @@ from pipeline.shell.cli import application
 from pipeline.shell.commands.cli_device import identified_lines
 from pipeline.surface import identify as surface
 from pipeline.surface.identify import wall_loop
-
-MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
-
-
-def written(path, command, header="", noise=1e-6, seed=1):
-    """A log of a mass and a damper behind two samples of delay, exact."""
-    rng = np.random.default_rng(seed)
-    decay = np.exp(-DAMPING / MASS * T)
-    gain = (1 - decay) / DAMPING
-    x, v, lines = 0.0, 0.0, []
-    for row, force in enumerate(command):
-        lines.append(f"{T * row!r},{float(force)!r},{float(x + noise * rng.standard_normal())!r}")
-        late = command[max(row - DELAY, 0)]
-        x += (1 - decay) * MASS / DAMPING * v + (T - (1 - decay) * MASS / DAMPING) * late / DAMPING
-        v = decay * v + gain * late
-    path.write_text(header + "time_s,command,position\n" + "\n".join(lines) + "\n", encoding="utf-8")
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -32,8 +32,8 @@ SIGNATURES = {
     "compare": ["device", "processed", "experiments", "criteria", "full"],
     "load": ["report"],
     "human_arms": [],
-    "identify": ["paths", "profile", "period", "delay"],
-    "Identified": ["document"],
+    "identify": ["paths", "profile", "period", "delay", "report"],
+    "Identified": ["document", "evidence"],
     "published_limits": ["loop", "damping", "coulomb", "quantum"],
     "design": ["loop", "stiffness", "settling_s", "overshoot", "margin", "tolerance", "keep"],
     "Design": [

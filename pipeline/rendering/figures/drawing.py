@@ -120,6 +120,8 @@ LOOKS: dict[str, dict[str, Any]] = {
     "next": {"color": PURPLE, "ls": "none", "marker": "D", "ms": 6, "mfc": "none", "mew": 1.6},
     "mark": {"color": VERMILLION, "ls": "none", "marker": "o", "ms": 7, "mfc": "none", "mew": 1.5},
     "estimate": {"color": BLUE, "ls": "none", "marker": "o", "ms": 6, "mew": 0, "interval": 1.4},
+    "group": {"ls": "none", "ms": 4.5, "mew": 0, "interval": 1.4},
+    "free run": {"color": VERMILLION, "lw": 1.2},
 }
 """Appearance of each kind of series, in the order of drawing and of the legend: arguments of `plot`; ``fill`` is the
 opacity of an area, ``dots`` the size of dots drawn as one path, ``interval`` the width of the bar from ``low`` to
@@ -430,7 +432,7 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
     look.setdefault("color", INK if series.number is None else SERIES[number % len(SERIES)])
     if series.variant is not None:
         look |= {"color": GREY, "ls": VARIANTS[series.variant % len(VARIANTS)]}
-    if series.kind in ("measured", "bound"):
+    if series.kind in ("measured", "bound", "group"):
         look["marker"] = MARKERS[number % len(MARKERS)]
     if "mfc" in look:
         look["mec"] = look["color"]

@@ -43,15 +43,6 @@ UNEXPLAINED = "The command alone does not explain the motion: another force acts
 DRIVEN = ("positive", "negative", "small", "large")
 """Commands for which the mass is given if the gain of the drive differs between them."""
 
-COMBINATIONS = {
-    "acceleration": "acceleration by the largest command, including friction and constant force",
-    "damping_per_mass": "damping over mass",
-    "stiffness_per_mass": "stiffness over mass",
-    "friction_less_force": "friction minus the constant force in the direction of motion",
-    "delay_and_lag": "sum of delay and actuator lag",
-}
-"""Identifiable combinations of parameters that cannot be separated from each other."""
-
 LIMIT_QUANTITIES = {
     "stiffness": ("stiffness", "rotational stiffness"),
     "damping": ("damping", "rotational damping"),
@@ -110,26 +101,35 @@ def identify(
     period: Annotated[str | None, option("--period", "Sampling period of the walls: 0.0005, '0.5 ms'.")] = None,
     delay: Annotated[float | None, option("--delay", "Delay of the walls, in samples.")] = None,
     out: Out = None,
+    report: Annotated[Path | None, option("--report", "Page with the evidence to write (.html).")] = None,
     ignore: Ignore = None,
 ) -> None:
     """Identify a device from logs, and compute the walls it can render.
 
     Neither a wall nor rest is needed. Steps, staircases, sweeps and wall trials are suitable. A native log without a
     wall may omit stiffness, damping, step and names. By default, walls have the period and delay of the logs. With
-    --out, a device file (.toml) is written.
+    --out, a device file (.toml) is written. With --report, a page (.html) shows the measured motion against free runs,
+    residuals, parameters, parts that were tried, and walls, or why no device can be identified.
 
     Example: pipeline identify logs --out motor.toml
+
+    Example: pipeline identify logs --report motor.html
 
     Example: pipeline identify run.mat --time t --command u:V --position x:mm --gain '2.3 N/V'
     """
     from pipeline.base.disk import write_text
-    from pipeline.surface.identify import device_text, identified_device
+    from pipeline.surface.identify import Reading, WallSampling, check_report, device_text, identified_device
 
     if out is not None:
         check_output(out, "--out")
+    if report is not None:
+        check_report(report, "--report")
+        if out is not None and out.resolve() == report.resolve():
+            raise UsageError(f"--report {report}: is also the device file of --out. Give two names.")
     wall_period = None if period is None else quantity("--period", period, "time")
     with console.progress("identify", "logs") as advance:
-        document = identified_device(paths, profile, wall_period, delay, ignore or (), advance)
+        reading = Reading(paths, profile, ignore or (), advance)
+        document = identified_device(reading, WallSampling(wall_period, delay), report).document
     console.show(document, identified_lines(document))
     copies = document["copies"]
     if copies:
@@ -144,6 +144,8 @@ def identify(
         row = "" if each["row"] is None else f", row {each['row']}"
         place = f"{each['path']}{row}: "
         console.note(f"Refused: {place}{each['reason'].removeprefix(place)}")
+    if report is not None:
+        console.note(f"wrote {report}")
     if out is not None:
         write_text(out, device_text(document, out.stem))
         console.note(f"wrote {out}")
@@ -162,6 +164,7 @@ def _with_interval(number: JsonObject) -> str:
 def identified_lines(document: JsonObject) -> Iterator[str]:
     """Yield the result of an identification as lines: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
+    from pipeline.surface.identification_page import COMBINATIONS
     from pipeline.surface.identify import DRIFT
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]

@@ -213,7 +213,7 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of
     from pipeline.store.objects import opened, stored_by
-    from pipeline.surface.identify import identified_device
+    from pipeline.surface.identify import Reading, identified_device
 
     place, read, profile = shlex.quote(str(folder.path)), reading.options, reading.profile
     with console.progress("ingest", "logs") as advance:
@@ -251,7 +251,8 @@ def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compa
 
         target = Path(f"{device}-device.toml")
         with console.progress("identify", "logs") as advance:
-            identified = identified_device([folder.path], profile, ignore=reading.ignored, advance=advance)
+            logs = Reading([folder.path], profile, reading.ignored, advance)
+            identified = identified_device(logs).document
         lines = list(identified_lines(identified))
         commands.append(f"pipeline identify {place}{read} --out {shlex.quote(str(target))}")
         document["identified"] = identified
