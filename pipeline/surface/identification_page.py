@@ -58,6 +58,7 @@ DECISIONS: dict[Decision, str] = {
     "gain": "rejected: the gain is too small",
     "left out": "rejected: the likelihood of logs left out rises too little",
     "at a limit": "rejected: one of its numbers is at a limit of the search",
+    "command noise": "rejected: it cuts off only noise of the command",
     "free runs": "rejected: it does not reduce the random force or the errors of free runs enough",
     "small errors": "rejected: free runs without it are as accurate as the readings",
     "no load": "rejected: the mass of its load cannot be identified",

@@ -189,7 +189,12 @@ def saturated(seed: int) -> tuple[Rig, list[Recording]]:
 
 
 def two_carts(
-    seed: int, *, load_friction: bool = False, load_damping: bool = True, drift: float = 0.0
+    seed: int,
+    *,
+    load_friction: bool = False,
+    load_damping: bool = True,
+    drift: float = 0.0,
+    command_noise: float = 0.0,
 ) -> tuple[Rig, list[Recording]]:
     """Two carts on a soft spring, with friction on the motor, and perhaps on the load and a slow unmodelled force."""
     rng = np.random.default_rng(seed)
@@ -210,6 +215,7 @@ def two_carts(
         load_friction=0.15 if load_friction else 0.0,
         delay=0.5 * T,
         drift=drift,
+        command_noise=command_noise,
         slides=True,
         quantum=5e-6,
     )
@@ -292,6 +298,7 @@ KINDS: dict[str, Kind] = {
     "load damping": two_carts,
     "load friction": lambda seed: two_carts(seed, load_friction=True),
     "load and drift": lambda seed: two_carts(seed, drift=0.055),
+    "measured command of two carts": lambda seed: two_carts(seed, load_friction=True, command_noise=0.04),
     "rough": rough,
     "ground spring": ground_spring,
     "drifting": drifting,

@@ -144,6 +144,7 @@ Decision = Literal[
     "gain",
     "left out",
     "at a limit",
+    "command noise",
     "free runs",
     "small errors",
     "no load",
@@ -153,9 +154,10 @@ Decision = Literal[
 ``imitated``: another part explains the same motion. ``no start``, ``white noise``, ``random force``: the gain is too
 small at the best starting value, with the noise of the readings alone, and with the random force of the device.
 ``size``: the part cannot be distinguished from one of size 0. ``gain``: the gain is below the required one. ``left
-out``: the same for logs left out. ``at a limit``: a number of the part is at a limit of its search. ``free runs``: the
-errors of free runs and the random force do not fall enough. ``small errors``: free runs without the part are as
-accurate as the readings. ``no load``: the mass of the load of a mode is not identifiable.
+out``: the same for logs left out. ``at a limit``: a number of the part is at a limit of its search. ``command
+noise``: a force limit cuts off no more than noise of the command. ``free runs``: the errors of free runs and the
+random force do not fall enough. ``small errors``: free runs without the part are as accurate as the readings. ``no
+load``: the mass of the load of a mode is not identifiable.
 """
 
 

@@ -56,6 +56,10 @@ LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
 LIMITS_SOUGHT = 0.05, 0.99, 150
 """Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
 
+CLEARLY, RANDOM_COMMAND = 3.0, 0.3
+"""Smallest rms excess of commands over a force limit, relative to the noise of the command, and noise of a command,
+relative to its standard deviation, above which the command itself is random."""
+
 LIMIT_SPREADS = (0.015, 0.005, 0.0015)
 """Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit
 are accurate only to a percent."""
@@ -86,7 +90,7 @@ not change any decision."""
 FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
 
-IMITATING = {"gain by direction", "gain by size"}
+IMITATING = {"gain by direction", "gain by size", "saturation"}
 """Parts that may imitate a slow mode or friction in the first search, and are tried again without after the last."""
 
 LEFT = 0.5
@@ -638,7 +642,7 @@ def _pruned(logs: Logs, state: Selection) -> Selection:
 
 
 def _without_imitations(state: Selection) -> Selection:
-    """Remove gains of the drive that only imitated a part found after them, and return the selection.
+    """Remove gains and limits of the drive that only imitated a part found after them, and return the selection.
 
     Without its part, a device may follow only one log. If all commands of a log have the same size, a log that is left
     out then decides on the gain by size of the others.
@@ -648,7 +652,8 @@ def _without_imitations(state: Selection) -> Selection:
         left = {key: value for key, value in fit.device.numbers.items() if key not in PARTS[name].numbers}
         device = replace(fit.device, numbers=left, effects=None)
         other = climbed(segments, device) if segments.free else refined(segments, device, far=False)
-        if other.likelihood > fit.likelihood - PARTS[name].threshold:
+        is_noise = name == "saturation" and not exceeds_noise(segments, fit.device.numbers["limit"])
+        if is_noise or other.likelihood > fit.likelihood - PARTS[name].threshold:
             fit, parts = other, {key: value for key, value in parts.items() if key != name}
     return replace(state, fit=fit, parts=parts)
 
@@ -689,7 +694,9 @@ def _further(logs: Logs, state: Selection) -> Selection:
         part, gain = left.pop(name), held_out(other) - held_out(fit)
         required = WORTH * len(part.numbers)
         decision: Decision = "left out" if gain <= required else "at a limit"
-        if gain > required and _is_inside(other.device, part):
+        if gain > required and "limit" in part.numbers and not exceeds_noise(segments, other.device.numbers["limit"]):
+            decision = "command noise"
+        elif gain > required and _is_inside(other.device, part):
             decision = "accepted" if _predicts(logs, segments, name, (fit, other)) else "free runs"
         tried[name] = TriedPart(decision, gain, required)
         if decision == "accepted":
@@ -742,6 +749,23 @@ def _is_inside(device: Device, part: Part) -> bool:
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
+
+
+def exceeds_noise(segments: Segments, limit: float) -> bool:
+    """Return whether commands exceed a force limit by more than their noise.
+
+    In a measured command, such as a current, the noise does not drive the device. A limit inside the noise of a
+    plateau removes half of it, and is more likely than none. The noise is that of third differences. A command that
+    changes as much in every row has none.
+    """
+    command = segments.command[segments.places]
+    third = np.diff(command, 3)[segments.segment[3:] == segments.segment[:-3]]
+    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
+    beyond = np.abs(command) - limit
+    beyond = beyond[beyond > 0]
+    if noise > RANDOM_COMMAND * float(np.std(command)) or not len(beyond):
+        return True
+    return bool(np.sqrt(np.mean(beyond**2)) > CLEARLY * noise)
 
 
 def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) -> bool:

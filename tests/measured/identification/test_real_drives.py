@@ -12,6 +12,7 @@ from pipeline.measured.identification.drive import DRIVE, applied_command
 from pipeline.measured.identification.free_search import EXPLORED_ROWS, WHITE_ERRORS, informative
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.likelihood import Device
+from pipeline.measured.identification.parts import exceeds_noise
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.replay import follows, medians, replays
 from pipeline.measured.identification.segments import segments_of
@@ -114,6 +115,19 @@ def test_a_device_of_the_right_speed_and_the_wrong_inertia_does_not_follow(wrong
     delta = 0.1 / 0.003 * units.period
     device = Device({"gain": gain / wrong, "delta": delta / wrong, "delay": 0.0})
     assert follows(*medians(replays(logs, units, 3, device))) is does
+
+
+@pytest.mark.parametrize(("excess", "clips"), [(0.0, False), (0.02, False), (0.2, True)])
+def test_a_limit_inside_the_noise_of_a_command_is_none(excess, clips):
+    rng = np.random.default_rng(7)
+    rig = Rig(0.002, 0.003, 0.1, quantum=1e-3, command_noise=0.02)
+    logs = [rig.log(str(i), square(rng, 600, 60, 1.0), i) for i in range(2)]
+    units = LogUnits.of(logs)
+    segments = segments_of(logs, units, 3, False)
+    assert exceeds_noise(segments, (1.0 - excess) / units.command) is clips
+    # in a random command, the changes of a row are the command itself
+    random = [rig.log(str(i), rng.choice([-1.0, 1.0], 600), i) for i in range(2)]
+    assert exceeds_noise(segments_of(random, LogUnits.of(random), 3, False), 0.98)
 
 
 def test_friction_along_the_way_is_named_by_its_place():
