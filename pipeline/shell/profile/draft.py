@@ -16,7 +16,7 @@ from pathlib import Path
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import QUESTION
 from pipeline.readers.sample import Sample, open_sample
-from pipeline.shell.profile.evidence import answers, common_laws
+from pipeline.shell.profile.evidence import answers, common_laws, trials_of
 from pipeline.shell.profile.roles import Answer, Answers
 
 MOST_QUESTIONS = 5
@@ -62,13 +62,18 @@ def draft_profile(path: Path, *others: Path) -> str:
 
 def _differing(samples: list[Sample], found: Answers) -> Answers:
     """Return questions about conditions that differ between the samples and that no key of the profile reads."""
-    laws = common_laws(samples)
     pattern = str(found["name_pattern"].value) if "name_pattern" in found else ""
+    tables = ("constants", "attributes", "condition_columns", "units")
+    missing = [
+        key
+        for key in ("stiffness", "damping", "step")
+        if f"<{key}>" not in pattern and not any(f"{table}.{key}" in found for table in tables)
+    ]
+    if not missing or len(trials_of(samples)) < 2:
+        return {}
+    laws = common_laws(samples)
     questions: Answers = {}
-    for key in ("stiffness", "damping", "step"):
-        places = (f"{table}.{key}" for table in ("constants", "attributes", "condition_columns", "units"))
-        if f"<{key}>" in pattern or any(place in found for place in places):
-            continue
+    for key in missing:
         values = sorted(law.followed(key) for law in laws if key != "step" or law.kind == "step")
         if len(values) > 1:
             words = (
