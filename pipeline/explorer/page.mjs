@@ -117,7 +117,7 @@ export function python(loop, wall) {
 }
 
 /** What verdicts and energies mean. */
-const MEANING = "A passive wall is stable with every passive hand. Other walls are stable only with the operator set here. Energies are time integrals relative to the initial energy.";
+const MEANING = "A passive wall is stable with every passive hand, other stable walls only with some. Energies are time integrals relative to the initial energy.";
 
 explore.panels = 0;
 
@@ -406,7 +406,7 @@ export function explore(root, entries) {
     chart(step, runs.flatMap((run, i) => [
       ...(i ? [] : [{ name: "linear", x: run.command.flatMap((_, k) => [k * T, (k + 1) * T]).slice(0, -1), y: bounded(run.command.flatMap((u) => [u, u]).slice(0, -1)) }]),
       { name: ["edge", "good", "bad"][i], x: run.time.map((t) => 1000 * t), y: bounded(run.position) }]),
-      "time [ms]; position over its final value, and command (dotted) over its first value", [0.98, 1.02]);
+      "ms; position over its final, command (dotted) over its first value", [0.98, 1.02]);
     circle.replaceChildren(make("circle", { class: "axis", cx: 115, cy: 115, r: 100 }), make("path", { class: "grid", d: "M10 115H220M115 10V220" }),
       ...all.flatMap((w, i) => poles(sampled, w.stiffness, w.damping).map(([re, im]) =>
       make("path", { class: ["edge", "good", "bad"][i], d: `M${111 + 100 * re} ${111 - 100 * im}l8 8m0-8l-8 8` }))));
