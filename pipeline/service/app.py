@@ -57,7 +57,7 @@ def create_app(settings: Settings) -> ASGIApp:
     database = Database(settings.data)
     if not settings.loopback and not database.has_tokens():
         raise UsageError(
-            f"--host {settings.host}: other computers would reach the server, and there is no token. Make one first: "
+            f"--host {settings.host}: other computers could reach the server, but there is no token. Create one first: "
             f"pipeline token create --role admin --processed {settings.processed}"
         )
     catalogue, workers = Catalogue(settings.processed, database), Workers(settings, database)

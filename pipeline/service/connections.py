@@ -124,8 +124,8 @@ def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
         found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise UsageError(
-            f"--host {settings.host} --port {settings.port}: cannot be listened at ({error}). Choose another port, or "
-            "end what listens there."
+            f"--host {settings.host} --port {settings.port}: the server cannot listen there ({error}). Choose "
+            "another port, or end the program that uses it."
         ) from error
     with found, suppress(KeyboardInterrupt):
         host = f"[{settings.host}]" if six else settings.host

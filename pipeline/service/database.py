@@ -428,7 +428,7 @@ class Database:
         self.run("UPDATE OR IGNORE words SET of = ? WHERE of = ?", json.dumps(new), json.dumps(old))
 
 
-_KILLED = f"The process that worked at it ended {ATTEMPTS} times; it may need more memory than there is."
+_KILLED = f"The worker process ended {ATTEMPTS} times. The job may need more memory than is available."
 
 
 def _job_of(row: sqlite3.Row) -> Job:

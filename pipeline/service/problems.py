@@ -25,7 +25,7 @@ TITLES = {
     404: "Not found",
     405: "Method not allowed",
     406: "No such form",
-    409: "Not as things are",
+    409: "Conflict with the current state",
     408: "The client is too slow",
     412: "Changed meanwhile",
     413: "Too large",

@@ -107,7 +107,8 @@ def refuse_sheet(has_sheet: bool) -> None:
     if has_sheet:
         raise Problem(
             422,
-            "A profile in the service names no sheet. Give its rows as [[file]] entries: `pipeline push --sheet` does.",
+            "A profile in the service cannot name a sheet. Give its rows as [[file]] entries, as `pipeline push "
+            "--sheet` does.",
             where="sheet",
             expected="[[file]] entries",
             found="[sheet]",
@@ -173,9 +174,9 @@ def refuse_contradictions(found: Sequence[Contradiction]) -> None:
     count = len(found)
     raise Problem(
         422,
-        f"The profile is not kept: the command of {counted(count, 'sample log')} contradicts the wall that the profile "
-        f"states. {found[0].where}: the profile states {found[0].expected}, but {found[0].found}. Correct the profile, "
-        "or confirm in words why it is right.",
+        f"The profile was not saved: the command of {counted(count, 'sample log')} contradicts the wall that the "
+        f"profile states. {found[0].where}: the profile states {found[0].expected}, but {found[0].found}. Correct the "
+        "profile, or state why it is right.",
         where=", ".join(one.where for one in found),
         expected=[one.expected for one in found],
         found=[one.found for one in found],
@@ -261,7 +262,7 @@ def answered(text: str, answers: Mapping[int, str]) -> str:
 def _asked(*words: str) -> Any:
     """Return the output of a profile command. An error of the command becomes a problem."""
     if not _AT_WORK.acquire(timeout=WAIT_S):
-        raise Problem(503, "Profiles are drafted for others; ask again.", where="profile")
+        raise Problem(503, "The server is drafting profiles for other users. Try again later.", where="profile")
     try:
         command = [sys.executable, "-m", "pipeline", "profile", *words, "--json"]
         done = subprocess.run(command, capture_output=True, timeout=WAIT_S, check=False, text=True, encoding="utf-8")

@@ -124,7 +124,7 @@ class _Server:
                 return dict(found["result"])
             if found["state"] in ("failed", "cancelled"):
                 why = found["problem"]["detail"] if found["problem"] else "it was cancelled"
-                raise UsageError(f"{self.address}: the logs were taken, but not stored: {why}")
+                raise UsageError(f"{self.address}: the logs were received but not stored: {why}")
             time.sleep(POLL_S)
 
     def _ask(self, method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None) -> Any:
@@ -136,13 +136,13 @@ class _Server:
             status, text = error.code, error.read()
         except (OSError, HTTPException) as error:
             raise UsageError(
-                f"{self.address}: cannot be reached ({error}). What it acknowledged is stored there; the same command "
-                "sends the rest."
+                f"{self.address}: cannot be reached ({error}). The logs that it acknowledged are stored there. The "
+                "same command sends the rest."
             ) from error
         try:
             document = json.loads(text)
         except ValueError:
-            raise UsageError(f"{self.address}: this is no server of pipeline (status {status}).") from None
+            raise UsageError(f"{self.address}: this is not a pipeline server (status {status}).") from None
         if status >= 400:
             raise UsageError(f"{self.address}: {document.get('detail', text[:200])} (status {status})")
         return document

@@ -343,7 +343,7 @@ def limits(_processed: Path, asked: DocumentRequest, results: Sequence[Compariso
         return _drawn(plane_figure(known), results)
     series = [s for n, (label, found) in enumerate(runs) for s in measured(found.boundary, label, n)]
     series += [by_theory(t, "_theory", n) for n, t in enumerate(theories) if t is not None]
-    text = "The largest stable stiffness at each damping; dashed, in the same colour: theory."
+    text = "The largest stable stiffness at each damping. Dashed lines in the same colour show theory."
     panel = limits_panel("", series, results[0].motion)
     return _drawn(limits_figure("Stability limits", text, [panel], "limits"), results)
 
@@ -359,7 +359,7 @@ def trials(processed: Path, asked: DocumentRequest, results: Sequence[Comparison
         figures.append(trial_figure(stages, result.experiments[0], trial, result.motion))
         row = next(iter(stages.trials.filter(pc.equal(stages.trials["trial_id"], trial)).to_pylist()), None)
         if row is None and len(asked.places) > 1:
-            raise DeviceError(f"trial {trial} is excluded by hand. Use it again, or leave it out.")
+            raise DeviceError(f"trial {trial} is excluded manually. Include it again, or omit it.")
         k, b = (significant(row[name], 4) if row else "" for name in ("stiffness", "damping"))
         units = UNITS[result.motion]
         labels.append(f"K {k} {units.stiffness}, B {b} {units.damping} ({device}, {experiment})")

@@ -146,7 +146,12 @@ class Guard:
         headers, path, method = request.headers, request.scope["path"], request.scope["method"]
         host, origin = headers.get("host", ""), headers.get("origin")
         if self.settings.loopback and _name(host) not in LOCAL:
-            raise Problem(403, "Only this computer is served, by its own names.", where="Host", expected=LOCAL)
+            raise Problem(
+                403,
+                "The server accepts only requests of this computer, under its own names.",
+                where="Host",
+                expected=LOCAL,
+            )
         if origin is not None and urlsplit(origin).netloc != host:
             raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
         if any(name.lower() in ("token", "access_token", "api_key") for name in request.query_params):
@@ -157,7 +162,7 @@ class Guard:
         self._limit(hashed(secret) if secret else (request.scope.get("client") or ("",))[0])
         program, public = "authorization" in headers, path in OPEN or path.startswith("/static/")
         if role is None and (program or not public):
-            told = "The token is not known. `pipeline token create` makes one." if program else _LOG_IN
+            told = "The token is unknown. Create one with `pipeline token create`." if program else _LOG_IN
             raise Problem(401, told, where="Authorization")
         role = "viewer" if self.settings.read_only else role or "viewer"
         needed = _needed(method, path)
@@ -168,7 +173,7 @@ class Guard:
             # Programs send no cookies. A browser may change data only from a page of this server.
             token = headers.get("x-csrf-token", "")
             if (request.cookies or "origin" in headers) and not is_form(self.database, request.cookies, token):
-                raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
+                raise Problem(403, "The form is not from this server. Reload the page.", where="X-CSRF-Token")
         return role, who
 
     def _limit(self, sender: str) -> None:
@@ -176,7 +181,7 @@ class Guard:
         if wait_s:
             most = f"{self.settings.per_minute} requests a minute"
             retry = {"Retry-After": str(math.ceil(wait_s))}
-            raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
+            raise Problem(429, "There are too many requests. Try again later.", retry, expected=most)
 
     def _known(self, given: str | None, session: str) -> tuple[Role | None, str, str]:
         """Return the role of the user (None if unknown), the name, and the token or session that identifies the
@@ -216,7 +221,7 @@ class _Body:
     def check(self, headers: Headers) -> None:
         length = headers.get("content-length", "0")
         if not length.isascii() or not length.isdigit():
-            raise Problem(400, "Content-Length is no number.", where="Content-Length")
+            raise Problem(400, "Content-Length is not a number.", where="Content-Length")
         self._within(int(length))
 
     def _within(self, size: int) -> None:
@@ -232,7 +237,7 @@ class _Body:
             left_s = self.until - time.monotonic() if self.whole else self.wait_s
             message = await asyncio.wait_for(self.receive(), max(left_s, 0.1))
         except TimeoutError:
-            raise Problem(408, f"The body did not come within {self.wait_s:g} s.", where="body") from None
+            raise Problem(408, f"The body did not arrive within {self.wait_s:g} s.", where="body") from None
         self.seen += len(message.get("body", b""))
         self.ended = not message.get("more_body", False)
         self._within(self.seen)

@@ -99,7 +99,7 @@ class Service:
         empty = [name for name, trials in stored if not split_trials(trials, excluded)[0].num_rows]
         if empty and (asked or empty == names):
             raise Problem(
-                409, "All trials of this experiment are excluded by hand. Use one again.",
+                409, "All trials of this experiment are excluded manually. Include one of them again.",
                 where=f"{device}, experiment {empty[0]}", expected="a trial in use", found="none",
             )  # fmt: skip
         return [name for name in names if name not in empty]
@@ -206,7 +206,7 @@ class Service:
 
     def _may_compute(self) -> None:
         if self.settings.read_only:
-            raise Problem(503, "This was not computed yet, and the server is read-only.", where="server")
+            raise Problem(503, "This has not been computed yet, and the server is read-only.", where="server")
 
     def samples(self, trial: str) -> tuple[Trial, pa.Table]:
         """Return the conditions and the samples of a trial."""

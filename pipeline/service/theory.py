@@ -35,7 +35,7 @@ class Theory:
     def compute(self, *asked: Any) -> Any:
         """Return a document of theory (see `document`). Errors due to the given values are passed on."""
         if not self._lock.acquire(timeout=WAIT_S):
-            raise Problem(503, "Theory is computed for others; ask again.", where="theory")
+            raise Problem(503, "The server is computing theory for other users. Try again later.", where="theory")
         try:
             return run_isolated(f"{__name__}:{document.__name__}", *asked, wait_s=self.most_s)
         except IsolationError as error:

@@ -154,7 +154,7 @@ class Upload:
             if not isinstance(value, UploadFile):
                 self.fields[name] = value
             elif name != "files":
-                raise Problem(422, "Files belong into the field `files`.", where="form", found=name)
+                raise Problem(422, "Send files in the field `files`.", where="form", found=name)
             elif value.filename:  # else a form without a file
                 self.files.append(self._stored(value.filename, value))
 
@@ -170,7 +170,7 @@ class Upload:
             with os.fdopen(os.open(path, _NEW, 0o600), "wb") as stream:
                 shutil.copyfileobj(file.file, stream)
         except FileExistsError:
-            raise Problem(422, "Two files have one name. Send one of them by itself.", where=name) from None
+            raise Problem(422, "Two files have the same name. Send them in separate requests.", where=name) from None
         with path.open("rb") as stream:
             return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
@@ -296,7 +296,7 @@ async def received(
         await upload.receive(request)
         check(upload.fields)
         if not upload.files:
-            raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
+            raise Problem(422, "The form contains no file.", where="files", expected="one or more")
         yield upload
     except BaseException:
         shutil.rmtree(upload.folder, ignore_errors=True)

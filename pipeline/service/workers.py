@@ -95,7 +95,7 @@ class Workers:
                 if self.settings.renew:
                     renew()
             except (PipelineError, OSError):
-                logging.getLogger("pipeline.service").exception("reports could not be renewed")
+                logging.getLogger("pipeline.service").exception("reports could not be updated")
         database.close()
 
 
@@ -152,7 +152,7 @@ def work(settings: Settings, database: Database, owner: str, kinds: str = " ".jo
         except Exception:
             # A defect ends this process and leaves a traceback in the server's log. Another process executes the
             # waiting jobs.
-            detail = f"A defect of the program; the server's log has the details of job {job.id}."
+            detail = f"This is a defect of the program. The log of the server contains the details of job {job.id}."
             database.finish(job.id, owner, problem={"title": "The job failed", "status": 500, "detail": detail})
             raise
     if job.kind != "stages" and database.job_counts(f"kind = 'stages' AND created > {begun}"):

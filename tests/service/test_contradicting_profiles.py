@@ -132,7 +132,7 @@ def test_the_form_keeps_a_profile_that_agrees_without_a_question(empty):
 def test_the_form_of_a_sample_that_is_gone_asks_for_words(empty):
     browser, fields = Browser(empty), {"sample": "0" * 16, "profile": profile_text(), "name": "lab", "act": "keep"}
     page = sent(browser, **fields).content.decode()
-    assert "The sample is not kept any more" in page
+    assert "The sample is no longer stored" in page
     assert 'name="confirmation"' in page
     assert sent(browser, **fields, confirmation=WORDS).status == 303
     assert entries(empty)[0]["confirmed"] == WORDS

@@ -107,12 +107,12 @@ def test_a_morning(chromium, logs, course, tmp_path):
         # three trials over each other, one is excluded
         for box in page.locator("input[name=trial]").all()[:3]:
             box.check()
-        page.click("text=Lay the chosen over each other")
+        page.click("text=Overlay the chosen trials")
         page.locator("main figure svg").wait_for()
         page.locator("tbody th a").first.click()
         page.fill("input[name=reason]", "slipped")
         page.click("text=Exclude the trial")
-        page.get_by_text("Excluded by hand").wait_for()
+        page.get_by_text("This was excluded manually").wait_for()
         # compared with last week's; the link is shared
         page.goto(place + WEEK_48)
         page.click(".lead >> text=Compare")
@@ -124,7 +124,7 @@ def test_a_morning(chromium, logs, course, tmp_path):
         assert guest.locator("h2", has_text="minus").inner_text() == page.locator("h2", has_text="minus").inner_text()
         # a report, its numbers, and the way back without another login
         page.goto(f"{place}/devices/rig")
-        page.click("text=Make the report")
+        page.click("text=Write the report")
         page.click("text=The report")
         with page.expect_download() as download:
             page.locator("button:has-text('CSV')").first.click()

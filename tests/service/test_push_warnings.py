@@ -88,5 +88,5 @@ def test_a_sheet_is_read_where_it_lies_and_never_by_the_server(tmp_path):
                 client.ask("POST", "profiles/preview", document={"sample": drafted["sample"], "profile": wrong}),
             ):
                 assert answer.status == 422
-                assert "names no sheet" in json.dumps(answer.content)
+                assert "cannot name a sheet" in json.dumps(answer.content)
                 assert "secret" not in json.dumps(answer.content).replace(place, "")

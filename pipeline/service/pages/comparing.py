@@ -107,8 +107,8 @@ def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
         own, others = _units(first[2]), _units(second[2])
         if own is None or others is None:
             return None, (
-                "two devices are compared in the plane of α and β, which needs the mass of each: there is no device "
-                "file, and the logs of one give no estimate"
+                "two devices are compared in the plane of α and β, which requires the mass of each; one of them "
+                "has neither a device file nor an estimated mass"
             )
         scales = own, others
     one, other = (

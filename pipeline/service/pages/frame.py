@@ -174,7 +174,7 @@ def part_of(template: str, **content: object) -> Markup:
 def check(service: Service, request: Request, token: str) -> None:
     """Refuse a form that this server did not issue to this browser."""
     if not is_form(service.database, request.cookies, token):
-        raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
+        raise Problem(403, "The form is not from this server, or it is too old. Reload the page.", where="form")
 
 
 async def fields_of(request: Request) -> dict[str, list[str]]:

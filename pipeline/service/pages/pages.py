@@ -130,7 +130,7 @@ def one_device_file(service: Shared, request: Request, device: Segment, download
             raise
         plain = {name: part for name, part in (document or {}).items() if name not in ("causes", "figures", "told")}
         text = device_files.draft(device, ComparisonResult.model_validate(plain) if plain else None)
-        problem = f"{none} Below: a draft by its logs."
+        problem = f"{none} Below is a draft from its logs."
     if download:
         name = {"content-disposition": f"attachment; filename*=UTF-8''{quote(device, safe='')}.toml"}
         return Response(text, media_type="application/toml", headers=name)
@@ -155,7 +155,7 @@ async def keep_device_file(service: Shared, request: Request, who: Who, device: 
         text = (await sent.read(LONGEST + 1)).decode("utf-8", "replace")
     try:
         if request.state.role == "viewer" or service.settings.read_only or len(text) > LONGEST:
-            raise Problem(403 if len(text) <= LONGEST else 413, "This file cannot be kept here.", where="file")
+            raise Problem(403 if len(text) <= LONGEST else 413, "This file cannot be stored here.", where="file")
         await run_in_threadpool(lab.put_device, service, who, device, lab.DeviceText(file=text))
     except Problem as error:
         return _device_file(service, request, device, text, str(error), error.status)
@@ -329,7 +329,7 @@ def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query
     """Show the superimposed responses of chosen trials, with those of theory."""
     chosen = list(dict.fromkeys(trial))
     if not 1 <= len(chosen) <= OVERLAID:
-        raise Problem(422, "Choose one to six trials by their boxes.", where="trial", found=len(chosen))
+        raise Problem(422, "Choose one to six trials with their check boxes.", where="trial", found=len(chosen))
     found = [service.found(one) for one in chosen]
     places = [(one.device, one.experiment, one.id) for one in found]
     return page_of(
@@ -401,7 +401,7 @@ def _unclear(problem: Problem) -> str:
     """Return the reason why a profile needs a confirmation. The text is empty if a confirmation does not help."""
     about = problem.document
     if problem.status == 404 and about.get("where") == "sample":
-        return "The sample is not kept any more, so that the profile cannot be tried on it."
+        return "The sample is no longer stored, so the profile cannot be tried on it."
     if problem.status in (503, 504):
         return "The profile could not be tried on the sample in time."
     return "The command of a sample log contradicts the wall that the profile states." if "expected" in about else ""

@@ -34,7 +34,7 @@ from pipeline.store.storage import natural_key
 api = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
 MOST = 1000
-"""Items of a page."""
+"""Number of items on a page."""
 
 EVENTS = "text/event-stream"
 EVENT = {"type": "object", "required": ["event", "data"], "properties": {"event": {}, "data": {"type": "string"}}}
@@ -52,10 +52,10 @@ BACK = (
 )
 """Link back from a report, which has no reference to a server."""
 
-Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
+Limit = Annotated[int, Query(ge=1, le=MOST, description="Number of items on a page.")]
 Name = Annotated[str, Query(max_length=500)]
 CURSOR = "^[A-Za-z0-9_=-]+$"
-Place = Annotated[str, Field(max_length=2000, pattern=CURSOR, description="`next_cursor` of the page before.")]
+Place = Annotated[str, Field(max_length=2000, pattern=CURSOR, description="`next_cursor` of the previous page.")]
 Cursor = Annotated[Place | None, Query(alias="cursor")]
 Segment = Annotated[str, AfterValidator(name_of_folder)]
 """A name in an address: a name with a slash or % is converted by `names.folder_name` and then quoted."""
@@ -82,14 +82,14 @@ def cursor(value: object) -> str | None:
 
 
 def place(word: str | None, kinds: tuple[type, ...]) -> Any:
-    """Return the place that a cursor names: a list of parts of some kinds, or None."""
+    """Return the place that a cursor encodes, which is a list with items of the given types. None stays None."""
     if word is None:
         return None
     with suppress(ValueError):
         value = json.loads(base64.urlsafe_b64decode(word.encode()))
         if isinstance(value, list) and len(value) == len(kinds) and all(map(isinstance, value, kinds)):
             return value
-    raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
+    raise Problem(400, "The cursor does not belong to this list. Start without a cursor.", where="cursor")
 
 
 def latest(
@@ -126,7 +126,7 @@ class TrialQuery(BaseModel):
     damping_max: FiniteNumber | None = None
     q: Word = ""
     sort: Literal[SORTED] = "id"  # type: ignore[valid-type]
-    limit: Annotated[int, Field(ge=1, le=MOST, description="Items of a page.")] = 100
+    limit: Annotated[int, Field(ge=1, le=MOST, description="Number of items on a page.")] = 100
     cursor: Place | None = None
 
 
@@ -221,7 +221,9 @@ def samples(
     taken = [format] if format else [MEDIA.get(one.partition(";")[0].strip().lower()) for one in accept.split(",")]
     form = next(filter(None, taken), None)
     if form is None:
-        raise Problem(406, "Samples have no such form.", where="Accept", expected=list(MEDIA), found=accept)
+        raise Problem(
+            406, "Samples are not available in this format.", where="Accept", expected=list(MEDIA), found=accept
+        )
     about, table = service.samples(trial)
     headers = {"content-disposition": f'attachment; filename="{about.id}.{form}"'} if format else None
     media, write = FORMS[form]
@@ -261,7 +263,12 @@ def cancel(service: Shared, request: Request, job: str) -> Job:
     """Cancel a job that has not ended; permitted for the user who requested it, and admins."""
     shown, who = one_job(service, job), request.state.who
     if request.state.role != "admin" and shown.author != who:
-        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown.author, found=who)
+        raise Problem(
+            403,
+            "Only the user who requested a job, or an administrator, can cancel it.",
+            expected=shown.author,
+            found=who,
+        )
     service.database.cancel(job)
     service.database.note(who, "cancelled", {"job": job, "kind": shown.kind})
     return one_job(service, job)
@@ -329,7 +336,7 @@ def _add_part(part: str, shape: Any) -> None:
         f"/experiments/{{device}}/{{experiment}}/{part}",
         response_model=shape,
         responses=answers.LATER,
-        description=f"Return the {part} of an experiment; 202 with a job where it is not computed in time.",
+        description=f"Return the {part} of an experiment, or 202 with a job if it is not computed in time.",
     )
     async def experiment_part(service: Shared, device: Segment, experiment: Segment) -> Response:
         document = await awaited(service, lambda: service.experiment(device, experiment))
@@ -370,7 +377,7 @@ def _file(service: Service, key: str, ending: str, media: str) -> Response:
     """Return a file of a comparison; the scripts of a page run isolated, like those of another site."""
     file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
-        raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)
+        raise Problem(404, "There is no such comparison. Create it with POST comparisons.", where="key", found=key)
     if ending == ".json":
         return FileResponse(file, media_type=media)
     whole = file.read_text("utf-8").replace("<body>", f"<body>{BACK}", 1)

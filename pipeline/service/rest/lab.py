@@ -151,7 +151,9 @@ def preview(service: Shared, asked: Tried) -> list[Any]:
     """Return what a profile would read from the sample of a draft, as `pipeline profile check --json` does."""
     folder = profiles.samples_folder(service.settings, asked.sample)
     if not folder.is_dir():
-        raise Problem(404, "The sample is not kept any more. Draft again.", where="sample", found=asked.sample)
+        raise Problem(
+            404, "The sample is no longer stored. Draft the profile again.", where="sample", found=asked.sample
+        )
     return profiles.preview(folder, asked.profile)
 
 
@@ -184,7 +186,12 @@ def retry(service: Shared, who: Who, which: str, asked: Retry) -> dict[str, str]
     paths = _paths_of(service, which)
     for path in paths:
         if not path_of_text(path).exists():
-            raise Problem(409, "The log is not where it was. Send it again.", where="id", found=path_of_text(path).name)
+            raise Problem(
+                409,
+                "The log is no longer at its former place. Send it again.",
+                where="id",
+                found=path_of_text(path).name,
+            )
     profiles.profile_path(service.settings, asked.profile)
     service.database.note(who, "tried again", {"logs": list(paths.values()), "profile": asked.profile})
     request = {"folder": "", "profile": asked.profile, "skipped": 0, "again": list(paths)}
@@ -229,7 +236,7 @@ async def figure(service: Shared, device: Segment, experiment: Segment, name: st
 
 SLOW = answers.problems(404, 504)
 LONGEST_DELAY, MOST_POINTS = 64.0, 500
-"""Largest delay [samples] and number of walls; larger ones need the command line."""
+"""Largest delay [samples] and number of walls of a request. For more, use the command line."""
 
 OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
 """Criteria that have an optimum."""
@@ -237,7 +244,7 @@ OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
 Coefficient = Annotated[float, Query(allow_inf_nan=False)]
 Coordinates = Annotated[list[FiniteNumber], Query(max_length=MOST_POINTS)]
 Delay = Annotated[float | None, Query(ge=0, le=LONGEST_DELAY, description="Delay in samples, without a device.")]
-Device = Annotated[Name | None, Query(description="Name of a device; all is then in SI, for its experiment.")]
+Device = Annotated[Name | None, Query(description="Name of a device. All values are then in SI, for its experiment.")]
 
 
 def requested_loop(
@@ -253,7 +260,7 @@ def requested_loop(
             raise Problem(422, "Give the delay in samples, or a device.", where="delay")
         return gamma, delta, delay
     if delay is not None or gamma or delta:
-        raise Problem(422, "The device determines delay, gamma and delta. Leave these out.", where="device")
+        raise Problem(422, "The device determines delay, gamma and delta. Omit them.", where="device")
     return device, experiment
 
 

@@ -93,7 +93,11 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
     with service.database.transaction():
         found = service.database.words(kind, of)
         if known not in (None, "*", tag_of(found)):
-            raise Problem(412, f"{found.author or 'Somebody'} changed this meanwhile. Read it again.", where="If-Match")
+            raise Problem(
+                412,
+                f"{found.author or 'Another user'} has changed this in the meantime. Read it again.",
+                where="If-Match",
+            )
         if found.value != value:
             service.database.set_words(kind, of, value, who)
             service.database.note(who, f"wrote {kind}", {"of": of})

@@ -86,7 +86,7 @@ def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
         trial = client.get("trials?limit=1").content["items"][0]["id"]
         text = page(client, f"/trials/{trial}")
         assert "samples?format=csv" in text
-        assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
+        assert "cannot be drawn: This has not been computed yet, and the server is read-only." in text
         # theory needs no store
         assert client.get("theory/optimum?delay=2&criterion=overshoot").content["cost"] == pytest.approx(0.0, abs=1e-6)
 
@@ -116,7 +116,7 @@ def test_forms_of_a_browser(tmp_path, logs):
             answer = browser.do(at, "PUT", f"{path}/{kind}", **said)
             assert (answer.status, answer.headers["location"]) == (303, at)
         late = browser.do(at, "PUT", f"{path}/notes", match='"old"', text="late")
-        assert (late.status, b"changed this meanwhile" in late.content) == (412, True)
+        assert (late.status, b"changed this in the meantime" in late.content) == (412, True)
         assert client.get("experiments/falcon/1/notes").content["text"] == "stiff\nspring"
         assert client.get("experiments/falcon/1/tags").content["tags"] == ["a", "b"]
         compare = ("/do", "/upload")

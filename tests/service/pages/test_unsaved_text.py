@@ -143,7 +143,7 @@ def test_without_scripts_a_page_with_fields_stays(lab, opened):
     page.wait_for_timeout(4500)
     assert page.loads == []
     assert page.input_value(TEXTS["trial"]) == "slipped"
-    assert "load it by hand" in page.inner_text("main")
+    assert "reload it manually" in page.inner_text("main")
 
 
 def test_another_form_is_not_sent_over_unsaved_text_without_a_question(lab, opened):
@@ -151,12 +151,12 @@ def test_another_form_is_not_sent_over_unsaved_text_without_a_question(lab, open
     page.click(TEXTS["trial"])
     page.keyboard.type("slipped")
     page.fill("input[name='tags,']", "check")
-    page.click("text=Keep tags")
+    page.click("text=Save tags")
     page.wait_for_timeout(1000)
     assert page.questions == ["beforeunload"]
     assert page.input_value(TEXTS["trial"]) == "slipped"
     page.fill("input[name='tags,']", "")
-    page.click("text=Keep notes")
+    page.click("text=Save notes")
     page.wait_for_timeout(1000)
     assert page.questions == ["beforeunload"]
     assert lab.client.get(f"trials/{lab.trial}/notes").content["text"] == "slipped"

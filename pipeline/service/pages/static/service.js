@@ -39,12 +39,12 @@ const prepareUpload = (form) => {
     const large = files.find((file) => file.size > most.maxFile);
     const whole = files.reduce((sum, file) => sum + file.size, 0);
     if (large) { told.textContent = `${large.name} is too large.`; return; }
-    if (whole > most.maxRequest || files.length > most.maxFiles) { told.textContent = "These are too many at a time."; return; }
+    if (whole > most.maxRequest || files.length > most.maxFiles) { told.textContent = "These are too many logs for one upload."; return; }
     const request = new XMLHttpRequest();
     request.open("POST", "/api/v1/logs");
     request.setRequestHeader("X-CSRF-Token", form.elements.form.value);
     request.upload.onprogress = (sent) => { bar.hidden = false; bar.value = sent.loaded / sent.total; };
-    request.onerror = () => { told.textContent = "The server cannot be reached. Upload again: what it has is skipped."; };
+    request.onerror = () => { told.textContent = "The server cannot be reached. Upload the logs again later; those that it already has are skipped."; };
     request.onload = () => {
       const answer = JSON.parse(request.responseText);
       if (request.status === 202) location.assign(`/jobs/${answer.job}`);
@@ -86,7 +86,7 @@ const notice = () => {
     line.id = "reload-notice";
     line.className = "banner";
     line.setAttribute("role", "status");
-    line.textContent = "A form on this page is in use. The page loads itself again once its text is saved or removed.";
+    line.textContent = "A form on this page is in use. The page reloads when its text is saved or removed.";
     document.getElementById("main").prepend(line);
   }
 };
