@@ -117,8 +117,8 @@ def _mass_deviation_text(mass: MassDeviation) -> str:
     """Return the deviations of the masses of the logs from a stated one, as text."""
     parts = []
     if mass.percent is not None:
-        ends = span(percent_text, mass.low, mass.high)
-        parts.append(f"logs {percent_text(mass.percent)} %{f' ({ends})' if ends else ''}")
+        value, ends = percent_text(mass.percent), span(percent_text, mass.low, mass.high)
+        parts.append(f"logs {value} %{'' if ends in ('', f'{value} to {value}') else f' ({ends})'}")
     if mass.momentum_percent is not None:
         parts.append(f"momentum {percent_text(mass.momentum_percent)} %")
     return ", ".join(parts)

@@ -534,3 +534,9 @@ def test_a_note_states_whether_the_apparent_mass_differs() -> None:
     assert "from that of the device file in 1 of 1 experiment" in mass_note(weighed(heavier))
     assert mass_note(weighed()) is None
     assert mass_note(weighed(MassDeviation(source="device file", stated=0.58))) is None
+
+
+def test_an_interval_that_prints_like_its_deviation_is_left_out() -> None:
+    exact = MassDeviation(source="device file", stated=0.58, percent=0.001, low=-0.002, high=0.003)
+    (table,) = tables_of(weighed(exact))["experiments"]
+    assert {cell.name: cell.aside for cell in table.rows[0]}["stated_mass"] == "logs 0.0 %"
