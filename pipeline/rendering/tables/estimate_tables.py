@@ -8,6 +8,7 @@ from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate, holds
 from pipeline.records.results import ComparisonResult, MassDeviation, SourcedLoop
 from pipeline.rendering.labels import (
+    BEYOND,
     UNITS,
     damping_text,
     estimate_texts,
@@ -118,10 +119,16 @@ def _mass_deviation_text(mass: MassDeviation) -> str:
     parts = []
     if mass.percent is not None:
         value, ends = percent_text(mass.percent), span(percent_text, mass.low, mass.high)
-        parts.append(f"logs {value} %{'' if ends in ('', f'{value} to {value}') else f' ({ends})'}")
+        interval = "" if mass.percent > BEYOND or ends in ("", f"{value} to {value}") else f" ({ends})"
+        parts.append(f"logs {_percent_or_factor(mass.percent)}{interval}")
     if mass.momentum_percent is not None:
-        parts.append(f"momentum {percent_text(mass.momentum_percent)} %")
+        parts.append(f"momentum {_percent_or_factor(mass.momentum_percent)}")
     return ", ".join(parts)
+
+
+def _percent_or_factor(percent: float) -> str:
+    """Return a deviation in percent, or as a factor if it is very large."""
+    return f"{percent_text(percent)} %" if percent <= BEYOND else f"× {significant(1 + percent / 100, 3)}"
 
 
 def mass_note(result: ComparisonResult) -> str | None:

@@ -34,9 +34,9 @@ from pipeline.rendering.tables.formats import (
 )
 
 PARTS = (
-    "Parts of the deviation: the product of their factors (1 + x/100) gives the whole. Range: theory's optimum lies "
-    "outside the tested range. Grid: it lies between the tested walls. Model (95 %): measured against theory on the "
-    "tested walls, without the scatter of single trials. Selection: the best of many trials is lucky."
+    "Parts of the deviation, whose factors (1 + x/100) give the whole. Range: theory's optimum is outside the tested "
+    "range. Grid: it is between tested walls. Model (95 %): measured against theory on tested walls, without scatter. "
+    "Selection: the best of many trials is lucky."
 )
 
 
@@ -58,6 +58,7 @@ def optima_tables(
             # over delay, each experiment follows its theory
             experiment = next((after["experiment"] for after in own[place_of_row:] if after["experiment"]), None)
             row |= {"reason": row["note"], "raw": row["condition"], "of": experiment}
+            row |= {"margin": None} if swept else {}  # a table over delay has no room for it
             row["condition"] = condition_label(row["condition"])
             if row["delay_samples"] is not None and (swept or not row["condition"].startswith("theory")):
                 row["condition"] += f" (d = {significant(row['delay_samples'], 3)})"

@@ -524,6 +524,14 @@ def test_stated_masses_are_next_to_the_estimated_ones() -> None:
     assert "weighed_mass" not in {cell.name for cell in tables_of(weighed(SAME))["experiments"][0].rows[0]}
 
 
+def test_a_mass_many_times_the_weighed_one_is_a_factor() -> None:
+    heavy = MassDeviation(
+        source="weighed", stated=0.0057, percent=3233.3, low=3233.0, high=3233.6, momentum_percent=9.0
+    )
+    (table,) = tables_of(weighed(heavy))["experiments"]
+    assert {cell.name: cell.aside for cell in table.rows[0]}["weighed_mass"] == "logs × 33.3, momentum +9.0 %"
+
+
 def test_a_note_states_whether_the_apparent_mass_differs() -> None:
     assert (
         mass_note(weighed(SAME)) == "The apparent mass of the logs agrees with each stated mass, within its interval."
