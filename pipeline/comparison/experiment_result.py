@@ -39,9 +39,8 @@ from pipeline.measured.experiment.identified_loop import identified_loop
 from pipeline.measured.stages.stage_needs import NEEDS
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.loop_limits import linear_limits
-from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.findings import NOT_ADEQUATE, BoundaryPoint, Estimate
 from pipeline.records.results import (
-    NOT_ADEQUATE,
     ExperimentNumbers,
     LoopFindings,
     MeasuredExperiment,

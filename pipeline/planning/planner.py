@@ -25,7 +25,7 @@ from pipeline.planning.campaign import (
 from pipeline.planning.cost_search import CostTarget, Search, search_walls
 from pipeline.planning.next_wall import BOLDER, GENTLER, DampingState, Forecast, PlanGoal, PlanState, order, plan_state
 from pipeline.planning.requests import RigRange, range_of, store_requests
-from pipeline.records.findings import Record
+from pipeline.records.findings import Record, UndecidedCode, undecided_code
 
 NOTES = {
     "undecided": "verdicts are undecided next to the limit: record longer logs there",
@@ -39,16 +39,14 @@ NOTES = {
 }
 """Reasons why a damping is done or has no estimate."""
 
-REMEDIES = (
-    ("no visible motion", "Record longer logs after the step, or larger steps."),
-    ("the log ends before", "Record longer logs after the step."),
-    ("at the limit", "Record longer logs, or walls farther from the limit."),
-    ("a mode grows", "Record longer logs."),
-)
-"""Recommended recordings, by the beginning of the reason for a missing verdict."""
-
-RECORD = "Record steps from rest, and longer logs."
-"""Recommended recordings if a verdict is missing for any other reason."""
+REMEDIES: dict[UndecidedCode, str] = {
+    "no_motion": "Record longer logs after the step, or larger steps.",
+    "log_ends": "Record longer logs after the step.",
+    "at_limit": "Record longer logs, or walls farther from the limit.",
+    "mode_grows": "Record longer logs.",
+    "other": "Record steps from rest, and longer logs.",
+}
+"""Recommended recordings, by the code of the reason for a missing verdict."""
 
 BOTH_DIRECTIONS = (
     "friction cannot be separated from the device by {}, so the next wall is at most twice as stiff as stable walls. "
@@ -302,7 +300,7 @@ def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
     remarks = []
     if campaign.undecided:
         reason = commonest(campaign.undecided)
-        remedy = next((text for begins, text in REMEDIES if reason.startswith(begins)), RECORD)
+        remedy = REMEDIES[undecided_code(reason)]
         count = f"{len(campaign.undecided)} of {counted(len(campaign.tried), 'trial')}"
         remarks.append(f"no verdict in {count}: {reason}. {remedy}")
     if campaign.free and not len(campaign.tried) and campaign.found is not None:

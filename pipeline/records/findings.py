@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -50,7 +50,50 @@ logs above which a finding is not due to single trials.
 """
 
 DRIFTS = "drifts by"
-"""Beginning of a warning about a `Trend`, by which such warnings are identified."""
+"""Beginning of a warning about a `Trend`."""
+
+NOT_ADEQUATE = "its loop is not adequate"
+"""Beginning of a warning about an estimate from a loop that is not adequate."""
+
+DoubtCode = Literal["drift", "not_adequate", "other"]
+"""Kind of doubt about the value of an estimate."""
+
+_DOUBTS: dict[str, DoubtCode] = {DRIFTS: "drift", NOT_ADEQUATE: "not_adequate"}
+
+MissingCode = Literal["left_out", "not_identifiable", "other"]
+"""Kind of reason for a missing value: not requested, not identifiable from these logs, or another one."""
+
+_MISSING: dict[str, MissingCode] = {"left out": "left_out", "not identifiable": "not_identifiable"}
+
+UndecidedCode = Literal["no_motion", "log_ends", "mode_grows", "at_limit", "other"]
+"""Kind of reason for an undecided verdict."""
+
+_UNDECIDED: dict[str, UndecidedCode] = {
+    "no visible motion": "no_motion",
+    "the log ends before": "log_ends",
+    "a mode grows": "mode_grows",
+    "at the limit": "at_limit",
+}
+
+
+def undecided_code(reason: str) -> UndecidedCode:
+    """Return the code of the stored reason of an undecided verdict.
+
+    >>> undecided_code("at the limit: the remaining amplitude of 0.01 neither grows nor decays significantly")
+    'at_limit'
+    """
+    return next((code for begins, code in _UNDECIDED.items() if reason.startswith(begins)), "other")
+
+
+class Doubt(NamedTuple):
+    """Doubt about the value of an estimate, as a code and a clause."""
+
+    code: DoubtCode
+    text: str
+
+
+def _doubt(text: str) -> Doubt:
+    return Doubt(next((code for begins, code in _DOUBTS.items() if text.startswith(begins)), "other"), text)
 
 
 class Trend(Record):
@@ -109,6 +152,22 @@ class Estimate(Quantity):
         if self.value is None and not self.reason:
             raise ValueError("an estimate without a value needs a reason")
         return self
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Doubts about the value, from the clauses of the warning.
+
+        >>> estimate = Estimate(value=1.0, unit="kg", method="m", warning="drifts by 2 kg; few logs")
+        >>> [doubt.code for doubt in estimate.doubts]
+        ['drift', 'other']
+        """
+        return tuple(_doubt(clause) for clause in (self.warning or "").split("; ") if clause)
+
+    @property
+    def missing_code(self) -> MissingCode:
+        """Kind of the reason for a missing value."""
+        reason = self.reason or ""
+        return next((code for begins, code in _MISSING.items() if reason.startswith(begins)), "other")
 
     def recommended_of(self, by_method: dict[str, Estimate]) -> Estimate:
         """Return this estimate as the recommended one of several methods."""

@@ -224,10 +224,6 @@ VERDICTS_RIGHT = 0.95
 """Smallest share of the verdicts that an adequate device must predict."""
 
 
-NOT_ADEQUATE = "its loop is not adequate"
-"""Beginning of a warning about an estimate from a loop that is not adequate."""
-
-
 class LoopResult(Record):
     """Loop used by theory and by all conclusions about an experiment, and whether it is adequate.
 
@@ -749,7 +745,7 @@ class ExperimentNumbers(MeasuredExperiment, LoopFindings):
             factor,
             adequate=self.loop.adequate,
             judged=self.replay is not None and self.replay.verdicts_same is not None,
-            doubted=factor.warning is not None and NOT_ADEQUATE in factor.warning,
+            doubted=any(doubt.code == "not_adequate" for doubt in factor.doubts),
         )
 
 

@@ -31,7 +31,7 @@ from pipeline.measured.stages.stage_device import recording
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.campaign import TRIALS, Campaign, PlanOptions, campaign_of, forecast_of
 from pipeline.planning.planner import NOTES, plan_of
-from pipeline.records.findings import DRIFTS, MATTERS
+from pipeline.records.findings import MATTERS
 from pipeline.records.models import ComparisonRow, Experiment
 from pipeline.records.results import (
     Answer,
@@ -193,7 +193,7 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
         if estimate is None:
             continue
         estimate = result.delay if name == "delay_samples" else estimate.by_method.get("model", estimate)
-        unknown = estimate.reason if (estimate.reason or "").startswith("not identifiable") else None
+        unknown = estimate.reason if estimate.missing_code == "not_identifiable" else None
         bounded = name == "friction" and estimate.high is not None and not doubt
         if estimate.value is not None or bounded or unknown:
             ends = (None, None) if doubt else (estimate.low, estimate.high)
@@ -235,8 +235,8 @@ def _estimates(result: ExperimentNumbers, units: Units, *, limit: bool) -> tuple
 
 def _doubt(result: ExperimentNumbers) -> str:
     """Return why there are no intervals of delay, mass, damping and friction, or "" if there are."""
-    warned = {name: result.estimates[name].warning or "" for name in NEEDED}
-    drifting = [quantity_name(name) for name, text in warned.items() if DRIFTS in text]
+    doubts = {name: {doubt.code for doubt in result.estimates[name].doubts} for name in NEEDED}
+    drifting = [quantity_name(name) for name, codes in doubts.items() if "drift" in codes]
     if len(drifting) >= DRIFTING:
         return f"No intervals, because no single model explains all trials: {listed(drifting)} drift with the wall."
     if all(result.estimates[name].value is None for name in NEEDED):

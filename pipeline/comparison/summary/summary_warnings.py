@@ -16,7 +16,6 @@ from pipeline.comparison.scene.scene import StoredData
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
-from pipeline.records.findings import DRIFTS
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentNumbers
 from pipeline.rendering.labels import quantity_name
@@ -166,12 +165,12 @@ def _of_estimates(results: Sequence[ExperimentNumbers]) -> Iterator[dict[str, An
             continue  # a separate warning reports the fault
         for name, estimate in result.estimates.items():
             quantity, reason = quantity_name(name), estimate.reason or ""
-            if estimate.value is None and name in NEEDED and "left out" not in reason:
+            if estimate.value is None and name in NEEDED and estimate.missing_code != "left_out":
                 missing.setdefault((quantity, reason), []).append(result.experiment)
-            clauses = (estimate.warning or "").split("; ") if estimate.value is not None else []
-            if any(clause.startswith(DRIFTS) for clause in clauses):
+            found = estimate.doubts if estimate.value is not None else ()
+            if any(doubt.code == "drift" for doubt in found):
                 drifts.setdefault(quantity, []).append(result.experiment)
-            others = "; ".join(clause for clause in clauses if clause and not clause.startswith(DRIFTS))
+            others = "; ".join(doubt.text for doubt in found if doubt.code != "drift")
             if others:
                 doubt = doubts.setdefault(
                     _NUMBER.sub("", _ASIDE.sub("", others)), {"quantities": [], "experiments": [], "texts": []}

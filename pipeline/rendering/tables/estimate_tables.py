@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from pipeline.base.wording import counted
-from pipeline.records.findings import DRIFTS, Estimate, holds
+from pipeline.records.findings import Estimate, holds
 from pipeline.records.results import ComparisonResult, MassDeviation, SourcedLoop
 from pipeline.rendering.labels import (
     BEYOND,
@@ -160,10 +160,10 @@ def estimate_column(quantity: str, unit: str, group: str = "") -> Column:
 
     def notes(row: Row) -> list[str | None]:
         found: Estimate | None = row.get(quantity)
-        clauses = found.warning.split("; ") if found and found.warning else []
-        drifts = any(clause.startswith(DRIFTS) for clause in clauses)
+        doubts = found.doubts if found else ()
+        drifts = any(doubt.code == "drift" for doubt in doubts)
         # a value that may be zero is followed by its interval
-        others = "; ".join(c.partition(" (95 % interval")[0] for c in clauses if not c.startswith(DRIFTS))
+        others = "; ".join(doubt.text.partition(" (95 % interval")[0] for doubt in doubts if doubt.code != "drift")
         return [found.reason if found else None, DRIFT if drifts else None, others]
 
     return Column(
