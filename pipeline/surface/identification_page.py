@@ -74,6 +74,12 @@ GROUPINGS = {
 """Names of the groupings of `CAUSES`."""
 
 
+FORCE = (
+    "The device is identified from the measured force, and the drive from command and force. Gain, delay, lag and "
+    "limit of the drive explain {} of the measured force."
+)
+"""Sentence on a drive that is identified from a measured force."""
+
 BESIDE = 0.3
 """Distance between the bars of both directions of motion, as a share of the width of a group."""
 
@@ -93,12 +99,17 @@ class Evidence:
 def identification_page(document: JsonObject, evidence: Evidence) -> SectionedPage:
     """Return the page on an identification. ``document`` is what `pipeline identify --json` prints."""
     found, motion = evidence.identification, document["motion"]
+    force = document["measured_force"]
+    drive = () if force is None else (force["reason"] or FORCE.format(_percent(force["fit_percent"])),)
+    input_label = f"command [{_unit('force', motion)}]"
+    if force is not None and force["used"]:
+        input_label = f"measured force [{_unit('force', 'rotation' if is_rotation(motion) else 'translation')}]"
     residuals = Residuals.of(found.replay)
     sections = [
         _runs(found, motion),
-        _residual_section(residuals, found, motion),
+        _residual_section(residuals, found, motion, input_label),
         _spectrum(spectra_of(found.replay), command_band(evidence.recordings), motion),
-        Section("parameters", "Parameters", (), (), [_parameters(document, found), _combinations(document)]),
+        Section("parameters", "Parameters", drive, (), [_parameters(document, found), _combinations(document)]),
         _parts(found),
         _walls(document),
         _log_section(document),
@@ -333,7 +344,7 @@ def _by_direction(residuals: Residuals, unit: str) -> Panel:
     return Panel("by direction", names, (series,), text, limits, ticks=tuple(ticks))
 
 
-def _residual_section(residuals: Residuals, found: Identification, motion: Motion) -> Section:
+def _residual_section(residuals: Residuals, found: Identification, motion: Motion, input_label: str) -> Section:
     """Return the section on the residuals of the velocity, and on what the prediction errors depend on."""
     shares = shares_between_groups(found.choice)
     rows = [
@@ -362,7 +373,7 @@ def _residual_section(residuals: Residuals, found: Identification, motion: Motio
     panels = (
         _grouped("place", residuals, residuals.position, f"position [{_unit('length', motion)}]", unit),
         _by_direction(residuals, unit),
-        _grouped("command", residuals, residuals.command, f"command [{_unit('force', motion)}]", unit),
+        _grouped(input_label.partition(" [")[0], residuals, residuals.command, input_label, unit),
         _grouped("time", residuals, residuals.time, "time since the start of the log [s]", unit),
     )
     words = (
@@ -419,8 +430,14 @@ def _on_logarithmic_axes(axes: Axes) -> None:
         axis.set_minor_formatter("")
 
 
-def _method(name: str, found: Identification) -> str:
+def _method(name: str, document: JsonObject, found: Identification) -> str:
     """Return how a parameter is identified."""
+    force = document["measured_force"]
+    is_apart = force is not None and force["used"] and force["reason"] is None
+    if name == "force_gain" or (is_apart and name in ("actuator_lag_s", "force_limit")):
+        return "output error of the measured force, with a jackknife over blocks of rows"
+    if is_apart and name == "delay_samples":
+        return "output error of the measured force, and likelihood of the motion"
     if name == "damping" and found.quasi_static:
         return "displacements over windows of eight rows, with a jackknife over blocks of windows"
     free = "free runs through all reversals" if found.choice.segments.free else "predictions one row ahead"
@@ -435,14 +452,16 @@ def _method(name: str, found: Identification) -> str:
 def _parameters(document: JsonObject, found: Identification) -> Table | None:
     """Return the table of the parameters, with their methods or the reasons why they are not identified."""
     rows = []
-    for name, row in zip(found.parameters, document["parameters"], strict=True):
+    keys = {ESTIMATED[name].key: name for name in found.parameters} | {"inertia": "mass"}
+    for row in document["parameters"]:
+        name = keys.get(row["name"], row["name"])
         texts = interval_texts(row["value"], row["low"], row["high"]) if row["told"] else (None, None, None)
         shown = dict(zip(("value", "low", "high"), texts, strict=True))
-        label = "inertia" if row["name"] == "inertia" else PARAMETERS[ESTIMATED[name].name].label
+        label = "inertia" if row["name"] == "inertia" else PARAMETERS[name].label
         about = {
             "label": label,
             "unit": unit_text(row["unit"]),
-            "method": _method(name, found) if row["told"] else None,
+            "method": _method(name, document, found) if row["told"] else None,
         }
         rows.append(shown | about | {"name": row["name"], "reason": _sentence(row["reason"] or "not identifiable")})
     columns = (

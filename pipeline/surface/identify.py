@@ -28,8 +28,10 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.sources import Source, find_sources, load_source, motion_of, requested_profiles
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
+from pipeline.measured.identification.force_driven import identified_by_force
 from pipeline.measured.identification.identified import Identification, identified
 from pipeline.measured.identification.intervals import Interval
+from pipeline.measured.identification.measured_drive import MeasuredDrive, unknown_drive
 from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.identification.replay import follows
 from pipeline.measured.stages.measured_trial import MeasuredTrial
@@ -269,17 +271,63 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
         recordings = [replace(each, turns=True) for each in recordings]
     if not recordings:
         raise ParameterError(SHIFTED)
+    recordings = with_forces(recordings, read)
     try:
         with part_of_work("fit", 0.1, 0.95):
-            found = identified(recordings)
+            found = _device_of(recordings)
     except ParameterError as error:
         findings = _first_findings(read)
         reason = f"{str(error).rstrip('.')}." if findings else str(error)
         raise ParameterError(" ".join([reason, *findings])) from error
     document = _document(found, recordings, motions.pop(), wall_filter(trials), wall)
-    return IdentifiedDevice(
-        document | read_logs.document, Evidence(found, recordings, any(log.header.simulated for _, log in read))
-    )
+    simulated = any(log.header.simulated for _, log in read)
+    return IdentifiedDevice(document | read_logs.document, Evidence(found.device, recordings, simulated))
+
+
+def with_forces(recordings: list[Recording], read: Sequence[tuple[str, Log]]) -> list[Recording]:
+    """Return recordings with the measured forces of their logs. Without one in each log, none is used."""
+    logs = dict(read)
+    found = []
+    for each in recordings:
+        log = logs[each.name]
+        if log.force is None:
+            return recordings
+        first = int(np.searchsorted(log.time, each.time[0]))
+        found.append(replace(each, force=log.force[first : first + len(each.time)]))
+    return found
+
+
+class _Found(NamedTuple):
+    """Identified device, the same device per unit of the command, the drive if a force is measured, and whether the
+    device is identified from this force."""
+
+    device: Identification
+    by_command: Identification
+    drive: MeasuredDrive | None
+    by_force: bool
+
+
+def _device_of(recordings: list[Recording]) -> _Found:
+    """Return the device of recordings. With a measured force that explains the motion, device and drive are identified
+    apart.
+
+    A force sensor may also measure another force, such as that of a hand. The command then identifies the device.
+    """
+    if any(each.force is None for each in recordings):
+        found = identified(recordings)
+        return _Found(found, found, None, by_force=False)
+    try:
+        apart = identified_by_force(recordings)
+    except ParameterError as error:
+        found = identified(recordings)
+        return _Found(found, found, unknown_drive(f"The measured force identifies no device: {error}"), by_force=False)
+    device, drive = apart.device, apart.drive
+    if follows(device.fit_percent, device.naive_percent):
+        by_command = identified(recordings) if drive.reason else apart.by_command
+        return _Found(device, by_command, drive, by_force=True)
+    found = identified(recordings)
+    why = "The measured force does not explain the motion, so the device is identified from the command."
+    return _Found(found, found, replace(drive, reason=why), by_force=False)
 
 
 def _unparted(profile: Profile) -> Profile:
@@ -436,16 +484,18 @@ def _period(text: bytes) -> float:
 
 
 def _document(
-    found: Identification,
-    recordings: list[Recording],
-    motion: Motion,
-    velocity: WallFilter | None,
-    wall: WallSampling,
+    apart: _Found, recordings: list[Recording], motion: Motion, velocity: WallFilter | None, wall: WallSampling
 ) -> dict[str, Any]:
+    """Return the document of an identification, without its entries on the recordings.
+
+    ``motion`` is that of the command. A device that is identified from a measured force has the units of a force.
+    """
+    found = apart.device
+    of_device: Motion = ("rotation" if is_rotation(motion) else "translation") if apart.by_force else motion
     own, period, delay = found.units.period, wall.period, wall.delay
     wall_period, walls = own if period is None else period, velocity is not None
     velocity = velocity.at(own, wall_period) if velocity else None
-    loop = _loop_document(found, DRIFT if walls else "", velocity)
+    loop = _loop_document(apart, DRIFT if walls else "", velocity)
     present = {
         "velocity": velocity is not None and velocity.left_out,
         "friction": loop["friction"] is not None and loop["friction"]["value"] > 0,
@@ -458,7 +508,13 @@ def _document(
         "rows": int(sum(len(each.time) for each in recordings)),
         "sampling_period_s": own,
         "source": sorted({each.name for each in recordings}),
-        "parameters": [_parameter_document(found, name, motion) for name in found.parameters],
+        "parameters": [
+            *(
+                _parameter_document(found, name, motion if name == "force_limit" else of_device)
+                for name in found.parameters
+            ),
+            *_gain_rows(apart.drive, motion),
+        ],
         "parts": [{"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()],
         "assumed_none": [ESTIMATED[name].key for name in found.assumed],
         "unseen_lag_s": found.choice.bounds.get("actuator_lag_s", 0.0),
@@ -467,15 +523,16 @@ def _document(
                 "combination": each.code,
                 "members": [ESTIMATED[name].key for name in each.members],
                 **_numbers(each.interval, True),
-                "unit": unit_of(each.unit, motion) if each.unit in UNITS else each.unit,
+                "unit": unit_of(each.unit, of_device) if each.unit in UNITS else each.unit,
                 "record": each.record,
             }
             for each in found.combinations
         ],
-        "drive": _drive_document(found, motion),
-        "gravity": _gravity_document(found, motion),
+        "drive": _drive_document(found, of_device),
+        "gravity": _gravity_document(found, of_device),
+        "measured_force": None if apart.drive is None else _force_document(apart.drive, apart.by_force),
         "scatter": {
-            ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, motion)}
+            ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, of_device)}
             for name, value in found.scatter.items()
         },
         "scatter_in_interval": bool(found.scatter),
@@ -501,6 +558,23 @@ def _parameter_document(found: Identification, name: str, motion: Motion) -> dic
         "told": is_identified,
         "reason": found.reasons.get(name),
     }
+
+
+def _gain_rows(drive: MeasuredDrive | None, motion: Motion) -> list[dict[str, Any]]:
+    """Return the row of the force per unit of the command, if a force is measured."""
+    if drive is None:
+        return []
+    force, command = UNITS["force"][is_rotation(motion)], unit_of("force", motion)
+    numbers, unit = _numbers(drive.gain, not drive.reason), "" if force == command else f"{force}/{command}"
+    about = {"unit": unit, "told": not drive.reason, "reason": drive.reason or None}
+    return [{"name": "force_gain", **numbers, **about}]
+
+
+def _force_document(drive: MeasuredDrive, is_used: bool) -> dict[str, Any]:
+    """Return whether the device is identified from the measured force, how well the drive explains it, and why the
+    drive is not identified."""
+    fit = drive.fit_percent
+    return {"used": is_used, "fit_percent": fit if np.isfinite(fit) else None, "reason": drive.reason or None}
 
 
 def _factor(name: str, period: float) -> float:
@@ -567,8 +641,12 @@ def _drawn_delays(loop: dict[str, Any]) -> tuple[int, ...]:
     return drawn if all(number["low"] <= age <= number["high"] for number, age in ages) else ()
 
 
-def _loop_document(found: Identification, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
-    """Return the loop in the format of `compare --json`, with the reason why free runs may drift."""
+def _loop_document(apart: _Found, drift: str, velocity: WallFilter | None) -> dict[str, Any]:
+    """Return the loop in the format of `compare --json`, with the reason why free runs may drift.
+
+    Its numbers are per unit of the command, as a wall sees the device.
+    """
+    found = apart.by_command
     known = {name: each for name, each in found.parameters.items() if name not in found.unidentifiable}
 
     def number(name: str) -> dict[str, float] | None:
@@ -717,6 +795,7 @@ def device_text(document: dict[str, Any], name: str) -> str:
     lines = [
         f"# Identified from {document['trials']} logs, {document['rows']} rows. {numbers['reason']}.",
         *([f"# {document['velocity_filter']}"] if document["velocity_filter"] else []),
+        *_gain_lines(document),
         *(f"# {path}" for path in document["source"][:20]),
         f'name = "{name}"',
         f'source = "identified from {document["trials"]} logs"',
@@ -744,6 +823,16 @@ def device_text(document: dict[str, Any], name: str) -> str:
         ranges = ", ".join(f"{key} {number['low']:.4g} to {number['high']:.4g}" for key, number in known)
         parts.append(f"mode = {{ {entries} }}  # {ranges}")
     return "\n".join([*lines, *(["", "[loop]", *parts] if parts else []), ""])
+
+
+def _gain_lines(document: dict[str, Any]) -> list[str]:
+    """Return the line of a device file on the gain of the drive, if it is identified from a measured force."""
+    rows = (row for row in document["parameters"] if row["name"] == "force_gain" and row["told"])
+    return [
+        "# All numbers are per unit of the command. Force per unit of the command, by the measured force: "
+        f"{row['low']:.6g} to {row['high']:.6g} {row['unit']} (95 %)".replace("  ", " ")
+        for row in rows
+    ]
 
 
 def _jitter_lines(document: dict[str, Any], loop: LoopRecord) -> list[str]:

@@ -133,6 +133,9 @@ PARTS: dict[str, Part] = {
 }
 """Parts that forward selection considers. The bounds of their numbers are in `likelihood.LIMITS`."""
 
+DRIVE_PARTS = ("saturation", "gain by direction", "gain by size", "lag")
+"""Parts of a drive. A measured force contains their effects."""
+
 Decision = Literal[
     "accepted",
     "undecided",

@@ -3,6 +3,7 @@ with it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -231,7 +232,7 @@ def subset(recordings: list[Recording]) -> list[Recording]:
     return sorted(some, key=lambda each: each.rank)
 
 
-def choose_parts(recordings: list[Recording]) -> ChosenParts:
+def choose_parts(recordings: list[Recording], without: Sequence[str] = ()) -> ChosenParts:
     """Choose the parts of a device that cross-validation over the `subset` of the recordings requires.
 
     The spring of a device is relaxed at a fixed position, and the spring of a hand where each log begins. Logs that
@@ -241,6 +242,8 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
     ----------
     recordings : list of Recording
         At least one recording with `recordings.SHORTEST` rows.
+    without : sequence of str
+        Names of parts that are not tried.
 
     Raises
     ------
@@ -251,12 +254,12 @@ def choose_parts(recordings: list[Recording]) -> ChosenParts:
     """
     some = subset(recordings)
     with part_of_work("", 0.0, 0.95):
-        chosen, fit, rows = _search(some, LogUnits.of(some))
+        chosen, fit, rows = _search(some, LogUnits.of(some), without)
     starts, noise = [each.position[0] for each in some], max(each.noise for each in some)
     if np.ptp(starts) <= APART * noise or not ("stiffness" in chosen.parts or _is_like_ground(chosen, rows)):
         return chosen
     with part_of_work("", 0.95, 1.0):
-        by_start, other, _ = _search(some, replace(chosen.units, origin=None))
+        by_start, other, _ = _search(some, replace(chosen.units, origin=None), without)
     return by_start if _worthiness(other) > _worthiness(fit) + WORTH else chosen
 
 
@@ -271,7 +274,7 @@ def _worthiness(fit: Fit) -> float:
     return fit.likelihood - WORTH * len(fit.device.names)
 
 
-def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, float]:
+def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> tuple[ChosenParts, Fit, float]:
     """Return the parts of a device with a spring relaxed at the origin of the units, its fit, and the segment length.
 
     The segment length is the median number of rows.
@@ -287,7 +290,8 @@ def _search(some: list[Recording], units: LogUnits) -> tuple[ChosenParts, Fit, f
         heavy = _with_gravity((some, units, lead), (*base, *GRAVITY), most, state)
         lead, state, bounds = heavy or (lead, state, bounds)
     with part_of_work("", 0.5, 1.0):
-        state = _further((some, units, lead), state)
+        parts = {name: part for name, part in PARTS.items() if name not in without}
+        state = _further((some, units, lead), state, parts)
     if set(state.parts) - {"friction", "stiffness"}:
         state = _pruned((some, units, lead), state)
     state = _without_imitations(_swinging((some, units, lead), state))
@@ -667,10 +671,10 @@ def _loss(fit: Fit, name: str, *, signed: bool = False) -> float:
     return 0.5 * (found.value / found.error) ** 2 if (signed or found.value > 0) and found.error > 0 else 0.0
 
 
-def _further(logs: Logs, state: Selection) -> Selection:
-    """Add drive, lag and mode to a selection. The most likely part is added first, since each may replace another."""
+def _further(logs: Logs, state: Selection, optional: Mapping[str, Part]) -> Selection:
+    """Add optional parts to a selection. The most likely part is added first, since each may replace another."""
     segments, fit, parts, tried = state.segments, state.fit, state.parts, dict(state.tried)
-    some, left, rounds = _some(segments), dict(PARTS), 0
+    some, left, rounds = _some(segments), dict(optional), 0
     while left and "delay" in fit.device.numbers:
         alone, candidates = replace(fit.device, effects=None), dict[str, Fit]()
         plain = fit if some is segments else refined(some, alone, far=False)

@@ -23,7 +23,8 @@ class Recording:
     """Log with a name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
     ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
-    wall. ``turns`` is whether the position is an angle, so that gravity may act.
+    wall. ``turns`` is whether the position is an angle, so that gravity may act. ``force`` is the measured force or
+    torque [N, Nm] of shape (rows,), if the log has it.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Recording:
     edge: int | None = None
     wall: tuple[float, float] = (0.0, 0.0)
     turns: bool = False
+    force: Floats | None = field(default=None, repr=False)
 
     @cached_property
     def rank(self) -> tuple[float, float, bytes, bytes]:

@@ -177,6 +177,10 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
     yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
         yield f"neither found nor excluded by these logs: {parts[False]}"
+    if (force := document["measured_force"]) is not None and force["reason"] is not None:
+        yield f"force: {force['reason']}"
+    elif force is not None:
+        yield f"force: device and drive are identified apart; the drive explains {force['fit_percent']:.1f} % of it"
     if (drive := document["drive"]) is not None:
         ways = (f"{_with_interval(drive[way])} for {way} commands" for way in DRIVEN if way in drive)
         inertia = "Mass" if document["motion"] == "translation" else "Inertia"

@@ -26,6 +26,7 @@ _STATED: dict[str, object] = {
     "time": Annotated[Text, option("--time", "Column of time with its unit, t:ms, or the time between rows, '1 ms'.")],
     "command": Annotated[Text, option("--command", "Column of the command with its unit: N, Nm, V, A, counts, %.")],
     "position": Annotated[Text, option("--position", "Column of the position with its unit; -x:mm reverses the sign.")],
+    "force": Annotated[Text, option("--force", "Column of the measured force with its unit, f:N.")],
     "stiffness": Annotated[Text, option("--stiffness", "K of the wall: a column K:N/mm, or '2 N/mm'.")],
     "damping": Annotated[Text, option("--damping", "B of the wall: a column B:Ns/m, or '5 Ns/m'.")],
     "step": Annotated[Text, option("--step", "External step: a column F0:N, or '4 N'.")],

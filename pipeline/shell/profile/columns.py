@@ -43,7 +43,7 @@ ROUND_PERIOD = 2e-4
 PLAUSIBLE_PERIODS = (2e-5, 0.1)
 """Plausible sampling periods of devices [s], for 50 kHz to 10 Hz."""
 
-COLUMNS = ("time", "command", "position")
+COLUMNS, OPTIONAL = ("time", "command", "position"), ("force",)
 WALL = ("stiffness", "damping", "step")
 
 
@@ -58,6 +58,7 @@ class StatedColumns:
     time: str | None = None
     command: str | None = None
     position: str | None = None
+    force: str | None = None
     stiffness: str | None = None
     damping: str | None = None
     step: str | None = None
@@ -92,7 +93,9 @@ def option_of(place: Sequence[str | int]) -> str:
     >>> option_of(("columns", "time", "unit")), option_of(("constants", "sampling_period_s"))
     ('--time', '--period')
     """
-    name = next((str(key) for key in place if key in (*COLUMNS, *WALL, "gain", "device", "experiment")), None)
+    name = next(
+        (str(key) for key in place if key in (*COLUMNS, *OPTIONAL, *WALL, "gain", "device", "experiment")), None
+    )
     name = name or next((OPTIONS[str(key)] for key in place if key in OPTIONS), str(place[-1]) if place else "")
     return f"--{name.replace('_', '-')}"
 
@@ -182,7 +185,7 @@ def _samples(stated: StatedColumns, files: Sequence[Path]) -> tuple[list[Path], 
                 sample = open_sample(file)
                 if opened and sample.kind != opened[0].kind:
                     continue
-                for name in COLUMNS:
+                for name in (*COLUMNS, *OPTIONAL):
                     if (text := getattr(stated, name)) is not None and _as_constant(name, text, sample) is None:
                         ColumnText.among(f"--{name}", text, list(sample.contents.columns))
             except (LogError, ProfileError, UsageError) as error:
@@ -223,7 +226,9 @@ class _Maker:
             )
         ending = suffix_of(Path(sample.name))
         values: JsonObject = {"format": sample.kind, "files": [f"*{ending}"], **sample.layout.keys}
-        columns = {name: self._column(name) for name in COLUMNS}
+        columns = {
+            name: self._column(name) for name in (*COLUMNS, *OPTIONAL) if name in COLUMNS or getattr(stated, name)
+        }
         values["columns"] = columns
         constants: JsonObject = {"experiment": stated.experiment or "1"}
         if stated.device is not None or not self.walls:
@@ -269,7 +274,8 @@ class _Maker:
     def _clock(self) -> str:
         """Return the time column if no option names it. It is the only column that increases by equal steps."""
         numbers = self.sample.numbers
-        taken = {ColumnText.among("", getattr(self.stated, name), list(numbers)).column for name in COLUMNS[1:]}
+        texts = (getattr(self.stated, name) for name in (*COLUMNS[1:], *OPTIONAL))
+        taken = {ColumnText.among("", text, list(numbers)).column for text in texts if text is not None}
         rising = [
             key
             for key, values in numbers.items()
@@ -300,8 +306,8 @@ class _Maker:
                 return fits[0]
             either = " or ".join(f"{column}:{unit}" for unit in fits) or f"{column}:s"
             raise UsageError(f"--time {column}: the rows are {pace:g} apart, but no unit is stated. Write {either}.")
-        units = {"command": "N, Nm, V, A, counts or %", "position": "mm, m, rad or deg"}[name]
-        example = {"command": "N", "position": "mm"}[name]
+        units = {"command": "N, Nm, V, A, counts or %", "position": "mm, m, rad or deg", "force": "N or Nm"}[name]
+        example = {"command": "N", "position": "mm", "force": "N"}[name]
         raise UsageError(f"--{name} {column}: no unit is stated. Write {column}:{example}; one of {units}.")
 
     def _turns(self, unit: str) -> bool:
