@@ -118,7 +118,7 @@ def identification_page(document: JsonObject, evidence: Evidence) -> SectionedPa
         f"Identification from {counted(document['trials'], 'log')}",
         f"{document['rows']} rows, sampling period {document['sampling_period_s']:g} s, {_kind(motion)}.",
         list(_answers(document, found)),
-        _warnings(document["findings"]),
+        [*idle_sentences(document), *_warnings(document["findings"])],
         sections,
         evidence.simulated,
     )
@@ -199,6 +199,19 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
         ("Prediction", prediction),
         ("Errors", found.departure or "No dependence on direction, command, place or time is reported."),
         ("Walls", walls),
+    ]
+
+
+def idle_sentences(document: JsonObject) -> list[str]:
+    """Return the sentence on rows that were left out because the command does not act."""
+    idle = document["idle_starts"]
+    if not idle:
+        return []
+    first = f"{idle[0]['log']}, first {idle[0]['rows']} rows ({idle[0]['duration_s']:.3g} s)"
+    where = first if len(idle) == 1 else f"{len(idle)} logs, such as {first}"
+    return [
+        f"The command does not act at the start of {where}: the drive was off, or the device was blocked. These rows "
+        "are left out."
     ]
 
 
@@ -578,6 +591,8 @@ def _log_section(document: JsonObject) -> Section:
     refused = word_table(
         "refused", "Rejected files", ("file", "reason"), [(row["path"], row["reason"]) for row in document["refused"]]
     )
+    rows = [(each["log"], str(each["rows"]), f"{each['duration_s']:.3g}") for each in document.get("idle_starts", ())]
+    idle = word_table("idle", "Rows left out because the command does not act", ("log", "first rows", "time [s]"), rows)
     copies = word_table("copies", "Logs with the samples of another log", ("log",), [(n,) for n in document["copies"]])
     faults = "No fault was found in the recordings." if findings is None else ""
-    return Section("logs", "Logs", tuple(filter(None, (faults,))), (), (findings, refused, copies))
+    return Section("logs", "Logs", tuple(filter(None, (faults,))), (), (idle, findings, refused, copies))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -30,6 +30,7 @@ from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.force_driven import identified_by_force
 from pipeline.measured.identification.identified import Identification, identified
+from pipeline.measured.identification.idle_start import IdleStart, identified_while_driven
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.measured_drive import MeasuredDrive, unknown_drive
 from pipeline.measured.identification.recordings import Recording
@@ -298,13 +299,24 @@ def with_forces(recordings: list[Recording], read: Sequence[tuple[str, Log]]) ->
 
 
 class _Found(NamedTuple):
-    """Identified device, the same device per unit of the command, the drive if a force is measured, and whether the
-    device is identified from this force."""
+    """Identified device, the same device per unit of the command, and how it was identified.
+
+    Parameters
+    ----------
+    device, by_command : Identification
+    drive : MeasuredDrive or None
+        Drive, if a force is measured.
+    by_force : bool
+        Whether the device is identified from this force.
+    idle : list of IdleStart
+        Rows at the start of logs that were left out because the command does not act.
+    """
 
     device: Identification
     by_command: Identification
-    drive: MeasuredDrive | None
-    by_force: bool
+    drive: MeasuredDrive | None = None
+    by_force: bool = False
+    idle: Sequence[IdleStart] = ()
 
 
 def _device_of(recordings: list[Recording]) -> _Found:
@@ -314,20 +326,21 @@ def _device_of(recordings: list[Recording]) -> _Found:
     A force sensor may also measure another force, such as that of a hand. The command then identifies the device.
     """
     if any(each.force is None for each in recordings):
-        found = identified(recordings)
-        return _Found(found, found, None, by_force=False)
+        found, idle = identified_while_driven(recordings)
+        return _Found(found, found, idle=idle)
     try:
         apart = identified_by_force(recordings)
     except ParameterError as error:
-        found = identified(recordings)
-        return _Found(found, found, unknown_drive(f"The measured force identifies no device: {error}"), by_force=False)
-    device, drive = apart.device, apart.drive
-    if follows(device.fit_percent, device.naive_percent):
-        by_command = identified(recordings) if drive.reason else apart.by_command
-        return _Found(device, by_command, drive, by_force=True)
-    found = identified(recordings)
-    why = "The measured force does not explain the motion, so the device is identified from the command."
-    return _Found(found, found, replace(drive, reason=why), by_force=False)
+        drive = unknown_drive(f"The measured force identifies no device: {error}")
+    else:
+        device, drive = apart.device, apart.drive
+        if follows(device.fit_percent, device.naive_percent):
+            by_command = identified(recordings) if drive.reason else apart.by_command
+            return _Found(device, by_command, drive, by_force=True)
+        why = "The measured force does not explain the motion, so the device is identified from the command."
+        drive = replace(drive, reason=why)
+    found, idle = identified_while_driven(recordings)
+    return _Found(found, found, drive, idle=idle)
 
 
 def _unparted(profile: Profile) -> Profile:
@@ -530,6 +543,7 @@ def _document(
         ],
         "drive": _drive_document(found, of_device),
         "gravity": _gravity_document(found, of_device),
+        "idle_starts": [asdict(each) for each in apart.idle],
         "measured_force": None if apart.drive is None else _force_document(apart.drive, apart.by_force),
         "scatter": {
             ESTIMATED[name].key: {"value": value * _factor(name, own), "unit": _unit(name, of_device)}

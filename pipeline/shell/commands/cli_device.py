@@ -164,7 +164,7 @@ def _with_interval(number: JsonObject) -> str:
 def identified_lines(document: JsonObject) -> Iterator[str]:
     """Yield the result of an identification as lines: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
-    from pipeline.surface.identification_page import COMBINATIONS
+    from pipeline.surface.identification_page import COMBINATIONS, idle_sentences
     from pipeline.surface.identify import DRIFT
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
@@ -177,6 +177,7 @@ def identified_lines(document: JsonObject) -> Iterator[str]:
     yield f"parts found in addition to mass, damping and delay: {parts[True] or 'none'}"
     if parts[False]:
         yield f"neither found nor excluded by these logs: {parts[False]}"
+    yield from idle_sentences(document)
     if (force := document["measured_force"]) is not None and force["reason"] is not None:
         yield f"force: {force['reason']}"
     elif force is not None:
