@@ -442,7 +442,8 @@ def _paint_series(axes: Axes, series: Series, place: str) -> None:
         axes.axvspan(x[0], x[-1], color=look["color"], alpha=span, lw=0, **named)
         return
     if bar:
-        axes.bar(x, y, width=bar / series.bars, color=look["color"], **named)
+        axes.bar(x, y, width=bar / series.bars, color=look["color"])
+        axes.fill([], [], color=look["color"], lw=0, **named)
         return
     if dots_:
         dots(axes, x, y, look["color"], dots_)

@@ -108,7 +108,8 @@ def sensitivity_figure(results: Sequence[ExperimentNumbers]) -> list[Figure]:
         y = np.array([*percent.values()])
         width = LOOKS["bar"]["bar"] / len(known)
         x += width * (place - 0.5 * (len(known) - 1))
-        series.append(Series(f"experiment {e.experiment}", "bar", x, y, number=number, bars=len(known)))
+        label = f"{'_' if len(known) == 1 else ''}experiment {e.experiment}"  # one experiment needs no legend
+        series.append(Series(label, "bar", x, y, number=number, bars=len(known)))
         values.append(y)
         texts = ", ".join(f"{_changed(code)} {percent_text(p)} %" for code, p in percent.items())
         words.append(f"experiment {e.experiment}: {texts}")

@@ -502,6 +502,9 @@ def test_bars_show_what_limits_each_device(result: ComparisonResult) -> None:
     assert low < -20.0 < 50.0 < high
     (drawn,) = draw(figure).panels
     assert "without" in drawn
+    assert all(f">experiment {e.experiment}</text>" in drawn for e in known)
+    alone = draw(sensitivity_figure(known[:1])[0]).panels[0]
+    assert f">experiment {known[0].experiment}</text>" not in alone
     assert "a sample less of delay +50.0 %" in panel.words
     assert sensitivity_figure(result.experiments) == []
 
