@@ -15,7 +15,6 @@ from typer.testing import CliRunner
 import pipeline
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.device_data.devices import read_device
-from pipeline.measured.identification.identified import identified
 from pipeline.measured.stages.stage_device import identification
 from pipeline.shell.cli import application
 from pipeline.shell.commands.cli_device import identified_lines
@@ -160,14 +159,12 @@ def test_an_unreadable_number_of_a_log_without_header_is_named_with_its_row(tmp_
         pipeline.identify([path])
 
 
-def test_identify_and_compare_give_equal_numbers_from_the_same_logs(noisy, monkeypatch):
+def test_identify_and_compare_give_equal_numbers_from_the_same_logs(noisy):
     """Whatever the order of the logs: both take the same rows of each, and rank them by walls and samples."""
     stored, _ = identification(noisy.stages("1"))
-    results = []
-    monkeypatch.setattr(surface, "identified", lambda logs: results.append(identified(logs)) or results[-1])
-    for logs in (sorted(noisy.raw.rglob("*.csv")), sorted(noisy.raw.rglob("*.csv"), reverse=True)):
-        pipeline.identify(logs)
-    for result in results:
+    logs = sorted(noisy.raw.rglob("*.csv"))
+    for paths in (logs, logs[::-1]):
+        result = pipeline.identify(paths).evidence.identification
         assert result.parameters == stored.parameters
         assert result.parts == stored.parts
         assert result.choice.fit.device.noise == stored.choice.fit.device.noise
