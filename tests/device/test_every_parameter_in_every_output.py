@@ -33,7 +33,7 @@ from pipeline.shell.cli import application
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.simulation.sweep import run_sweep, write_sweep
-from pipeline.surface.identify import device_text, identified_device
+from pipeline.surface.identify import Reading, device_text, identified_device
 from pipeline.theory.cases import Case, case_of, limits_of_walls
 
 MODE = {"frequency_hz": 60.0, "damping_ratio": 0.02, "mass": 0.15, "load_damping": 1.0}
@@ -414,7 +414,9 @@ def identified(cell: Cell) -> None:
     longer = written(cell.folder, cell.loop, duration_s=0.4, baseline_s=0.02, step=10.0)
     write_sweep(run_sweep(read_device(longer), "1", coarsen=8), cell.folder / "raw")
     file = cell.folder / "identified.toml"
-    file.write_text(device_text(identified_device([cell.folder / "raw"]), "identified"), encoding="utf-8")
+    file.write_text(
+        device_text(identified_device(Reading([cell.folder / "raw"])).document, "identified"), encoding="utf-8"
+    )
     device = read_device(file)
     loop, B = pipeline.Loop.of(device.loop_for(device.experiments[0])), cell.wall[1]
     assert set(cell.loop.left_out) <= set(loop.left_out)
