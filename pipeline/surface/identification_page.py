@@ -193,8 +193,13 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
     if limits is not None:
         stiffest = limits["stiffness_max"] | {"unit": unit_of("stiffness", document["motion"])}
         walls = f"Stable up to K = {_number(stiffest)}."
+    gravity = []
+    if (weight := document["gravity"]) is not None:
+        torque, angle = (_number(weight[name]) for name in ("torque", "angle"))
+        gravity = [("Gravity", f"Its torque is up to {torque}. The device would hang at rest at {angle}.")]
     return [
         ("Device", device.strip()),
+        *gravity,
         ("Parts", f"{listed(['mass', 'damping', 'delay', *parts]).capitalize()}.{unknown_parts}"),
         ("Prediction", prediction),
         ("Errors", found.departure or "No dependence on direction, command, place or time is reported."),

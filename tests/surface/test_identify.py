@@ -243,7 +243,10 @@ def test_an_arm_swings_under_gravity(tmp_path):
         (tmp_path / f"{log.name}.csv").write_text(
             f"# motion: rotation\ntime_s,command,position\n{rows}\n", encoding="utf-8"
         )
-    document = pipeline.identify(tmp_path).document
+    found = pipeline.identify(tmp_path)
+    document, page = found.document, tmp_path / "arm.html"
+    found.write_report(page)
+    assert "The device would hang at rest at" in page.read_text(encoding="utf-8")
     for name, value in (("torque", rig.gravity), ("angle", 0.0)):
         number = document["gravity"][name]
         assert number["low"] <= value <= number["high"], name
