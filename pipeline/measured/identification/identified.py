@@ -11,7 +11,7 @@ from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
 from pipeline.measured.identification.departures import departure
 from pipeline.measured.identification.estimated import ESTIMATED, Numbers, Quantity, estimated_names
-from pipeline.measured.identification.free_search import SENSED
+from pipeline.measured.identification.free_search import LOAD_PARTS, SENSED
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
     PER_MASS,
@@ -214,10 +214,13 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     if misfit and alone is None:
         # the intervals of a model that does not predict the motion have no meaning
         unknown = set(parameters)
-    if not walls and fit_percent is None:
-        # without a replay, nothing tests whether a vibration predicts the motion
+    load = parameters.get("mode.mass")
+    weightless = load is not None and load.low <= 0 and "spring_damping_fraction" not in choice.fit.device.numbers
+    if not walls and (fit_percent is None or weightless):
+        # without a replay, nothing tests whether a vibration predicts the motion, and a load that may have no mass
+        # only absorbs errors of the model
         unknown |= {name for name in parameters if name.startswith("mode.")}
-        parts |= dict.fromkeys(parts.keys() & set(SENSED.values()), 0.0)
+        parts |= dict.fromkeys(parts.keys() & {*SENSED.values(), *LOAD_PARTS}, 0.0)
     why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
     noise = float(np.sqrt(fit.solved.noise))
     folds = [] if len(recordings) < FEWEST else devices_without_folds(choice.segments, fit)
@@ -227,7 +230,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         why,
         parts,
         choice.assumed,
-        [] if misfit else combinations(choice, errors, recorded, unknown),
+        [] if misfit or weightless else combinations(choice, errors, recorded, unknown),
         {} if len(recordings) < FEWEST else _scatter(choice),
         noise * units.position,
         float(np.sqrt(fit.device.noise.force)) * noise / abs(fit.device.numbers["gain"] or 1.0) * units.command,

@@ -51,6 +51,8 @@ def checked(kind: str, seed: int) -> tuple[int, int]:
     has_mode = "mode.frequency_hz" in found.parameters and "mode.frequency_hz" not in found.unidentifiable
     assert "mode.frequency_hz" in rig.truth or not has_mode, (kind, seed, "false mode")
     assert not found.gravity or rig.gravity, (kind, seed, "false gravity")
+    if has_mode and "mode" in found.parts:
+        assert found.parameters["mode.mass"].low > 0, (kind, seed, "a mode without a load")
     assert set(found.reasons) == found.unidentifiable
     return reported, len(rig.truth)
 
