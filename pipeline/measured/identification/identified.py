@@ -215,8 +215,9 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         # the intervals of a model that does not predict the motion have no meaning
         unknown = set(parameters)
     load = parameters.get("mode.mass")
-    weightless = load is not None and load.low <= 0 and "spring_damping_fraction" not in choice.fit.device.numbers
-    if not walls and (fit_percent is None or weightless):
+    shared = walls or "spring_damping_fraction" in choice.fit.device.numbers
+    weightless = load is not None and load.low <= 0 and not shared
+    if weightless or (not walls and fit_percent is None):
         # without a replay, nothing tests whether a vibration predicts the motion, and a load that may have no mass
         # only absorbs errors of the model
         unknown |= {name for name in parameters if name.startswith("mode.")}
