@@ -37,6 +37,7 @@ QUANTITIES = ("alpha", "beta", "cost", "percent", "scaling")
 _Digits = Annotated[str, Field(pattern=r"^-?\d+(\.\d+)?$")]
 
 RowT = TypeVar("RowT", bound=Record)
+OfDevice = TypeVar("OfDevice", PublishedBound, PublishedMass)
 
 
 class PublishedRow(Record):
@@ -310,7 +311,7 @@ def published_bound(device: str) -> PublishedBound | None:
     StoreError
         If the file that ships with the package is missing or damaged.
     """
-    return next((row for row in shipped_rows(_BOUNDS, PublishedBound) if row.device == device), None)
+    return _of_device(shipped_rows(_BOUNDS, PublishedBound), device)
 
 
 def published_mass(device: str) -> PublishedMass | None:
@@ -321,4 +322,9 @@ def published_mass(device: str) -> PublishedMass | None:
     StoreError
         If the file that ships with the package is missing or damaged.
     """
-    return next((row for row in shipped_rows(_MASSES, PublishedMass) if row.device == device), None)
+    return _of_device(shipped_rows(_MASSES, PublishedMass), device)
+
+
+def _of_device(rows: Sequence[OfDevice], device: str) -> OfDevice | None:
+    """Return the first row of a device, or None if there is none."""
+    return next((row for row in rows if row.device == device), None)

@@ -9,8 +9,8 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.identification import kernels
-from pipeline.measured.identification.likelihood import CODES, GRAVITY, LIMITS, Device, spread
-from pipeline.measured.identification.motion import PlantShape, Transitions
+from pipeline.measured.identification.likelihood import CODES, LIMITS, Device, spread
+from pipeline.measured.identification.motion import GRAVITY, PlantShape, Transitions
 from pipeline.measured.identification.noise import WHITE, gains_of
 from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats

@@ -11,7 +11,7 @@ from pipeline.loop.free_run import free_run
 from pipeline.loop.state_space import state_space
 from pipeline.measured.identification.drive import applied_command
 from pipeline.measured.identification.kernels import exponentials
-from pipeline.measured.identification.motion import Pieces, PlantShape
+from pipeline.measured.identification.motion import GRAVITY, Pieces, PlantShape
 from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats
 
@@ -91,7 +91,7 @@ def free_runs(
     F, G = mechanics.transitions(np.append(spans, 0.0), steps)
     device = (mechanics.sensor, *mechanics.forces)
     command = applied_command(segments.command, numbers)[0]
-    gravity = [numbers[name] for name in ("gravity_sine", "gravity_cosine") if name in numbers]
+    gravity = [numbers[name] for name in GRAVITY if name in numbers]
     runs = []
     for s, (first, behind, begin) in enumerate(zip(segments.first, segments.behind, segments.begin, strict=True)):
         gain, (force, *coulomb) = forces[s][0], forces[s][1].tolist()

@@ -26,7 +26,8 @@ from pipeline.measured.identification.identifiability import (
     unidentifiable,
 )
 from pipeline.measured.identification.intervals import Errors, Interval, OwnEstimates
-from pipeline.measured.identification.likelihood import GRAVITY, groups_of
+from pipeline.measured.identification.likelihood import groups_of
+from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.measured.identification import kernels
 from pipeline.measured.identification.drive import DRIVE, applied_command
 from pipeline.measured.identification.free_runs import free_runs
-from pipeline.measured.identification.motion import LARGEST_LOAD, SHORTEST_LAG, PlantShape, Transitions
+from pipeline.measured.identification.motion import GRAVITY, LARGEST_LOAD, SHORTEST_LAG, PlantShape, Transitions
 from pipeline.measured.identification.noise import WHITE, Noise, gains_of
 from pipeline.measured.identification.scatter import FEWEST, Moments, Solved, inverse, solve
 from pipeline.measured.identification.segments import Segments
@@ -20,9 +20,6 @@ from pipeline.records.trials import Floats, Integers
 LINEAR = ("gain", "coulomb", "force")
 """Numbers in which the motion is linear: acceleration per unit of command, due to friction and due to a constant force.
 They are in `LogUnits`, with time in samples."""
-
-GRAVITY = ("gravity_sine", "gravity_cosine")
-"""Accelerations against sine and cosine of the angle of a device that turns. The motion is linear in them, too."""
 
 FREE_STARTS = 3
 """Number of Newton steps for the initial states of free runs, which are linear except for friction."""

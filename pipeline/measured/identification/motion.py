@@ -121,6 +121,10 @@ def matrices_of(shape: PlantShape, along: tuple[str, ...]) -> tuple[Floats, Floa
     return matrices, sensors
 
 
+GRAVITY = ("gravity_sine", "gravity_cosine")
+"""Accelerations a and b of gravity, -(a sin q + b cos q), for a device that turns by the angle q. They do not change
+the shape of the motion, which is linear in them."""
+
 OFF_BY_ONE = 0.7
 """Largest variance of ages [samples^2] that is modelled by commands one sample early or late. It is possible even for a
 mean delay of half a sample. A larger variance requires larger deviations."""

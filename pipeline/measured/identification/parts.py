@@ -17,7 +17,6 @@ from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSE
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import (
     DONE,
-    GRAVITY,
     LIMITS,
     ROUNDED_ROW,
     WORTH,
@@ -26,9 +25,10 @@ from pipeline.measured.identification.likelihood import (
     moments_of,
     spread,
 )
+from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Decision, Part, TriedPart
-from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
+from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording, reading_noise
 from pipeline.measured.identification.replay import medians, replays, replays_left_out
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
 from pipeline.measured.identification.search import climbed, ended, refined
@@ -59,7 +59,8 @@ LIMITS_SOUGHT = 0.05, 0.99, 150
 
 CLEARLY, RANDOM_COMMAND = 3.0, 0.3
 """Smallest rms excess of commands over a force limit, relative to the noise of the command, and noise of a command,
-relative to its standard deviation, above which the command itself is random."""
+relative to its standard deviation, above which the command itself is random. The excess of pure noise has an rms of 1.
+Independent levels of every row have a noise of about 1, and the noise of measured currents is below 0.1."""
 
 LIMIT_SPREADS = (0.015, 0.005, 0.0015)
 """Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit
@@ -756,15 +757,14 @@ def _is_inside(device: Device, part: Part) -> bool:
 
 
 def exceeds_noise(segments: Segments, limit: float) -> bool:
-    """Return whether commands exceed a force limit by more than their noise.
+    """Return whether commands exceed a force limit [units of the command] by more than their noise.
 
     In a measured command, such as a current, the noise does not drive the device. A limit inside the noise of a
     plateau removes half of it, and is more likely than none. The noise is that of third differences. A command that
     changes as much in every row has none.
     """
     command = segments.command[segments.places]
-    third = np.diff(command, 3)[segments.segment[3:] == segments.segment[:-3]]
-    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
+    noise = reading_noise(command, 0.0)
     beyond = np.abs(command) - limit
     beyond = beyond[beyond > 0]
     if noise > RANDOM_COMMAND * float(np.std(command)) or not len(beyond):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.identification.likelihood import GRAVITY, Device, Fit, columns_of, free_motion, portions_of
-from pipeline.measured.identification.motion import matrices_of
+from pipeline.measured.identification.likelihood import Device, Fit, columns_of, free_motion, portions_of
+from pipeline.measured.identification.motion import GRAVITY, matrices_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.scatter import FOLDS, inverse

@@ -92,6 +92,17 @@ def boundary_table(rows: Sequence[Row], units: Any, trials: TrialPage) -> Table 
     return table_of("boundary", caption, columns, shown, name, experiment_block)
 
 
+def _largest_stable(name: str, symbol: str) -> Column:
+    """Return the column with the deviation of the largest stable stiffness or damping from theory."""
+    return Column(
+        f"{name}_deviation_percent",
+        f"largest stable {symbol}",
+        "%",
+        show=lambda value, row: ("≥ " if row[f"{name}_lower_bound"] else "") + percent_text(value),
+        aside=lambda row: ratio_text(row, f"{name}_measured", f"{name}_theory"),
+    )
+
+
 def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Table | None:
     """Return the scores of theory for each experiment, and those with the measured damping if it is another one."""
     rows = []
@@ -121,20 +132,8 @@ def scores_table(result: ComparisonResult, stiffness: str, damping: str) -> Tabl
             ends=interval_ends("region_covered"),
         ),
         interval_column("region_area_ratio", "area, measured : theory"),
-        Column(
-            "stiffness_deviation_percent",
-            "largest stable K",
-            "%",
-            show=lambda value, row: ("≥ " if row["stiffness_lower_bound"] else "") + percent_text(value),
-            aside=lambda row: ratio_text(row, "stiffness_measured", "stiffness_theory"),
-        ),
-        Column(
-            "damping_deviation_percent",
-            "largest stable B",
-            "%",
-            show=lambda value, row: ("≥ " if row["damping_lower_bound"] else "") + percent_text(value),
-            aside=lambda row: ratio_text(row, "damping_measured", "damping_theory"),
-        ),
+        _largest_stable("stiffness", "K"),
+        _largest_stable("damping", "B"),
         Column("distance_median", "distance of limits, median", "%", show=show_percent_of_share),
         Column("distance_largest", "largest", "%", show=show_percent_of_share, aside=at_largest),
         Column("distance_rms", "rms", stiffness, show=digits(3)),
