@@ -92,8 +92,9 @@ not change any decision."""
 FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
 
-IMITATING = {"gain by direction", "gain by size", "saturation"}
-"""Parts that may imitate a slow mode or friction in the first search, and are tried again without after the last."""
+IMITATING = {"gain by direction", "gain by size", "gravity", "saturation"}
+"""Parts that may imitate a slow mode, friction or each other in the first search, and are tried again without after the
+last."""
 
 LEFT = 0.5
 """Largest share of the random force's variance that may remain after a part is added. It was 0.85 for a force limit
@@ -295,7 +296,7 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
         state = _further((some, units, lead), state, parts)
     if set(state.parts) - {"friction", "stiffness"}:
         state = _pruned((some, units, lead), state)
-    state = _without_imitations(_swinging((some, units, lead), state))
+    state = _without_imitations((some, units, lead), _swinging((some, units, lead), state))
     device, segments = state.fit.device, state.segments
     # a part that was accepted and is absent from the result imitated a later one
     tried = {
@@ -646,19 +647,26 @@ def _pruned(logs: Logs, state: Selection) -> Selection:
     return Selection(segments, fit, parts, tried)
 
 
-def _without_imitations(state: Selection) -> Selection:
-    """Remove gains and limits of the drive that only imitated a part found after them, and return the selection.
+def _without_imitations(logs: Logs, state: Selection) -> Selection:
+    """Remove parts of the drive and gravity that only imitated a part found after them, and return the selection.
 
-    Without its part, a device may follow only one log. If all commands of a log have the same size, a log that is left
-    out then decides on the gain by size of the others.
+    A part is removed if the likelihood hardly falls, or if free runs of logs left out are at least as good without it.
+    If all commands of a log have the same size, a single log shows neither a gain by size nor, next to a constant
+    force, a gain by direction.
     """
     segments, fit, parts = state.segments, state.fit, state.parts
+    judged = len(logs[0]) > 1 and not any(any(each.wall) for each in logs[0])
     for name in sorted(IMITATING & parts.keys()):
         left = {key: value for key, value in fit.device.numbers.items() if key not in PARTS[name].numbers}
         device = replace(fit.device, numbers=left, effects=None)
         other = climbed(segments, device) if segments.free else refined(segments, device, far=False)
-        is_noise = name == "saturation" and not exceeds_noise(segments, fit.device.numbers["limit"])
-        if is_noise or other.likelihood > fit.likelihood - PARTS[name].threshold:
+        needless = other.likelihood > fit.likelihood - PARTS[name].threshold
+        if name == "saturation":
+            needless = needless or not exceeds_noise(segments, fit.device.numbers["limit"])
+        if judged and not needless:
+            found, alone = (_velocity_fit(logs, segments, each) for each in (fit, other))
+            needless = alone is not None and (found is None or alone >= found)
+        if needless:
             fit, parts = other, {key: value for key, value in parts.items() if key != name}
     return replace(state, fit=fit, parts=parts)
 
