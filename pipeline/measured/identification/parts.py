@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
+from pipeline.measured.identification.drive import DRIVE, applied_command
 from pipeline.measured.identification.estimated import ESTIMATED
 from pipeline.measured.identification.first_guess import BALANCED, first_guesses
 from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, free_fit, required_gain, with_mode
@@ -297,6 +298,7 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
     if set(state.parts) - {"friction", "stiffness"}:
         state = _pruned((some, units, lead), state)
     state = _without_imitations((some, units, lead), _swinging((some, units, lead), state))
+    state = _from_applied_command(state)
     device, segments = state.fit.device, state.segments
     # a part that was accepted and is absent from the result imitated a later one
     tried = {
@@ -306,6 +308,29 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
     found = device.numbers, device.noise, device.reading
     chosen = ChosenParts(*found, units, lead, state.parts, assumed, bounds, segments.free, tried)
     return chosen, state.fit, float(np.median(segments.rows))
+
+
+def _from_applied_command(state: Selection) -> Selection:
+    """Return a selection that is also searched from first guesses with the command that a limited drive applies.
+
+    Before a limit or a gain of the drive was known, a long delay and a random force may have replaced the time constant
+    of the device.
+    """
+    segments, fit = state.segments, state.fit
+    drive = {name: value for name, value in fit.device.numbers.items() if name in DRIVE}
+    if not drive or segments.free or fit.device.noise == WHITE:
+        return state
+    names = [name for name in fit.device.names if name in BALANCED or name == "delay"]
+    applied = replace(segments, command=applied_command(segments.command, drive)[0])
+    parts = [applied, *(applied.split(rows) for rows in SHORTER if applied.rows.max() > 2 * rows)]
+    try:
+        begin = [guess for part in parts for guess in _first_devices(part, names, LIMIT_DELAY)]
+    except ParameterError:
+        return state
+    starts = [Device(dict(fit.device.numbers) | guess.numbers) for guess in begin]
+    best = max((climbed(segments, device) for device in starts), key=lambda each: each.likelihood)
+    other = refined(segments, best.device, far=False)
+    return replace(state, fit=other) if other.likelihood > fit.likelihood + WORTH else state
 
 
 def _with_gravity(
@@ -567,7 +592,7 @@ def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], 
     return [device for part in parts for device in _first_devices(part, names, lead)]
 
 
-def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> list[Device]:
+def _first_devices(segments: Segments, names: Sequence[str], most_delay: float) -> list[Device]:
     """Return two initial devices from the force balance, one with and one without a spring. The more likely one comes
     first.
 
@@ -575,7 +600,7 @@ def _first_devices(segments: Segments, names: tuple[str, ...], lead: int) -> lis
     damper but no gain moves in the same way. Reading errors then decide between the two devices.
     """
     some = _some(segments)
-    return sorted(first_guesses(segments, names, lead), key=lambda device: -_likelihood(some, device))
+    return sorted(first_guesses(segments, names, most_delay), key=lambda device: -_likelihood(some, device))
 
 
 def _searched(segments: Segments, begin: list[Device]) -> Fit:
@@ -738,6 +763,9 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
     if (gain := climb.likelihood - white.solved.here) < WORTH:
         return None, TriedPart("white noise", gain, WORTH)
     within = refined(some, replace(climb.device, noise=noise), SOME_STEPS, far=False, noisy=False)
+    if climb.likelihood > within.likelihood:
+        # the random force only replaced the part
+        within = climb
     if (gain := within.likelihood - plain.likelihood) < BESIDE:
         return None, TriedPart("random force", gain, BESIDE)
     # a part does not cause jitter, so none is searched for if the fit without the part has none
