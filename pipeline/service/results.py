@@ -22,9 +22,10 @@ from pipeline.base.json_object import JsonObject
 from pipeline.base.paths import path_of_text
 from pipeline.base.progress import Names, heard_by
 from pipeline.comparison.against import against_experiments
-from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+from pipeline.comparison.compare import run, write_report
 from pipeline.comparison.figures.responses import overlaid_figure, response_figures, trial_figure, trials_of
 from pipeline.comparison.figures.trial_page import reason_of
+from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices

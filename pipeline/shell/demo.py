@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from pipeline.base.errors import PipelineError
 from pipeline.base.progress import Names, heard_by
-from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+from pipeline.comparison.compare import run, write_report
+from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.shell.report_index import INDEX_FILE, write_index

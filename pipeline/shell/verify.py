@@ -15,14 +15,8 @@ from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageEr
 from pipeline.base.progress import part_of_work
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
-from pipeline.comparison.compare import (
-    ComparisonSelection,
-    ReportOptions,
-    plan_comparison,
-    report_code,
-    run,
-    write_report,
-)
+from pipeline.comparison.compare import run, write_report
+from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison, report_code
 from pipeline.device_data.devices import digest_of, known_devices
 from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene

@@ -263,7 +263,8 @@ def _reports(watched: Watched) -> Iterator[Event]:
 def _report(watched: Watched, name: str) -> Event:
     """Update the report of a device or scene, and return the event."""
     from pipeline.base.paths import path_text
-    from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+    from pipeline.comparison.compare import run, write_report
+    from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.store.names import report_of
 

@@ -12,7 +12,8 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import UsageError
 from pipeline.base.paths import check_output
-from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+from pipeline.comparison.compare import run, write_report
+from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
 from pipeline.device_data.devices import read_device
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.frames import boundary_frame, estimates_frame, frames, optima_frame

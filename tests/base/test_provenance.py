@@ -9,7 +9,7 @@ from folders import DIRECTLY, MAY_IMPORT
 
 from pipeline import readers
 from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, digest, digest_all
-from pipeline.comparison.compare import report_code
+from pipeline.comparison.plan import report_code
 from pipeline.intake import ingest
 from pipeline.intake.stored_sources import trial_id
 from pipeline.measured import thesis

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+from pipeline.comparison.compare import run, write_report
+from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.models import Device

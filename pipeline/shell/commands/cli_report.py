@@ -69,7 +69,6 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
-    from pipeline.comparison.against import against_document, read_document
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.shell.report_index import write_index
@@ -102,36 +101,35 @@ def compare(
     target = report or (Path(chosen.report) if chosen and chosen.report else report_of(reports_folder(), name))
     if not dry_run:
         check_output(target, "--report", document_beside=True)
-    compute, shown = (
-        executor_of(executor),
-        _shown(chosen.shown if chosen else None, final, momentum_delay, momentum_window),
-    )
-    # Read the document before the comparison, which may replace it.
-    document = None if earlier is None else read_document(earlier, name)
+    compute, document = executor_of(executor), None
+    shown = _shown(chosen.shown if chosen else None, final, momentum_delay, momentum_window)
+    if earlier is not None:
+        from pipeline.comparison.against import against_document, read_document
+
+        # Read the document before the comparison, which may replace it.
+        document = read_document(earlier, name)
     with console.progress("compare"), opened(processed, name) as folder:
-        from pipeline.comparison.compare import (  # this import takes a second
-            ComparisonSelection,
-            ReportOptions,
-            plan_comparison,
-            run,
-            write_report,
-        )
+        from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
 
         selection = ComparisonSelection(of_file or name, folder, names, wanted, shown)
         plan = plan_comparison(selection, ReportOptions(target, full, scene, export and export / "figures"))
-        finished = None if dry_run else run(plan, compute)
-        if finished is not None:
+        result = plan.unchanged
+        if result is None and not dry_run:
+            from pipeline.comparison.compare import run, write_report  # this import takes half a second
+
+            finished = run(plan, compute)
             write_report(finished)
-    if finished is None:
+            result = finished.document
+    if dry_run or result is None:
         stages = [row._asdict() for row in plan.stages]
         console.show(stages, console.table(stages, ("stage", "action", "reason")))
         return
     # In other folders, an existing index is updated, but no index is created.
     write_index(target.parent, only_renew=target.parent != reports_folder())
     if document is not None and earlier is not None:
-        _show_against(against_document(finished.document, document), page_against_document(target, earlier))
+        _show_against(against_document(result, document), page_against_document(target, earlier))
     else:
-        _show(finished.document, target, export)
+        _show(result, target, export)
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:

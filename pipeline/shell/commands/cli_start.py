@@ -209,7 +209,8 @@ def _ask(place: str, question: str, proposed: Any) -> Any:
 
 def _run(folder: Folder, reading: Reading, processed: str, *, opens: bool, compares: bool) -> int:
     """Store the logs of a folder, compare or identify, open the report, and print the commands that repeat this."""
-    from pipeline.comparison.compare import ComparisonSelection, ReportOptions, plan_comparison, run, write_report
+    from pipeline.comparison.compare import run, write_report
+    from pipeline.comparison.plan import ComparisonSelection, ReportOptions, plan_comparison
     from pipeline.intake.ingest import ingest
     from pipeline.store.names import report_of
     from pipeline.store.objects import opened, stored_by
