@@ -675,9 +675,9 @@ def _pruned(logs: Logs, state: Selection) -> Selection:
 def _without_imitations(logs: Logs, state: Selection) -> Selection:
     """Remove parts of the drive and gravity that only imitated a part found after them, and return the selection.
 
-    A part is removed if the likelihood hardly falls, or if free runs of logs left out are at least as good without it.
-    If all commands of a log have the same size, a single log shows neither a gain by size nor, next to a constant
-    force, a gain by direction.
+    A part is removed if the likelihood hardly falls, or if free runs of logs left out have less than `LEFT` of the
+    variance of the error without it. If all commands of a log have the same size, a single log shows neither a gain by
+    size nor, next to a constant force, a gain by direction.
     """
     segments, fit, parts = state.segments, state.fit, state.parts
     judged = len(logs[0]) > 1 and not any(any(each.wall) for each in logs[0])
@@ -690,7 +690,7 @@ def _without_imitations(logs: Logs, state: Selection) -> Selection:
             needless = needless or not exceeds_noise(segments, fit.device.numbers["limit"])
         if judged and not needless:
             found, alone = (_velocity_fit(logs, segments, each) for each in (fit, other))
-            needless = alone is not None and (found is None or alone >= found)
+            needless = alone is not None and (found is None or 100 - alone < LEFT**0.5 * (100 - found))
         if needless:
             fit, parts = other, {key: value for key, value in parts.items() if key != name}
     return replace(state, fit=fit, parts=parts)
