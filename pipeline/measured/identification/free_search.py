@@ -146,11 +146,11 @@ def with_mode(
 
 
 def _followed(logs: tuple[list[Recording], LogUnits, int], without: Fit, found: Fit) -> bool:
-    """Return whether free runs with a mode have at most `LEFT` of the variance of the velocity error without it."""
+    """Return whether free runs with a mode have less than `LEFT` of the variance of the velocity error without it."""
     (before, _), (behind, _) = (
         medians(replays(*logs, replace(each.device, effects=None))) for each in (without, found)
     )
-    return before is None or behind is None or (100 - behind) ** 2 <= LEFT * (100 - before) ** 2
+    return before is None or behind is None or (100 - behind) ** 2 < LEFT * (100 - before) ** 2
 
 
 def _has_load(segments: Segments, fit: Fit) -> bool:

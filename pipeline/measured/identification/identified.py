@@ -259,7 +259,8 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
     """Return the mass per unit of command for each direction and for small and large commands, with the asymmetry and
     the curvature.
 
-    The result is empty if the gain depends on neither.
+    The result is empty if the gain depends on neither. If it depends on both, the intervals of each direction span
+    small and large commands.
     """
     mass, quantities = ESTIMATED["mass"].quantity(units), dict[str, Quantity]()
     if "asymmetry" in errors.numbers:
@@ -274,7 +275,13 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
             "small": mass,
             "large": lambda n: mass(n) / (1 - n["curvature"]),
         }
-    return {name: errors.interval(quantity) for name, quantity in quantities.items()}
+    drive = {name: errors.interval(quantity) for name, quantity in quantities.items()}
+    if "positive" in drive and "large" in drive:
+        # the gain may fall with the command or with the force, which differs by direction
+        more = drive["large"].high / drive["small"].value
+        for name in ("positive", "negative"):
+            drive[name] = replace(drive[name], high=drive[name].high * more)
+    return drive
 
 
 def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
