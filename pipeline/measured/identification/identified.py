@@ -14,7 +14,6 @@ from pipeline.measured.identification.estimated import ESTIMATED, Numbers, Quant
 from pipeline.measured.identification.free_search import LOAD_PARTS, SENSED
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
-    PER_MASS,
     IdentifiableCombination,
     Recorded,
     combinations,
@@ -28,6 +27,7 @@ from pipeline.measured.identification.identifiability import (
 from pipeline.measured.identification.intervals import Errors, Interval, OwnEstimates
 from pipeline.measured.identification.likelihood import groups_of
 from pipeline.measured.identification.motion import GRAVITY
+from pipeline.measured.identification.open_parts import over_gains, with_open_parts
 from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
@@ -202,7 +202,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
     if not walls and fit_percent is not None and fit_percent <= PRECISE:
         errors = replace(errors, own=OwnEstimates.of(fit, groups_of(choice.segments)))
     names = estimated_names(errors.numbers)
-    parameters = _opened({name: errors.parameter(name, units) for name in names}, choice)
+    parameters = with_open_parts(_opened({name: errors.parameter(name, units) for name in names}, choice), choice)
     unknown = unidentifiable(parameters, choice)
     alone = damping_without_inertia(recordings) if "mass" in unknown and not _shows_inertia(errors) else None
     if alone is not None:
@@ -339,17 +339,7 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
         result["mode.mass"] = replace(parameters["mode.mass"], low=0.0, high=parameters["mass"].high)
     if "constant_force" in choice.assumed and "friction.coulomb" in parameters:
         result = _stuck_before(result, choice.units.command)
-    numbers = choice.fit.device.numbers
-    asymmetry, large = abs(numbers.get("asymmetry", 0.0)), 1 - numbers.get("curvature", 0.0)
-    # extend from the value per unit of command at the largest gain to the value at the smallest gain
-    least, most = (1 - asymmetry) * min(large, 1.0), (1 + asymmetry) * max(large, 1.0)
-    if most > least:
-        for name in ({"mass"} | PER_MASS) & result.keys():
-            ends = result[name].low / most, result[name].high / least
-            result[name] = replace(
-                result[name], low=min(ends[0], result[name].low), high=max(ends[1], result[name].high)
-            )
-    return result
+    return over_gains(result, choice.fit.device.numbers)
 
 
 def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:

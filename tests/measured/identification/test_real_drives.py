@@ -11,10 +11,14 @@ from real_drives import KINDS, Rig, levels, square, two_carts
 from pipeline.measured.identification.drive import DRIVE, applied_command
 from pipeline.measured.identification.free_search import EXPLORED_ROWS, WHITE_ERRORS, informative
 from pipeline.measured.identification.identified import identified
+from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import Device
+from pipeline.measured.identification.open_parts import with_open_parts
+from pipeline.measured.identification.part_table import TriedPart
 from pipeline.measured.identification.parts import exceeds_noise
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.replay import follows, medians, replays
+from pipeline.measured.identification.search import refined
 from pipeline.measured.identification.segments import segments_of
 
 INTEGRATED = 1e-3
@@ -92,6 +96,21 @@ def test_a_part_that_no_kind_has_gives_no_false_part(kind, seed, unmodelled):
     """A gain that falls by 3 % is a part of the drive in addition to its asymmetry. A ripple is no mode."""
     reported, known = checked(kind, seed, **unmodelled)
     assert reported == known
+
+
+@pytest.mark.slow
+def test_intervals_include_a_gain_by_size_that_free_runs_do_not_confirm():
+    rig, logs = KINDS["motor"](42)
+    curved = replace(rig, curve=0.03, reading=0.5 * rig.quantum)
+    found = identified([curved.log(each.name, each.command, i) for i, each in enumerate(logs)])
+    assert with_open_parts(found.parameters, found.choice) == found.parameters
+    numbers = {name: value for name, value in found.choice.fit.device.numbers.items() if name != "curvature"}
+    fit = refined(found.choice.segments, replace(found.choice.fit.device, numbers=numbers, effects=None), far=False)
+    unseen = replace(found.choice, fit=fit, tried={"gain by size": TriedPart("free runs", 200.0, 5.0)})
+    mass = Errors.of(fit).parameter("mass", unseen.units)
+    assert not mass.low <= rig.motor <= mass.high
+    wide = with_open_parts({"mass": mass}, unseen)["mass"]
+    assert wide.low <= rig.motor <= rig.motor / (1 - curved.curve) <= wide.high
 
 
 def test_a_drive_with_two_gains_gives_two_masses_and_an_interval_over_both():
