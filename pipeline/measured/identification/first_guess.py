@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.identification import kernels
-from pipeline.measured.identification.likelihood import CODES, LIMITS, Device, spread
+from pipeline.measured.identification.likelihood import CODES, LIMITS, Device
 from pipeline.measured.identification.motion import GRAVITY, PlantShape, Transitions
 from pipeline.measured.identification.noise import WHITE, gains_of
 from pipeline.measured.identification.segments import Segments
@@ -63,7 +63,7 @@ def first_guesses(segments: Segments, names: Sequence[str], most_delay: float) -
     ParameterError
         If the device moves against its command.
     """
-    some = segments.select(spread(segments, MOST_SEGMENTS))
+    some = segments.subset(MOST_SEGMENTS)
     known = [name for name in BALANCED if name in names]
     noise, once = np.asarray(some.rows * some.white, dtype=np.float64), _way(some)
     delays = np.arange(0.0, most_delay + 0.5) if "delay" in names else np.zeros(1)

@@ -17,7 +17,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from pipeline.measured.identification.likelihood import LIMITS, WORTH, Device, Fit, fitted, free_motion
+from pipeline.measured.identification.likelihood import LIMITS, WORTH, Device, Fit, free_motion, moments_of
 from pipeline.measured.identification.noise import WHITE
 from pipeline.measured.identification.part_table import CLOSER, PARTS, TriedPart
 from pipeline.measured.identification.recordings import LogUnits, Recording
@@ -271,6 +271,5 @@ def _loaded(numbers: dict[str, float], shares: tuple[float, float]) -> Device:
 
 def _promise(segments: Segments, device: Device) -> float:
     """Return the likelihood of a device with a mode after one step of all numbers except those of the mode."""
-    fit = fitted(segments, device, np.empty(0, dtype=np.int64))
-    others = [place for place, name in enumerate(device.names) if name not in MODE]
-    return solve(fit.moments.some(others), np.empty(0, dtype=np.int64)).likelihood
+    others = tuple(name for name in device.names if name not in MODE)
+    return solve(moments_of(segments, device, others), np.empty(0, dtype=np.int64)).likelihood

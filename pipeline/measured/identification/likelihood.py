@@ -254,7 +254,8 @@ def columns_of(
     if segments.rests.all():
         sizes = sizes[:1]
     constants = [shape.gamma, shape.lag, shape.delay, variance, segments.lead]
-    commands = applied_command(segments.command, device.numbers)
+    driven = any(name in device.numbers for name in DRIVE)
+    commands = applied_command(segments.command, device.numbers) if driven else segments.command[None]
     gains = gains_of(segments, transitions, noise, commands[0])
     values, known, lost = kernels.whitened(
         (segments.time, commands, segments.position, _weight(segments, device)),
@@ -409,13 +410,17 @@ def groups_of(segments: Segments) -> Integers:
 
 
 @np.errstate(all="ignore")  # numbers far from the solution may cause overflow; a search then rejects them
-def moments_of(segments: Segments, device: Device) -> Moments:
-    """Return the moments of all units (trials or portions) at a device, without information after an overflow."""
-    p, portions = len(device.names), portions_of(segments)
+def moments_of(segments: Segments, device: Device, names: tuple[str, ...] | None = None) -> Moments:
+    """Return the moments of all units (trials or portions) at a device, without information after an overflow.
+
+    ``names`` are the numbers along which the moments are computed, by default all numbers.
+    """
+    names = device.names if names is None else names
+    p, portions = len(names), portions_of(segments)
     units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
     for part in blocks(segments, p + 1):
-        columns = columns_of(part, device, device.names, whole=segments)
+        columns = columns_of(part, device, names, whole=segments)
         lost += columns.lost
         first, behind, unit, known = columns.first, columns.behind + columns.starts, part.trial, columns.known
         if portions:
@@ -430,8 +435,8 @@ def moments_of(segments: Segments, device: Device) -> Moments:
             np.add.at(rows, unit, part.rows - known)
         kernels.triangles(factors, columns.values, first, behind, unit)
         place += len(first)
-    before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in device.names]).T
-    before = np.stack([before[1], before[1] * (before[0] - list(device.numbers.values()))])
+    before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in names]).T
+    before = np.stack([before[1], before[1] * (before[0] - [device.numbers[name] for name in names])])
     if not (np.abs(factors) < LARGEST_FACTOR).all() or not np.isfinite(lost):
         factors, rows, lost = np.zeros_like(factors), np.ones(units), np.inf
     return Moments(factors, rows, float(np.median(segments.least)), lost, before)
@@ -494,8 +499,3 @@ def _rate(segments: Segments) -> Floats:
     first, last = (np.repeat(ends, segments.rows) for ends in (segments.first, segments.behind - 1))
     ahead, before = np.minimum(segments.places + 2, last), np.maximum(segments.places - 2, first)
     return np.asarray(segments.position[ahead] - segments.position[before])
-
-
-def spread(segments: Segments, most: int) -> np.ndarray:
-    """Return the indices of at most ``most`` segments, spread evenly over all segments."""
-    return np.unique(np.linspace(0, len(segments) - 1, min(most, len(segments))).round().astype(int))

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.measured.identification.likelihood import ROUNDED_ROW, WORTH, Device, columns_of, spread
+from pipeline.measured.identification.likelihood import ROUNDED_ROW, WORTH, Device, columns_of
 from pipeline.measured.identification.motion import Transitions
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.segments import Segments
@@ -83,7 +83,7 @@ class NoiseCost:
     @classmethod
     def of(cls, segments: Segments, device: Device) -> NoiseCost:
         """Return the likelihood for parts of some segments, which are spread evenly over all segments."""
-        return cls(segments.select(spread(segments, NOISE_SEGMENTS)).split(NOISE_ROWS), device)
+        return cls(segments.subset(NOISE_SEGMENTS).split(NOISE_ROWS), device)
 
     @cached_property
     def white(self) -> float:

@@ -24,7 +24,6 @@ from pipeline.measured.identification.likelihood import (
     Device,
     Fit,
     moments_of,
-    spread,
 )
 from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.noise import WHITE, Noise
@@ -778,8 +777,7 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
 
 def _some(segments: Segments) -> Segments:
     """Return segments with about `LOOKED_AT` rows in total, or all segments if they have fewer."""
-    count = int(LOOKED_AT / np.mean(segments.rows)) + 1
-    return segments if count >= len(segments) else segments.select(spread(segments, count))
+    return segments.subset(int(LOOKED_AT / np.mean(segments.rows)) + 1)
 
 
 def _is_inside(device: Device, part: Part) -> bool:
@@ -908,5 +906,5 @@ def _promise(segments: Segments, device: Device, part: Part) -> float:
 
 def _others(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
     """Return the estimate of the numbers that do not belong to a part. Those at ``random`` vary between trials."""
-    others = [i for i, name in enumerate(device.names) if name not in part.numbers]
-    return solve(moments_of(segments, device).some(others), random)
+    others = tuple(name for name in device.names if name not in part.numbers)
+    return solve(moments_of(segments, device, others), random)

@@ -6,8 +6,8 @@ unknown variances of b_i are estimated by restricted maximum likelihood. A noisi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -48,11 +48,6 @@ class Moments:
     def products(self) -> Floats:
         """Sums of products of the columns of each trial, (T, p + 1, p + 1)."""
         return np.asarray(self.factors.transpose(0, 2, 1) @ self.factors)
-
-    def some(self, places: Sequence[int]) -> Moments:
-        """Return the moments for the numbers at the given places only."""
-        factors: Floats = np.linalg.qr(self.factors[:, :, [*places, -1]]).R
-        return replace(self, factors=factors, before=self.before[:, list(places)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,6 +170,28 @@ class Segments:
         arrays = ("first", "behind", "trial", "edge", "direction", "distinct", "least")
         return replace(self, **{name: getattr(self, name)[which] for name in arrays})
 
+    def subset(self, most: int) -> Segments:
+        """Return at most ``most`` segments, spread evenly over all segments, with the rows of their trials only."""
+        if most >= len(self):
+            return self
+        some = self.select(np.linspace(0, len(self) - 1, most).round().astype(np.int64))
+        used = np.zeros(self.trials, dtype=bool)
+        used[some.trial] = True
+        rows = np.diff(self.offsets)
+        kept = np.repeat(used, rows)
+        offsets = np.append(0, np.cumsum(np.where(used, rows, 0)))
+        shift = (offsets - self.offsets)[some.trial]
+        return replace(
+            some,
+            offsets=offsets,
+            time=self.time[kept],
+            command=self.command[kept],
+            position=self.position[kept],
+            first=some.first + shift,
+            behind=some.behind + shift,
+            edge=np.where(some.rests, some.edge + shift, some.edge),
+        )
+
     def split(self, most: int) -> Segments:
         """Split segments into parts of at most ``most`` rows. Each part has a separate initial state."""
         parts = -(-self.rows // most)
