@@ -708,7 +708,8 @@ def _further(logs: Logs, state: Selection, optional: Mapping[str, Part]) -> Sele
     """Add optional parts to a selection. The most likely part is added first, since each may replace another."""
     segments, fit, parts, tried = state.segments, state.fit, state.parts, dict(state.tried)
     some, left, rounds = _some(segments), dict(optional), 0
-    while left and "delay" in fit.device.numbers:
+    accepted = True
+    while accepted and left and "delay" in fit.device.numbers:
         alone, candidates = replace(fit.device, effects=None), dict[str, Fit]()
         plain = fit if some is segments else refined(some, alone, far=False)
         white = climbed(some, replace(plain.device, noise=WHITE, effects=None))
@@ -721,27 +722,34 @@ def _further(logs: Logs, state: Selection, optional: Mapping[str, Part]) -> Sele
             other, tried[name] = _tested(some, alone, part, (plain, white))
             if other is not None:
                 candidates[name] = other
-        if not candidates:
-            break
         rounds += 1
-        name = max(candidates, key=lambda each: candidates[each].likelihood - PARTS[each].threshold)
-        # far from the solution, noise may replace the residual, so it is estimated again
-        other = refined(segments, replace(candidates[name].device, effects=None), far=False)
-        fit = plain if some is segments else refined(segments, alone, far=False)
-        part, gain = left.pop(name), held_out(other) - held_out(fit)
-        required = WORTH * len(part.numbers)
-        decision: Decision = "left out" if gain <= required else "at a limit"
-        if gain > required and "limit" in part.numbers and not exceeds_noise(segments, other.device.numbers["limit"]):
-            decision = "command noise"
-        elif gain > required and _is_inside(other.device, part):
-            decision = "accepted" if _predicts(logs, segments, name, (fit, other)) else "free runs"
-        tried[name] = TriedPart(decision, gain, required)
-        if decision == "accepted":
-            fit, parts = other, parts | {name: gain}
+        if candidates and some is not segments:
+            fit = refined(segments, alone, far=False)
+        accepted = False
+        while candidates and not accepted:
+            name = max(candidates, key=lambda each: candidates[each].likelihood - PARTS[each].threshold)
+            part = left.pop(name)
+            # far from the solution, noise may replace the residual, so it is estimated again
+            other = refined(segments, replace(candidates.pop(name).device, effects=None), far=False)
+            tried[name] = _judged(logs, segments, name, part, (fit, other))
+            if tried[name].decision == "accepted":
+                accepted, fit, parts = True, other, parts | {name: tried[name].gain}
     if fit.device.noise.jitter and set(parts) - {"friction", "stiffness"}:
         # jitter may have replaced the residual before the search for a part ended
         fit = refined(segments, replace(fit.device, effects=None), far=False)
     return Selection(segments, fit, parts, tried)
+
+
+def _judged(logs: Logs, segments: Segments, name: str, part: Part, fits: tuple[Fit, Fit]) -> TriedPart:
+    """Return the test of a part by logs that were left out and by free runs. The second fit has the part."""
+    fit, other = fits
+    gain, required = held_out(other) - held_out(fit), WORTH * len(part.numbers)
+    decision: Decision = "left out" if gain <= required else "at a limit"
+    if gain > required and "limit" in part.numbers and not exceeds_noise(segments, other.device.numbers["limit"]):
+        decision = "command noise"
+    elif gain > required and _is_inside(other.device, part):
+        decision = "accepted" if _predicts(logs, segments, name, fits) else "free runs"
+    return TriedPart(decision, gain, required)
 
 
 def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) -> tuple[Fit | None, TriedPart]:
