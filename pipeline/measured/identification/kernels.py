@@ -66,7 +66,12 @@ def exponentials(matrices: Floats, times: Floats) -> Floats:
     count, N = matrices.shape[0], matrices.shape[1]
     result = np.zeros((len(times), count, N, N))
     small, term, product = np.empty((count, N, N)), np.empty((count, N, N)), np.empty((count, N, N))
-    norm = 0.0
+    norm, rows, moves = 0.0, 0, np.zeros(count)
+    for d in range(count):
+        for i in range(N):
+            for j in range(N):
+                if matrices[d, i, j] != 0.0:
+                    rows, moves[d] = max(rows, i + 1), 1.0
     for j in range(N):
         column = 0.0
         for i in range(N):
@@ -88,21 +93,23 @@ def exponentials(matrices: Floats, times: Floats) -> Floats:
                     total[d, i, j] = small[d, i, j]
         for i in range(N):
             total[0, i, i] += 1.0
-        for step in range(TERMS - 1 + halvings):
+        # rows of zeros, such as those of the inputs, and derivatives of zero do not change
+        for step in range(TERMS - 1 + halvings if scale != 0.0 else 0):
             squaring = step >= TERMS - 1
             left, right = (total, total) if squaring else (term, small)
-            factor = 1.0 if squaring else 1.0 / (step + 2)
+            factor, inner = (1.0, N) if squaring else (1.0 / (step + 2), rows)
             for d in range(count):
-                for i in range(N):
+                for i in range(rows if moves[d] > 0.0 else 0):
                     for j in range(N):
                         value = 0.0
-                        for h in range(N):
+                        for h in range(inner):
                             value += left[d, i, h] * right[0, h, j]
-                            if d > 0:
+                        if d > 0:
+                            for h in range(inner):
                                 value += left[0, i, h] * right[d, h, j]
                         product[d, i, j] = value * factor
             for d in range(count):
-                for i in range(N):
+                for i in range(rows if moves[d] > 0.0 else 0):
                     for j in range(N):
                         if squaring:
                             total[d, i, j] = product[d, i, j]

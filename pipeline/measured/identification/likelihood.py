@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,14 @@ import numpy as np
 from pipeline.measured.identification import kernels
 from pipeline.measured.identification.drive import DRIVE, applied_command
 from pipeline.measured.identification.free_runs import free_runs
-from pipeline.measured.identification.motion import GRAVITY, LARGEST_LOAD, SHORTEST_LAG, PlantShape, Transitions
+from pipeline.measured.identification.motion import (
+    GRAVITY,
+    LARGEST_LOAD,
+    SHAPE_NUMBERS,
+    SHORTEST_LAG,
+    PlantShape,
+    Transitions,
+)
 from pipeline.measured.identification.noise import WHITE, Noise, gains_of
 from pipeline.measured.identification.scatter import FEWEST, Moments, Solved, inverse, solve
 from pipeline.measured.identification.segments import Segments
@@ -132,14 +139,14 @@ class Device:
         for (name, value), change in zip(self.numbers.items(), step.tolist(), strict=True):
             most = min(LARGEST_STEP.get(name, np.inf), 0.5 * abs(value) if name in BY_HALF else np.inf)
             low, high = limits.get(name, (-np.inf, np.inf))
-            moved[name] = float(np.clip(value + np.clip(change, -most, most), low, high))
+            moved[name] = min(max(value + min(max(change, -most), most), low), high)
         return replace(self, numbers=moved)
 
     def own(self, name: str, trials: np.ndarray) -> Floats:
         """Return a number for the trial of each segment, shape (S,), or 0 if the device does not have this number."""
-        common = np.full(len(trials), self.numbers.get(name, 0.0))
+        common = self.numbers.get(name, 0.0)
         if self.effects is None or name not in self.numbers:
-            return common
+            return np.full(len(trials), common)
         return np.asarray(common + self.effects[trials, self.names.index(name)])
 
 
@@ -239,10 +246,12 @@ def columns_of(
     whole, shape, noise = whole or segments, device.shape, device.noise
     if segments.free:
         return _free_columns(segments, device, names, whole)
-    along = [each.name for each in fields(PlantShape) if each.name in names]
+    along = [name for name in SHAPE_NUMBERS if name in names]
     if transitions is None:
         transitions = Transitions.of(segments, shape, noise.jitter, along)
-    own = np.stack([device.own(name, segments.trial) for name in LINEAR], axis=1)
+    own = np.empty((len(segments), len(LINEAR)))
+    for place, name in enumerate(LINEAR):
+        own[:, place] = device.own(name, segments.trial)
     shifts = np.zeros((len(segments), len(names)))
     for place, name in enumerate(names):
         if device.effects is not None and name in LINEAR:
@@ -386,6 +395,8 @@ def _free_columns(segments: Segments, device: Device, names: tuple[str, ...], wh
 def blocks(segments: Segments, columns: int) -> list[Segments]:
     """Split the segments into blocks whose columns fit into memory together."""
     most = max(1, TOGETHER // columns)
+    if segments.rows.sum() <= most:
+        return [segments]
     part = (np.cumsum(segments.rows) - segments.rows) // most
     cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), len(segments)]
     return [segments.select(slice(a, b)) for a, b in pairwise(cuts)] if len(cuts) > 2 else [segments]
@@ -439,7 +450,7 @@ def moments_of(segments: Segments, device: Device, names: tuple[str, ...] | None
     before = np.stack([before[1], before[1] * (before[0] - [device.numbers[name] for name in names])])
     if not (np.abs(factors) < LARGEST_FACTOR).all() or not np.isfinite(lost):
         factors, rows, lost = np.zeros_like(factors), np.ones(units), np.inf
-    return Moments(factors, rows, float(np.median(segments.least)), lost, before)
+    return Moments(factors, rows, segments.usual_least, lost, before)
 
 
 def fitted(segments: Segments, device: Device, places: Integers) -> Fit:

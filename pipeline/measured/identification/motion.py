@@ -64,7 +64,7 @@ class PlantShape:
     @classmethod
     def of(cls, numbers: Mapping[str, float]) -> PlantShape:
         """Return the shape of a device with the given numbers. Numbers that do not affect the shape are ignored."""
-        return cls(**{each.name: numbers[each.name] for each in fields(cls) if each.name in numbers})
+        return cls(**{name: numbers[name] for name in SHAPE_NUMBERS if name in numbers})
 
     @property
     def load_mass(self) -> float:
@@ -96,6 +96,10 @@ class PlantShape:
             reduced * damper,
             bool(self.spring_damping_fraction),
         )
+
+
+SHAPE_NUMBERS = tuple(each.name for each in fields(PlantShape))
+"""Names of the numbers of `PlantShape`, in order."""
 
 
 @lru_cache(maxsize=64)
@@ -195,7 +199,8 @@ class Pieces:
     The pieces of the interval after row r are ``offset[r]`` to ``offset[r + 1]``; there are two offsets if all rows are
     even. The other arrays have the shape (Q,). The command is ``back`` rows old, and ``age`` is the index of its age in
     `Ages`. ``begin`` and ``end`` are times before the end of the interval [samples]. Their derivatives with respect to
-    the age are ``begin_slope`` and ``end_slope``.
+    the age are ``begin_slope`` and ``end_slope``. ``times`` (m,) contains the lengths of all intervals, followed by
+    these times, without equal ones; ``places`` are their indices.
     """
 
     offset: Integers
@@ -205,6 +210,8 @@ class Pieces:
     end: Floats
     begin_slope: Floats
     end_slope: Floats
+    times: Floats
+    places: Integers
 
     @classmethod
     def of(cls, segments: Segments, ages: Sequence[float] | Floats) -> Pieces:
@@ -221,7 +228,11 @@ class Pieces:
         end = np.stack([1 - part, np.zeros_like(part)], axis=1).ravel()
         first, count = np.arange(2 * len(whole)) % 2 == 0, len(whole)
         slopes = (np.where(first, 0.0, -1.0), np.where(first, -1.0, 0.0))
-        return cls(np.array([0, 2 * count]), back, np.repeat(np.arange(count), 2), begin, end, *slopes)
+        place = np.arange(1, count + 1)
+        begins, ends = np.stack([0 * place, place], axis=1), np.stack([place, 0 * place + count + 1], axis=1)
+        places = np.concatenate([[0], begins.ravel(), ends.ravel()])
+        times = np.concatenate([[1.0], 1 - part, [0.0]])
+        return cls(np.array([0, 2 * count]), back, np.repeat(np.arange(count), 2), begin, end, *slopes, times, places)
 
     @classmethod
     def _uneven(cls, segments: Segments, ages: Sequence[float] | Floats) -> Pieces:
@@ -244,7 +255,12 @@ class Pieces:
         row, back, age, *times = (np.concatenate(each) for each in zip(*parts, strict=True))
         order = np.argsort(row, kind="stable")
         offset = np.searchsorted(row[order], np.arange(len(segments.time) + 1))
-        return cls(offset.astype(np.int64), back[order], age[order], *(each[order] for each in times))
+        begin, end, begin_slope, end_slope = (each[order] for each in times)
+        lengths = np.concatenate([segments.spans[0], begin, end])
+        _, first, places = np.unique(np.round(lengths, 9), return_index=True, return_inverse=True)
+        return cls(
+            offset.astype(np.int64), back[order], age[order], begin, end, begin_slope, end_slope, lengths[first], places
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,14 +287,9 @@ class Transitions:
         ages = Ages.of(shape.delay, jitter)
         pieces = Pieces.of(segments, ages.age)
         spans, kind = segments.spans
-        times = np.concatenate([spans, pieces.begin, pieces.end])
-        place = np.arange(len(times))
-        if not segments.even:
-            _, first, place = np.unique(np.round(times, 9), return_index=True, return_inverse=True)
-            times = times[first]
-        n = sensors.shape[1]
-        moved = exponentials(matrices, times)[place]
-        whole, begin, end = np.split(moved, [len(spans), len(spans) + len(pieces.begin)])
+        n, ends = sensors.shape[1], len(spans) + len(pieces.begin)
+        moved = exponentials(matrices, pieces.times)[pieces.places]
+        whole, begin, end = moved[: len(spans)], moved[len(spans) : ends], moved[ends:]
         gain = begin[:, :, :n, n:] - end[:, :, :n, n:]
         chance = ages.chance[pieces.age][:, None, None]
         G, dG = gain[:, 0] * chance, gain[:, 1:] * chance[:, None]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from math import log
 
 import numpy as np
 
@@ -132,14 +133,15 @@ def solve(moments: Moments, random: Integers) -> Solved:
     from scipy.special import gammaln
 
     T, p = len(moments.factors), moments.factors.shape[1] - 1
-    size = (moments.factors[:, :, :p] ** 2).sum(axis=(0, 1))
+    size = np.einsum("tij,tij->j", moments.factors, moments.factors)[:p]
     scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     factors, rows = moments.factors * np.append(scale, 1.0), np.maximum(moments.rows, 1.0)
     known = moments.before * np.stack([scale**2, scale])
     # smallest residual: rounding errors of the numbers, since readings that never change have no residual
     least = max(float((factors[:, :, p] ** 2).sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE, moments.least)
     # initial noise: the residual of each unit with its separate optimum
-    noise = max(float(np.median(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows)), least)
+    squares = np.sort(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows)
+    noise = max(float(squares[(T - 1) // 2] + squares[T // 2]) / 2, least)
     space = np.empty((T, p, p + 1)), np.empty((T, p, p + 1)), np.empty(T), np.empty((SPACE, p + 1, p + 1))
     vectors = np.empty(p), np.empty(p), *np.empty((3, T)), np.empty((p, p)), np.empty(3)
     mixed_effects((factors, rows, random, known, noise, least), space, vectors)
@@ -150,11 +152,13 @@ def solve(moments: Moments, random: Integers) -> Solved:
     information = columns.transpose(0, 2, 1) @ columns / (scale[:, None] * scale[None, :])
     score = ((errors - columns @ step)[:, None, :] @ columns)[:, 0]
 
+    free, of_rows = rows + OWN_ROWS, float(rows.sum())
+    without_noise = float(determinants + gammaln(0.5 * free).sum()) - moments.log_spread
+
     def likelihood(squares: Floats, noise: float, slope: Floats) -> float:
-        free, spread = rows + OWN_ROWS, np.log1p(squares / (OWN_ROWS * noise))
-        of_rows = gammaln(0.5 * free) - 0.5 * (rows * np.log(0.5 * OWN_ROWS * noise) + free * spread)
-        apart = 0.5 * float((slope**2 / np.maximum(known[0], 1e-300)).sum())
-        return float(determinants + of_rows.sum()) - moments.log_spread - apart
+        spread = float(free @ np.log1p(squares / (OWN_ROWS * noise)))
+        apart = float((slope**2 / np.maximum(known[0], 1e-300)).sum())
+        return without_noise - 0.5 * (of_rows * log(0.5 * OWN_ROWS * noise) + spread + apart)
 
     return Solved(
         step * scale,

@@ -158,7 +158,12 @@ class Segments:
         """Variance of a reading from third differences, in which motion is negligible. Rounding is the lower bound."""
         third = np.diff(self.position[self.places], 3)[self.segment[3:] == self.segment[:-3]]
         of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
-        return max(of_noise, float(np.median(self.least)), EXACT**2)
+        return max(of_noise, self.usual_least, EXACT**2)
+
+    @cached_property
+    def usual_least(self) -> float:
+        """Median variance of a reading due to rounding only."""
+        return float(np.median(self.least))
 
     @cached_property
     def largest(self) -> float:
