@@ -822,3 +822,27 @@ def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integer
                     R[j, i] -= product * head
                     for k in range(top, end):
                         columns[k, i] -= product * columns[k, j]
+
+
+@compiled("void(f8[:,:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1],i8[::1])")
+def add_products(
+    products: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers, phase: Integers
+) -> None:
+    """Add the products of columns with all columns and the errors to those of each unit and phase of the motion.
+
+    Parameters
+    ----------
+    products : float64, shape (units, phases, p, p + 1)
+        Changed in place.
+    columns : float64, shape (rows, p + 1)
+    first, behind, unit : int64, shape (ranges,)
+        Ranges of rows, and the unit of each range.
+    phase : int64, shape (rows of all ranges,)
+    """
+    row = 0
+    for s in range(len(first)):
+        for k in range(first[s], behind[s]):
+            for i in range(products.shape[2]):
+                for j in range(products.shape[3]):
+                    products[unit[s], phase[row], i, j] += columns[k, i] * columns[k, j]
+            row += 1

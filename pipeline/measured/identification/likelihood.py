@@ -421,15 +421,20 @@ def groups_of(segments: Segments) -> Integers:
 
 
 @np.errstate(all="ignore")  # numbers far from the solution may cause overflow; a search then rejects them
-def moments_of(segments: Segments, device: Device, names: tuple[str, ...] | None = None) -> Moments:
+def moments_of(
+    segments: Segments, device: Device, names: tuple[str, ...] | None = None, *, phased: bool = False
+) -> Moments:
     """Return the moments of all units (trials or portions) at a device, without information after an overflow.
 
-    ``names`` are the numbers along which the moments are computed, by default all numbers.
+    ``names`` are the numbers along which the moments are computed, by default all numbers. ``phased`` is whether the
+    products of each phase of the motion are computed.
     """
     names = device.names if names is None else names
     p, portions = len(names), portions_of(segments)
+    phase, row = _phase_of_rows(segments) if phased else np.zeros(0, dtype=np.int64), 0
     units = len(segments) * portions if portions else segments.trials
     factors, rows, lost, place = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0, 0
+    of_phases = np.zeros((units if phased else 0, PHASES, p, p + 1))
     for part in blocks(segments, p + 1):
         columns = columns_of(part, device, names, whole=segments)
         lost += columns.lost
@@ -444,18 +449,22 @@ def moments_of(segments: Segments, device: Device, names: tuple[str, ...] | None
             rows[unit] = np.diff(cuts, axis=1).ravel() - known
         else:
             np.add.at(rows, unit, part.rows - known)
+        if phased:
+            inside = columns.first if portions == 0 else first, columns.behind if portions == 0 else behind
+            here, row = phase[row : row + int(part.rows.sum())], row + int(part.rows.sum())
+            kernels.add_products(of_phases, columns.values, *inside, unit, here)
         kernels.triangles(factors, columns.values, first, behind, unit)
         place += len(first)
     before = np.array([BEFORE.get(name, (0.0, 0.0)) for name in names]).T
     before = np.stack([before[1], before[1] * (before[0] - [device.numbers[name] for name in names])])
     if not (np.abs(factors) < LARGEST_FACTOR).all() or not np.isfinite(lost):
         factors, rows, lost = np.zeros_like(factors), np.ones(units), np.inf
-    return Moments(factors, rows, segments.usual_least, lost, before)
+    return Moments(factors, rows, segments.usual_least, lost, before, of_phases)
 
 
-def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
-    """Return the fit at a device. The numbers at ``places`` may vary between trials."""
-    moments = moments_of(segments, device)
+def fitted(segments: Segments, device: Device, places: Integers, *, phased: bool = False) -> Fit:
+    """Return the fit at a device. The numbers at ``places`` may vary between trials. ``phased`` as in `moments_of`."""
+    moments = moments_of(segments, device, phased=phased)
     solved = solve(moments, places)
     repeats = float(segments.rows.sum() / max(segments.distinct.sum(), 1.0)) if device.noise == WHITE else 1.0
     device = replace(device, effects=solved.effects if len(places) else None, reading=solved.noise)
@@ -473,36 +482,30 @@ def fitted(segments: Segments, device: Device, places: Integers) -> Fit:
     )
 
 
-def phases_of(segments: Segments, fit: Fit) -> Floats:
+def phases_of(fit: Fit) -> Floats:
     """Return the step of the numbers due to the errors of each phase of the motion, shape (8, p), with a sum of zero.
 
-    There are eight phases: positions below and above the median, both directions, slow and fast motion. The step of a
-    phase is the inverse information times the sum of its scores. The scatter between phases is that of the numbers. It
-    is only noise if the model is complete.
+    The step of a phase is the inverse information times the sum of its scores. The scatter between phases is that of
+    the numbers. It is only noise if the model is complete. The fit has products by phase.
 
     Source: White 1982, "Maximum likelihood estimation of misspecified models" (sandwich estimate, with few clusters).
     """
-    solved, p, portions = fit.solved, len(fit.device.names), portions_of(segments)
+    solved, products = fit.solved, fit.moments.of_phases
+    information = products[..., :-1] * (solved.weight / solved.noise)[:, None, None, None]
+    score = products[..., -1] * (solved.weight / solved.noise)[:, None, None]
+    score = (score - (information @ solved.effects[:, None, :, None])[..., 0]).sum(axis=0)
+    total = information.sum(axis=(0, 1)) + np.diag(fit.moments.before[0])
+    return np.asarray(score @ inverse(total))
+
+
+def _phase_of_rows(segments: Segments) -> Integers:
+    """Return the phase of the motion of each row of the segments.
+
+    There are eight phases: positions below and above the median, both directions, slow and fast motion.
+    """
     rate, position = _rate(segments), segments.position[segments.places]
     middle, usual = float(np.median(position)), float(np.median(np.abs(rate)))
-    phase = 4 * (position > middle) + 2 * (rate > 0) + (np.abs(rate) > usual)
-    total: Floats = np.diag(fit.moments.before[0])
-    score, place, row = np.zeros((PHASES, p)), 0, 0
-    for part in blocks(segments, p + 1):
-        columns = columns_of(part, fit.device, fit.device.names, whole=segments)
-        unit: Integers = part.trial[part.segment]
-        if portions:
-            at = np.arange(len(part.segment)) - (np.cumsum(part.rows) - part.rows)[part.segment]
-            within: Integers = ((at + 1) * portions - 1) // part.rows[part.segment]
-            unit = (place + part.segment) * portions + within
-        readings = columns.values[np.arange(len(unit)) + columns.starts * part.segment]
-        along, weight = readings[:, :p], (solved.weight[unit] / solved.noise)[:, None]
-        error = readings[:, p] - (along * solved.effects[unit]).sum(axis=1)
-        total = total + (along * weight).T @ along
-        scores, phases = along * weight * error[:, None], phase[row : row + len(unit)]
-        score += np.stack([scores[phases == which].sum(axis=0) for which in range(PHASES)])
-        place, row = place + len(part), row + len(unit)
-    return np.asarray(score @ inverse(total))
+    return np.asarray(4 * (position > middle) + 2 * (rate > 0) + (np.abs(rate) > usual), dtype=np.int64)
 
 
 def _rate(segments: Segments) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import log
+from math import lgamma, log
 
 import numpy as np
 
@@ -36,7 +36,8 @@ class Moments:
     R'R contains the sums of products. R avoids the loss of digits by squaring. ``least`` is the variance of an error
     due to rounding of the readings only. ``log_spread`` is the sum of the logarithms of the filter's standard
     deviations and of the information on the unknown initial states. ``before`` (2, p) is the prior of each number, as
-    information and slope of its likelihood.
+    information and slope of its likelihood. ``of_phases`` (T, 8, p, p + 1) contains the sums of products of the columns
+    with all columns and the errors in each phase of the motion, if requested.
     """
 
     factors: Floats
@@ -44,6 +45,7 @@ class Moments:
     least: float = 0.0
     log_spread: float = 0.0
     before: Floats = field(default_factory=lambda: np.zeros((2, 1)))
+    of_phases: Floats = field(default_factory=lambda: np.zeros((0, 0, 0, 1)), repr=False)
 
     @property
     def products(self) -> Floats:
@@ -130,8 +132,6 @@ def solve(moments: Moments, random: Integers) -> Solved:
     numpy.linalg.LinAlgError
         If the estimate cannot be computed in double precision.
     """
-    from scipy.special import gammaln
-
     T, p = len(moments.factors), moments.factors.shape[1] - 1
     size = np.einsum("tij,tij->j", moments.factors, moments.factors)[:p]
     scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
@@ -153,7 +153,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
     score = ((errors - columns @ step)[:, None, :] @ columns)[:, 0]
 
     free, of_rows = rows + OWN_ROWS, float(rows.sum())
-    without_noise = float(determinants + gammaln(0.5 * free).sum()) - moments.log_spread
+    without_noise = float(determinants + sum(map(lgamma, (0.5 * free).tolist()))) - moments.log_spread
 
     def likelihood(squares: Floats, noise: float, slope: Floats) -> float:
         spread = float(free @ np.log1p(squares / (OWN_ROWS * noise)))

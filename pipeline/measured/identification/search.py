@@ -75,8 +75,7 @@ def refined(
     jitters : bool
         Whether the noise may include a jitter of the delay.
     """
-    scattered = SCATTERED if segments.trials >= FEWEST else ()
-    places = np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
+    places = _scattered(segments, device)
     if far:
         for late in (False, jitters):
             device = _climbed(fitted(segments, device, places[:0]), segments, FIXED_STEPS).device
@@ -102,6 +101,12 @@ def refined(
             plain = _climbed(plain, segments, steps)
             found = plain if plain.likelihood > found.likelihood else found
     return found
+
+
+def _scattered(segments: Segments, device: Device) -> Integers:
+    """Return the places of the numbers that vary between trials."""
+    scattered = SCATTERED if segments.trials >= FEWEST else ()
+    return np.array([i for i, name in enumerate(device.names) if name in scattered], dtype=np.int64)
 
 
 def _with_noise(segments: Segments, device: Device, places: Integers, *, jitters: bool) -> Fit:
@@ -140,12 +145,12 @@ def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
 
 def ended(segments: Segments, device: Device) -> Fit:
     """Return the final maximum-likelihood fit near a device, with the uncertainty due to its jitter."""
-    fit = refined(segments, device, LAST_STEPS, far=False, noisy=False)
+    fit = _climbed(fitted(segments, device, _scattered(segments, device), phased=True), segments, LAST_STEPS)
     # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is another one
     inside = _inner_step(fit, FREE_LIMITS if segments.free else LIMITS)
     beyond = [fit.solved.step] if (inside != fit.solved.step).any() else []
     optima = np.stack([np.zeros(len(fit.device.names)), *beyond])
-    fit = replace(fit, phases=phases_of(segments, fit), optima=optima)
+    fit = replace(fit, phases=phases_of(fit), optima=optima)
     if not fit.device.noise.jitter:
         return fit
     noise = with_jitter_error(segments, fit.device)
@@ -165,7 +170,7 @@ def _climbed(fit: Fit, segments: Segments, steps: int) -> Fit:
             change = np.array(list(device.numbers.values())) - np.array(list(fit.device.numbers.values()))
             if float(change @ fit.solved.total @ change) < DONE:
                 return fit
-            tried = fitted(segments, device, fit.places)
+            tried = fitted(segments, device, fit.places, phased=len(fit.moments.of_phases) > 0)
             gain = tried.solved.here - fit.solved.here
             if gain > 0:
                 break
