@@ -10,7 +10,7 @@ from pipeline.base.wording import counted
 from pipeline.measured.identification.estimated import Numbers, Quantity
 from pipeline.measured.identification.intervals import Errors, Interval
 from pipeline.measured.identification.parts import Choice
-from pipeline.measured.identification.recordings import Recording
+from pipeline.measured.identification.recordings import Recording, median
 from pipeline.records.trials import Floats
 
 WIDE = 0.5
@@ -70,9 +70,7 @@ class Recorded:
     def of(cls, recordings: list[Recording]) -> Recorded:
         """Return the content of a set of recordings."""
         largest = max(float(np.abs(each.command).max()) for each in recordings) or 1.0
-        usual = np.round(
-            [20 * float(np.median(each.command[len(each.command) // 4 :])) / largest for each in recordings]
-        )
+        usual = np.round([20 * median(each.command[len(each.command) // 4 :]) / largest for each in recordings])
         ways = {np.sign(each.position[-1] - each.position[0]) for each in recordings}
         turns = any(_turns(each.position) for each in recordings)
         several = any(len(np.unique(np.round(20 * each.command / largest))) > 2 for each in recordings)
@@ -272,5 +270,5 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[
 def _usual_level(choice: Choice) -> float:
     """Return the signed median command of the segment in which it is largest, in units of `LogUnits`."""
     segments = choice.segments
-    usual = np.array([np.median(segments.command[a:b]) for a, b in zip(segments.first, segments.behind, strict=True)])
+    usual = np.array([median(segments.command[a:b]) for a, b in zip(segments.first, segments.behind, strict=True)])
     return float(usual[np.argmax(np.abs(usual))]) if len(usual) else 1.0

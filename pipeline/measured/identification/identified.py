@@ -120,6 +120,8 @@ class Identification:
         Sentence that names the group in which the errors of free motions differ, empty if they differ in none.
     quasi_static : bool
         Whether the damping is from displacements over windows, because rows do not show the inertia.
+    recorded : Recorded
+        Content of the recordings.
     choice : Choice
     """
 
@@ -141,6 +143,7 @@ class Identification:
     folds: list[dict[str, float]]
     departure: str
     quasi_static: bool
+    recorded: Recorded
     choice: Choice
 
     @property
@@ -245,6 +248,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         where,
         alone is not None,
+        recorded,
         choice,
     )
 

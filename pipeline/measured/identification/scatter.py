@@ -13,6 +13,7 @@ from math import lgamma, log
 import numpy as np
 
 from pipeline.measured.identification.mixed_loops import OWN_ROWS, RIDGE, SPACE, mixed_effects
+from pipeline.measured.identification.recordings import median
 from pipeline.records.trials import Floats, Integers
 
 FEWEST = 8
@@ -140,8 +141,7 @@ def solve(moments: Moments, random: Integers) -> Solved:
     # smallest residual: rounding errors of the numbers, since readings that never change have no residual
     least = max(float((factors[:, :, p] ** 2).sum()) * ROUNDED**2 / float(rows.sum()), LEAST_NOISE, moments.least)
     # initial noise: the residual of each unit with its separate optimum
-    squares = np.sort(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows)
-    noise = max(float(squares[(T - 1) // 2] + squares[T // 2]) / 2, least)
+    noise = max(median(np.maximum(factors[:, p, p] ** 2, 1e-300) / rows), least)
     space = np.empty((T, p, p + 1)), np.empty((T, p, p + 1)), np.empty(T), np.empty((SPACE, p + 1, p + 1))
     vectors = np.empty(p), np.empty(p), *np.empty((3, T)), np.empty((p, p)), np.empty(3)
     mixed_effects((factors, rows, random, known, noise, least), space, vectors)

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.measured.identification.kernels import ALWAYS
-from pipeline.measured.identification.recordings import SHORTEST, SURE, LogUnits, Motion, Recording
+from pipeline.measured.identification.recordings import SHORTEST, SURE, LogUnits, Motion, Recording, median
 from pipeline.records.trials import Booleans, Floats, Integers
 
 EARLIER = 50
@@ -157,13 +157,13 @@ class Segments:
     def white(self) -> float:
         """Variance of a reading from third differences, in which motion is negligible. Rounding is the lower bound."""
         third = np.diff(self.position[self.places], 3)[self.segment[3:] == self.segment[:-3]]
-        of_noise = float(np.median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
+        of_noise = (median(np.abs(third)) / 0.6745) ** 2 / 20 if len(third) else 0.0
         return max(of_noise, self.usual_least, EXACT**2)
 
     @cached_property
     def usual_least(self) -> float:
         """Median variance of a reading due to rounding only."""
-        return float(np.median(self.least))
+        return median(self.least)
 
     @cached_property
     def largest(self) -> float:
@@ -263,18 +263,17 @@ def _even(time: Floats) -> Floats:
     spacing = (time[-1] - time[0]) / max(len(time) - 1, 1)
     if abs(spacing - 1) < 1e-3:
         even = time[0] + index.astype(np.float64)
-        even += np.median(time - even)
+        even += median(time - even)
     return even if np.abs(time - even).max() < REGULAR + 2e-3 * len(time) * (abs(spacing - 1) < 1e-3) else time
 
 
 def _starts_at_rest(recording: Recording) -> bool:
     """Return whether position and command are constant in the first rows, so that earlier commands have no effect."""
     few = min(5, len(recording.position) - 1)
-    noise = recording.noise
     first = recording.position[: few + 1]
-    return bool(np.ptp(first) <= max(6 * noise, 1e-4 * np.ptp(recording.position))) and bool(
-        np.ptp(recording.command[:few]) <= 1e-3 * np.ptp(recording.command) + 1e-12
-    )
+    if np.ptp(recording.command[:few]) > 1e-3 * np.ptp(recording.command) + 1e-12:
+        return False
+    return bool(np.ptp(first) <= max(6 * recording.noise, 1e-4 * np.ptp(recording.position)))
 
 
 def _all(trial: int, first: int, behind: int, most: int) -> list[_Cut]:

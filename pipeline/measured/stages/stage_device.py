@@ -17,7 +17,6 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import digest
 from pipeline.measured.experiment.identified_loop import MOST, parts_of
 from pipeline.measured.experiment.stored import Experiment
-from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.identification.identified import (
     Identification,
     check_recordings,
@@ -157,7 +156,7 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
         result = identified(found, _chosen(row))
     except ParameterError as error:
         return None, str(error)
-    remedy = Recorded.of(found).remedy()
+    remedy = result.recorded.remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
     # logs that obey another wall than the stated one are the reason, whatever faults the other logs have
