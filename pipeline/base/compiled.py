@@ -2,8 +2,8 @@
 
 A command that calls no such loop does not import numba. With ``NUMBA_DISABLE_JIT=1``, plain Python functions run for a
 debugger. They are slow but give the same results. Machine code is stored in the folder ``NUMBA_CACHE_DIR``, by default
-in the cache folder of the user. If this folder is read-only, each process compiles in memory. Several processes that
-index the same folder would damage it (numba issue 4807), so only one process compiles or loads at a time.
+in the cache folder of the user. If this folder is read-only, each process compiles in memory. Otherwise only one
+process compiles at a time, so that several processes need not compile the same function.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NOTICED_S = 1.0
 """Time after which the user is informed about a compilation [s]."""
 
 _ONE_THREAD = threading.Lock()
-"""Lock on numba's cache folder, which is one setting for the whole process."""
+"""Lock on the compiler and on the engine that loads machine code."""
 
 _loaders: dict[str, list[Callable[[], object]]] = {}
 """Loaders of the machine code of compiled functions, with module names as keys."""
@@ -46,13 +46,13 @@ _listeners: list[tuple[Callable[[str], None], float]] = []
 """Callback for the first compilation that takes longer than the given time [s]. The list is empty if there is none."""
 
 
-def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that compiles a function for signatures such as ``"f8(f8[::1])"`` at its first call.
+def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator that compiles a function for a signature such as ``"f8(f8[::1])"`` at its first call.
 
     The Python function remains available as ``__wrapped__``. A compiled function accepts only arrays of the types in
-    its signatures. It cannot call another compiled function, but only functions marked with `inlined` or `part`.
-    Divisions by zero return infinity or NaN, as in numpy. A function without a return value (one signature,
-    ``"void(...)"``) is loaded without numba (`pipeline.base.machine_code`), unless it ``allocates`` arrays.
+    its signature. It cannot call another compiled function, but only functions marked with `inlined` or `part`.
+    Divisions by zero return infinity or NaN, as in numpy. Stored machine code is loaded without numba
+    (`pipeline.base.machine_code`).
 
     Examples
     --------
@@ -70,7 +70,7 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
         @cache
         def machine_code() -> Callable[P, R]:
-            return _machine_code(function, signatures, allocates)
+            return _machine_code(function, signature)
 
         _loaders.setdefault(function.__module__, []).append(machine_code)
 
@@ -86,7 +86,7 @@ def compiled(*signatures: str, allocates: bool = False) -> Callable[[Callable[P,
 def inlined(function: F) -> F:
     """Inline this function into compiled functions of the same module. Other callers run it as plain Python.
 
-    Numba invalidates cached machine code only if the file of the compiled function changes. Functions that it calls,
+    Stored machine code is replaced only if the file of the compiled function changes. Functions that it calls,
     and constants that both use, must therefore be in the same module.
     """
     _parts.append((function, True))
@@ -137,29 +137,33 @@ def _noticed() -> Iterator[None]:
         timer.cancel()
 
 
-def _machine_code(function: Callable[P, R], signatures: tuple[str, ...], allocates: bool) -> Callable[P, R]:
+def _machine_code(function: Callable[P, R], signature: str) -> Callable[P, R]:
     """Return a function as machine code, which is loaded from disk if it has been compiled before."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         import numpy
 
         plain: Callable[P, R] = numpy.errstate(all="ignore")(function)
         return plain
-    with _ONE_THREAD, _noticed():
-        if signatures[0].startswith("void(") and not allocates:
-            return _kept_object(function, signatures[0])
-        import numba
+    from pipeline.base import machine_code
 
-        options: dict[str, Any] = {"signature_or_function": list(signatures), "error_model": "numpy"}
-        config: Any = numba.config
+    def made() -> bytes:
         _register_inlined()
+        return machine_code.compiled_object(function, signature)
+
+    with _ONE_THREAD, _noticed():
         try:
-            folder = cache_folder()
-            with _one_process(folder), _numba_folder(config, folder):
-                kept: Callable[P, R] = numba.njit(cache=True, **options)(function)
-                return kept
-        except Exception:  # exceptions due to a full disk, an invalid file, or a folder of another user
-            made: Callable[P, R] = numba.njit(**options)(function)
-            return made
+            name, folder = machine_code.object_name(function, signature), cache_folder()
+            code = read_result(folder, name, ".o")
+            if code is None:
+                with _one_process(folder):
+                    code = read_result(folder, name, ".o")
+                    if code is None:
+                        code = made()
+                        write_result(folder, name, ".o", code)
+                        _remove_unused(folder)
+        except (OSError, RuntimeError):  # the disk is full, or there is no usable folder
+            code = made()
+        return machine_code.loaded_object(code, signature)
 
 
 def _register_inlined() -> None:
@@ -169,31 +173,6 @@ def _register_inlined() -> None:
     while _parts:
         function, into_caller = _parts.pop()
         register_jitable(forceinline=into_caller)(function)
-
-
-def _kept_object(function: Callable[..., Any], signature: str) -> Callable[..., Any]:
-    """Return the machine code of a function without a return value, from an object file stored under its name."""
-    from pipeline.base import machine_code
-
-    name = machine_code.object_name(function, signature)
-
-    def made() -> bytes:
-        _register_inlined()
-        return machine_code.compiled_object(function, signature)
-
-    try:
-        folder = cache_folder()
-        code = read_result(folder, name, ".o")
-        if code is None:
-            with _one_process(folder):
-                code = read_result(folder, name, ".o")
-                if code is None:
-                    code = made()
-                    write_result(folder, name, ".o", code)
-                    _remove_unused(folder)
-    except (OSError, RuntimeError):  # the disk is full, or there is no usable folder
-        code = made()
-    return machine_code.loaded_object(code, signature)
 
 
 def _remove_unused(folder: Path) -> None:
@@ -241,13 +220,3 @@ def _one_process(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(file)
-
-
-@contextmanager
-def _numba_folder(config: Any, folder: Path) -> Iterator[None]:
-    """Set numba's cache folder while the block runs. Functions of other packages keep their folder."""
-    former, config.CACHE_DIR = config.CACHE_DIR, os.fspath(folder)
-    try:
-        yield
-    finally:
-        config.CACHE_DIR = former

@@ -1,14 +1,16 @@
-"""Machine code of functions without a return value, stored as object files that llvmlite loads.
+"""Machine code of functions, stored as object files that llvmlite loads.
 
-Importing numba and loading its cache takes half a second, whereas loading an object file takes a few milliseconds.
-Numba compiles each function only once. The function allocates no memory and counts no references, so it runs without
-numba. Its arguments are numbers and the addresses, shapes and strides of arrays.
+Importing numba and loading its cache takes a second, whereas loading an object file takes a few milliseconds. Numba
+compiles each function only once. Arguments and results are numbers and the addresses, shapes and strides of arrays.
+Arrays that a function allocates are blocks of memory with a count of references. Numba's own code changes the counts,
+and `ALLOCATOR` allocates and frees the blocks.
 """
 
 from __future__ import annotations
 
 import ctypes
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -20,14 +22,77 @@ import numpy as np
 
 from pipeline.base.provenance import digest, sha256
 
-Function = Callable[..., None]
+Function = Callable[..., Any]
 
 HASH_DIGITS = 32
 """Number of hexadecimal digits of the hash in the name of an object file. Equal hashes are practically impossible."""
 
+ALLOCATOR = """
+declare ptr @malloc(i64)
+declare void @free(ptr)
+
+define ptr @NRT_MemInfo_alloc_aligned(i64 %size, i32 %align) {
+    %wide = zext i32 %align to i64
+    %room = add i64 %wide, 64
+    %total = add i64 %size, %room
+    %block = call ptr @malloc(i64 %total)
+    %failed = icmp eq ptr %block, null
+    br i1 %failed, label %end, label %fill
+fill:
+    %address = ptrtoint ptr %block to i64
+    %behind = add i64 %address, %room
+    %over = urem i64 %behind, %wide
+    %data = sub i64 %behind, %over
+    store i64 1, ptr %block
+    %place = getelementptr i8, ptr %block, i64 24
+    store i64 %data, ptr %place
+    br label %end
+end:
+    ret ptr %block
+}
+
+define void @NRT_MemInfo_call_dtor(ptr %block) {
+    call void @free(ptr %block)
+    ret void
+}
+
+define ptr @NRT_Allocate(i64 %size) {
+    %block = call ptr @malloc(i64 %size)
+    ret ptr %block
+}
+
+define void @NRT_Free(ptr %block) {
+    call void @free(ptr %block)
+    ret void
+}
+
+define void @release(ptr %block) {
+    %count = atomicrmw sub ptr %block, i64 1 monotonic
+    %last = icmp eq i64 %count, 1
+    br i1 %last, label %destroy, label %end
+destroy:
+    call void @free(ptr %block)
+    br label %end
+end:
+    ret void
+}
+"""
+"""LLVM code of numba's allocator. A block begins with the count of references; its byte 24 is the address of the data.
+
+Numba's own allocator is part of its library, which would have to be imported.
+"""
+
+
+class Type:
+    """Type of an argument or a result."""
+
+    def __call__(self, *arguments: Any) -> Signature:
+        """Return the signature of a function with this result."""
+        return Signature(self, Several(arguments))
+
 
 @dataclass(frozen=True)
-class Number:
+class Number(Type):
     """Number type of a signature, such as ``f8``. Indexing it gives an array type, such as ``f8[:, ::1]``."""
 
     dtype: str
@@ -45,9 +110,13 @@ class Number:
         """Append the number to the C arguments."""
         values.append(value)
 
+    def read(self, words: list[int]) -> Any:
+        """Return the number that the first words of a result contain, and remove them."""
+        return np.int64(words.pop(0)).view(self.dtype).item()
+
 
 @dataclass(frozen=True)
-class Array:
+class Array(Type):
     """Type of C-contiguous arrays in a signature."""
 
     dtype: np.dtype[Any]
@@ -74,12 +143,39 @@ class Array:
             address = value.ctypes.data
         values += (0, 0, value.size, value.itemsize, address, *shape, *value.strides)
 
+    def read(self, words: list[int]) -> np.ndarray:
+        """Return the array that the first words of a result describe, and remove them."""
+        block, _, size, _, address, *shape = words[: 5 + self.axes]
+        del words[: 5 + 2 * self.axes]
+        if not size:
+            result = np.empty(shape, self.dtype)
+            _release(block)
+            return result
+        return np.asarray(Block(block, address, tuple(shape), self.dtype.str))
+
 
 _address_of, _first_byte = ctypes.addressof, ctypes.c_char.from_buffer
 
 
+class Block:
+    """Memory that machine code has allocated for an array. It is freed with the last array that refers to it."""
+
+    def __init__(self, block: int, address: int, shape: tuple[int, ...], dtype: str) -> None:
+        self._block = block
+        self.__array_interface__ = {"data": (address, False), "shape": shape, "typestr": dtype, "version": 3}
+
+    def __del__(self) -> None:
+        _release(self._block)
+
+
+def _release(block: int) -> None:
+    """Decrease the number of references to a block. The blocks of arguments, with address 0, are not counted."""
+    if block:
+        _engine()[1](block)
+
+
 @dataclass(frozen=True)
-class Several:
+class Several(Type):
     """Tuple type of a signature."""
 
     parts: tuple[Any, ...]
@@ -94,9 +190,21 @@ class Several:
         for part, one in zip(self.parts, value, strict=True):
             part.append(one, values)
 
+    def read(self, words: list[int]) -> Any:
+        """Return the parts that the first words of a result contain, and remove them. Nothing is returned for void."""
+        return tuple(part.read(words) for part in self.parts) if self.parts else None
+
+
+@dataclass(frozen=True)
+class Signature:
+    """Types of the result and of the arguments of a function."""
+
+    result: Any
+    arguments: Several
+
 
 _NAMES = {
-    "void": lambda *arguments: Several(arguments),
+    "void": Several(()),
     "Tuple": lambda parts: Several(tuple(parts)),
     "UniTuple": lambda part, count: Several((part,) * count),
     "b1": Number("?", ctypes.c_uint8),
@@ -107,16 +215,16 @@ _NAMES = {
 """Names that may occur in a signature."""
 
 
-def arguments_of(signature: str) -> Several:
-    """Parse the arguments of a signature such as ``"void(f8[::1], Tuple((i8, f8[:, ::1])))"``.
+def signature_of(text: str) -> Signature:
+    """Parse a signature such as ``"void(f8[::1], Tuple((i8, f8[:, ::1])))"``.
 
     Examples
     --------
-    >>> len(arguments_of("void(f8[::1], Tuple((i8, f8[:, ::1])))").types)
+    >>> len(signature_of("f8(f8[::1], Tuple((i8, f8[:, ::1])))").arguments.types)
     17
     """
-    arguments: Several = eval(signature, {"__builtins__": {}}, _NAMES)  # a constant string of this package
-    return arguments
+    signature: Signature = eval(text, {"__builtins__": {}}, _NAMES)  # a constant string of this package
+    return signature
 
 
 def object_name(function: Function, signature: str) -> str:
@@ -141,13 +249,24 @@ def _folder(package: str) -> Path:
 
 
 def compiled_object(function: Function, signature: str) -> bytes:
-    """Compile a function with numba. Return the object file, preceded by a line with its symbol name."""
+    """Compile a function with numba. Return the object file, preceded by a line with its symbol name.
+
+    Raises
+    ------
+    TypeError
+        If the function calls functions of numba's library, which `loaded_object` cannot find.
+    """
     import numba
 
-    options: dict[str, Any] = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     compiled: Any = numba.njit(signature, error_model="numpy", **options)(function)
     (overload,) = compiled.overloads.values()
     _, _, (code, _) = overload.library.serialize_using_object_code()
+    called = re.findall(r"^declare .*@((?:numba|NRT)_\w+)\(", overload.library.get_llvm_str(), re.MULTILINE)
+    if missing := [name for name in called if f"@{name}(" not in ALLOCATOR]:
+        raise TypeError(
+            f"{function.__module__}.{function.__qualname__}: calls {', '.join(missing)} of numba's library."
+        )
     symbol: str = overload.fndesc.llvm_func_name
     return symbol.encode() + b"\n" + bytes(code)
 
@@ -157,30 +276,38 @@ def loaded_object(data: bytes, signature: str) -> Function:
     import llvmlite.binding as llvm
 
     symbol, _, code = data.partition(b"\n")
-    engine = _engine()
+    engine, _ = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    arguments = arguments_of(signature)
+    given_types = signature_of(signature)
+    arguments, result = given_types.arguments, given_types.result
     types = [ctypes.c_void_p, ctypes.c_void_p, *arguments.types]
     code_of = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(engine.get_function_address(symbol.decode()))
+    returned = ctypes.c_int64 * max(len(result.types), 1)
 
-    def call(*given: Any) -> None:
-        result, error = ctypes.c_void_p(), ctypes.c_void_p()
-        values: list[Any] = [ctypes.byref(result), ctypes.byref(error)]
+    def call(*given: Any) -> Any:
+        words, error = returned(), ctypes.c_void_p()
+        values: list[Any] = [ctypes.byref(words), ctypes.byref(error)]
         arguments.append(given, values)
         status = code_of(*values)
         if status:
             raise ArithmeticError(f"{symbol.decode()}: machine code ended with status {status}.")
+        return result.read(list(words))
 
     return call
 
 
 @cache
-def _engine() -> Any:
-    """Return the execution engine for loaded machine code. It exists until the process ends."""
+def _engine() -> tuple[Any, Callable[[int], None]]:
+    """Return the execution engine for loaded machine code, and its function that releases a block of memory.
+
+    Both exist until the process ends.
+    """
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-    return llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(ALLOCATOR), machine)
+    engine.finalize_object()
+    return engine, ctypes.CFUNCTYPE(None, ctypes.c_void_p)(engine.get_function_address("release"))

@@ -283,7 +283,7 @@ def velocity(kind: int, numbers: Floats, period: float, memory: Floats, position
     return result
 
 
-@compiled(f"void(f8[:,::1],{_INTERVAL})", allocates=True)
+@compiled(f"void(f8[:,::1],{_INTERVAL})")
 def advance_states(z: Floats, interval: Interval) -> None:
     """Advance states over an interval. Each state is a row of z (see `advance`)."""
     for i in range(len(z)):

@@ -16,16 +16,14 @@ from pipeline.base.compiled import compiled, inlined
 def square(value):
     return value * value
 
-@compiled("f8(f8[::1])", "c16(c16[::1])")
+@compiled("f8(f8[::1])")
 def squares(values):
     total = 0 * values[0]
     for value in values:
         total += square(value)
     return total
 """
-USE = (
-    "import numpy as np, loops; x = np.arange(1, 9) / 7; print(float(loops.squares(x)), complex(loops.squares(x * 1j)))"
-)
+USE = "import numpy as np, loops; print(loops.squares(np.arange(1, 9) / 7))"
 UNWANTED = ("NUMBA_CACHE_DIR", "NUMBA_DISABLE_JIT", "XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")
 
 
@@ -54,7 +52,7 @@ def printed(process):
 
 def kept(folder):
     """Files of machine code in a folder, with the time at which each was written."""
-    return {path.relative_to(folder): path.stat().st_mtime_ns for path in folder.rglob("*.nb?")}
+    return {path.relative_to(folder): path.stat().st_mtime_ns for path in folder.rglob("*.o")}
 
 
 def test_several_processes_at_once_compile_once(started, tmp_path):
@@ -62,7 +60,7 @@ def test_several_processes_at_once_compile_once(started, tmp_path):
     several = [started(NUMBA_CACHE_DIR=folder) for _ in range(3)]
     assert len({printed(each) for each in several}) == 1
     first = kept(folder)
-    assert len(first) == 3  # one index, and one file for each signature
+    assert len(first) == 1
     printed(started(NUMBA_CACHE_DIR=folder))
     assert kept(folder) == first
 
@@ -72,7 +70,7 @@ def test_machine_code_is_in_the_folder_of_the_user(started, tmp_path, variable):
     used = {"XDG_CACHE_HOME": sys.platform == "linux", "LOCALAPPDATA": sys.platform == "win32"}
     printed(started(**({"HOME": tmp_path / "home"} | {variable: tmp_path / "own"})))
     assert bool(list((tmp_path / "own").rglob("haptic-pipeline"))) == used.get(variable, True)
-    assert not list((tmp_path / "code").rglob("*.nb?"))
+    assert not list((tmp_path / "code").rglob("*.o"))
 
 
 def test_a_folder_that_takes_no_files_is_no_error(started, tmp_path):
@@ -80,7 +78,7 @@ def test_a_folder_that_takes_no_files_is_no_error(started, tmp_path):
     expected = printed(started(NUMBA_DISABLE_JIT=1, HOME=tmp_path))
     assert printed(started(NUMBA_CACHE_DIR=tmp_path / "file" / "folder")) == expected
     assert printed(started(HOME=tmp_path / "file")) == expected
-    assert not list(tmp_path.rglob("*.nb?"))
+    assert not list(tmp_path.rglob("*.o"))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="has no file system that takes no files from anybody")
@@ -93,9 +91,7 @@ def test_a_changed_function_that_is_inlined_is_compiled_again(started, tmp_path)
     folder, file = tmp_path / "cache", tmp_path / "code" / "loops.py"
     expected = printed(started(NUMBA_CACHE_DIR=folder))
     file.write_text(MODULE.replace("return value * value", "return value * value * 2"))
-    real, imaginary = expected.split()
-    changed = printed(started(NUMBA_CACHE_DIR=folder)).split()
-    assert (float(changed[0]), complex(changed[1])) == (2 * float(real), 2 * complex(imaginary))
+    assert float(printed(started(NUMBA_CACHE_DIR=folder))) == 2 * float(expected)
 
 
 LISTENED = "from pipeline.base.compiled import load_compiled, on_compiling; on_compiling(print, {}); import loops; "
@@ -111,7 +107,7 @@ def test_functions_of_some_modules_are_loaded_alone(started, tmp_path):
     use = "import sys, loops; from pipeline.base.compiled import load_compiled; "
     use += "load_compiled('loop', 'loops.more'); print('numba' in sys.modules); load_compiled('loops')"
     assert printed(started(use, NUMBA_CACHE_DIR=tmp_path / "cache")) == "False\n"
-    assert len(kept(tmp_path / "cache")) == 3
+    assert len(kept(tmp_path / "cache")) == 1
 
 
 PLAIN = [
@@ -140,7 +136,7 @@ def test_a_part_of_the_suite_passes_without_compiling():
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize("ending", [".nbi", ".nbc", ".lock"])
+@pytest.mark.parametrize("ending", [".o", ".lock"])
 def test_damaged_files_are_no_error(started, tmp_path, ending):
     expected = printed(started(NUMBA_CACHE_DIR=tmp_path / "cache"))
     for path in [*(tmp_path / "cache").rglob(f"*{ending}")]:

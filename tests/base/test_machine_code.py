@@ -1,4 +1,4 @@
-"""Functions that return nothing are called as machine code without numba, with the numbers of plain Python."""
+"""Stored functions are called as machine code without numba, with the numbers of plain Python."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from places import ROOT
 
 from pipeline.base.compiled import KEPT_DAYS
-from pipeline.base.machine_code import arguments_of
+from pipeline.base.machine_code import signature_of
 
 MODULE = """
 from pipeline.base.compiled import compiled, inlined
@@ -85,6 +85,79 @@ def test_machine_code_of_former_versions_is_removed_after_some_months(printed, t
     assert len([*(tmp_path / "kept").glob("*.o")]) == 1
 
 
+RETURNS = """
+from pipeline.base.compiled import compiled
+import numpy as np
+
+@compiled("Tuple((f8[:,::1],f8[::1],i8,f8))(f8[::1],i8)")
+def tables(values, count):
+    table = np.zeros((count, len(values)))
+    for i in range(count):
+        table[i] = i * values
+    row = table[-1] if count else np.zeros(0)
+    return table, row, count, values[0] + values[-1]
+"""
+USE_TABLES = """
+import gc, sys, numpy as np, sums
+{plain}
+for count in (0, 3):
+    table, row, number, total = sums.tables(np.arange(4.0), count)
+    print(table.tolist(), row.tolist(), number, total)
+del table
+gc.collect()
+others = [np.full(12, 7.0) for _ in range(1000)]
+print(row.tolist(), "numba" in sys.modules)
+"""
+
+
+def test_arrays_of_a_function_live_as_long_as_they_are_used(printed, tmp_path):
+    (tmp_path / "sums.py").write_text(RETURNS)
+    expected = printed("", use=USE_TABLES, NUMBA_DISABLE_JIT="1")
+    assert "[0.0, 2.0, 4.0, 6.0] 3 3.0" in expected
+    assert printed("", use=USE_TABLES) == expected.replace("False", "True")
+    assert printed("", use=USE_TABLES) == expected
+
+
+LIBRARY = """
+from pipeline.base.compiled import compiled
+
+@compiled("f8(f8[:,::1])")
+def tables(values):
+    return values.reshape(-1)[0]
+"""
+USE_LIBRARY = """
+import numpy as np, sums
+try:
+    sums.tables(np.ones((2, 2)))
+except TypeError as error:
+    print(error)
+"""
+
+
+def test_a_function_of_the_library_of_numba_is_refused(printed, tmp_path):
+    (tmp_path / "sums.py").write_text(LIBRARY)
+    assert printed(use=USE_LIBRARY).startswith("sums.tables: calls numba_attempt_nocopy_reshape of")
+
+
+GROWTH = """
+import resource, numpy as np, sums
+def peak():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+values = np.arange(1e5)
+sums.tables(values, 10)
+before = peak()
+for _ in range(100):
+    sums.tables(values, 10)
+print(peak() - before < before)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no count of the memory of a process")
+def test_arrays_of_a_function_are_freed(printed, tmp_path):
+    (tmp_path / "sums.py").write_text(RETURNS)
+    assert printed(use=GROWTH) == "True"
+
+
 WRONG = """
 import numpy as np, sums
 try:
@@ -101,7 +174,7 @@ def test_an_array_of_another_form_is_refused(printed, shape, kind):
 
 def test_an_array_is_passed_by_its_address_shape_and_strides():
     table, values = np.zeros((2, 3)), []
-    arguments = arguments_of("void(f8[:,::1])")
+    arguments = signature_of("void(f8[:,::1])").arguments
     arguments.append((table,), values)
     assert values == [0, 0, 6, 8, table.ctypes.data, 2, 3, 24, 8]
     assert len(arguments.types) == len(values)
