@@ -56,7 +56,7 @@ class Family:
     floor: str = ""
     whole: bool = False
     smooth: bool = False
-    needs: tuple[str, ...] = ("response",)
+    needs: tuple[str, ...] = ("response", "wall_law")
     figure: str = "6.5"
     term: str = ""
     definition: str = ""
@@ -111,7 +111,7 @@ SETTLING = Family(
     "settling time",
     unit="samples",
     whole=True,
-    needs=("response", "device", "model", "delay"),
+    needs=("response", "wall_law", "device", "model", "delay"),
     term="Settling time <i>C</i><sub>settle</sub> [samples], (5.10)",
     definition="Time after which the position stays inside a band of ±1, 2 or 5 % around its final value, divided by "
     "<i>T</i>.\n<i>C</i>* is the first sample from which on all samples are inside.",
@@ -135,7 +135,7 @@ ENERGY = Family(
     "energy",
     "energy cost",
     smooth=True,
-    needs=("response", "device", "model", "delay", "mass"),
+    needs=("response", "wall_law", "device", "model", "delay", "mass"),
     figure="6.6",
     term="Energy cost <i>C</i><sub>E<i>w</i></sub> [1], (5.7) and (5.14)",
     definition="Integral of <i>E</i>(<i>t</i>) <i>t</i><sup><i>w</i></sup> over the response, divided by "

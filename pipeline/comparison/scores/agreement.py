@@ -124,12 +124,12 @@ def is_steady(values: Floats) -> bool:
     >>> is_steady(np.array([-0.3, -0.2, -0.1, 0.15, 0.2, 0.3])), is_steady(np.ones(4))
     (False, False)
     """
-    from scipy.stats import binom
+    from scipy.special import bdtr
 
     n, ordered, middle = len(values), np.sort(values), float(np.median(values))
     if n < FEWEST_COMPARISONS:
         return False
-    rank = max(int(binom.ppf(0.025, n, 0.5)) - 1, 0)
+    rank = max(int(np.argmax(bdtr(np.arange(n), n, 0.5) >= 0.025)) - 1, 0)
     half = 0.5 * (ordered[n - 1 - rank] - ordered[rank])
     without = [float(np.median(np.delete(ordered, place))) for place in (0, n // 2, n - 1)]
     kept = abs(middle) < NEGLIGIBLE or all(value * middle > 0 for value in without)

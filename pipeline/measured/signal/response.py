@@ -20,6 +20,16 @@ from pipeline.records.trials import Floats, Trial
 
 
 @dataclass(frozen=True)
+class RestPositions:
+    """Stored part of a `Response`, which is enough to measure the motion at rest."""
+
+    edge_row: int
+    position_start: float
+    position_final_expected: float
+    floor: float
+
+
+@dataclass(frozen=True)
 class Response:
     """Edge, rest positions and resolution of a trial. Values are NaN if a reason is given.
 

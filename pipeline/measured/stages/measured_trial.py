@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.base.progress import report
 from pipeline.measured.cost.costs import ReadingInputs
 from pipeline.measured.cost.reading_error import ReadingError, reading_error
-from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
+from pipeline.measured.signal.response import NO_ROW, Response, RestPositions, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdict
 from pipeline.measured.wall_command.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.wall_command.stamps import even
@@ -26,6 +26,7 @@ from pipeline.records.findings import Finding
 from pipeline.records.trials import Trial, Trials
 
 Result = TypeVar("Result")
+Positions = TypeVar("Positions", Response, RestPositions)
 
 NOT_JUDGED = Verdict("undecided", np.nan, "")
 """Verdict of a trial before the stage that determines verdicts."""
@@ -115,22 +116,24 @@ class MeasuredTrial:
         return self._readings[inputs, on_grid]
 
     def _read(self, trial: Trial, response: Response, inputs: ReadingInputs) -> Readings:
-        trial, response = self.with_spring(trial, response, inputs.spring)
+        if self.unsafe:  # no costs are computed from a response without a start
+            response = replace(response, edge_row=NO_ROW, edge_reason=self.unsafe)
+        trial, response = with_spring(trial, response, inputs.spring)
         sensor = np.nan if inputs.sensor is None else inputs.sensor
         error = reading_error(trial, response, inputs.delay, sensor=sensor, gain=inputs.gain)
         return Readings(trial, about(response, inputs.final), error)
 
-    def with_spring(self, trial: Trial, response: Response, spring: float) -> tuple[Trial, Response]:
-        """Return the trial and the response from which costs are computed if a spring k acts on the device.
 
-        The device comes to rest at x_0 + F_0/(K + k), and the energy is stored in a wall of stiffness K + k (5.7). The
-        response of an unsafe log has no start, so that no costs are computed from it.
-        """
-        if spring and trial.stiffness > 0:
-            trial = replace(trial, stiffness=trial.stiffness + spring)
-            final = response.position_start + trial.step / trial.stiffness
-            response = replace(response, position_final_expected=final)
-        return trial, replace(response, edge_row=NO_ROW, edge_reason=self.unsafe) if self.unsafe else response
+def with_spring(trial: Trial, response: Positions, spring: float) -> tuple[Trial, Positions]:
+    """Return the trial and the response from which costs are computed if a spring k acts on the device.
+
+    The device comes to rest at x_0 + F_0/(K + k), and the energy is stored in a wall of stiffness K + k (5.7).
+    """
+    if spring and trial.stiffness > 0:
+        trial = replace(trial, stiffness=trial.stiffness + spring)
+        final = response.position_start + trial.step / trial.stiffness
+        response = replace(response, position_final_expected=final)
+    return trial, response
 
 
 def about(response: Response, final: str) -> Response:

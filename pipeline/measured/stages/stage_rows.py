@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -19,11 +18,12 @@ from pipeline.measured.experiment.stored import Experiment
 from pipeline.measured.signal.disturbance import PushResponse, fit_push_response
 from pipeline.measured.signal.log_events import usual_length
 from pipeline.measured.signal.outcome import classify
-from pipeline.measured.signal.response import NO_ROW
+from pipeline.measured.signal.response import NO_ROW, RestPositions
 from pipeline.measured.signal.sensor import sensor_floor
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages.measured_trial import MeasuredTrial
+from pipeline.measured.stages.measured_trial import MeasuredTrial, with_spring
 from pipeline.measured.stages.stage import Missing
+from pipeline.measured.stages.stage_device import recording_findings
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.stage_records import (
     CostRow,
@@ -166,12 +166,20 @@ def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInput
     sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
     if not np.isfinite(sensor):
         return ReadingInputs(samples, None, 1.0, spring, final)
-    gain = np.array(of.map_trials(partial(_gain_at_rest, delay=samples, sensor=sensor, spring=spring)))
-    return ReadingInputs(samples, sensor, usual_gain(gain), spring, final)
+    rests = enumerate(_rest_positions(of))
+    gains = [gain_at_rest(*with_spring(of.samples[place], rest, spring), samples, sensor) for place, rest in rests]
+    return ReadingInputs(samples, sensor, usual_gain(np.array(gains)), spring, final)
 
 
-def _gain_at_rest(of: MeasuredTrial, delay: int, sensor: float, spring: float) -> float:
-    return gain_at_rest(*of.with_spring(of.trial, of.response, spring), delay, sensor)
+def _rest_positions(of: Experiment) -> list[RestPositions]:
+    """Return the stored rest positions of each trial. An unsafe log has no command edge."""
+    names = ("edge_row", "position_start", "position_final_expected", "sensor_quantum", "sensor_noise")
+    edge, start, final, quantum, noise = (of.column("response", name) for name in names)
+    safe = np.isnan(of.column("wall_law", "obeyed_stiffness"))
+    safe &= [not any(finding.is_unsafe for finding in findings) for findings in recording_findings(of)]
+    rows = np.where(safe & np.isfinite(edge), edge, NO_ROW).astype(np.int64)
+    values = (rows, start, final, sensor_floor(quantum, noise))
+    return [RestPositions(*each) for each in zip(*(column.tolist() for column in values), strict=True)]
 
 
 def _spring(of: Experiment) -> float:
