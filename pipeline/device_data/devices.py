@@ -112,8 +112,8 @@ def load_device(name: str) -> Device:
     )
 
 
-def find_experiment(device: Device, name: str) -> Experiment:
-    """Return an experiment of a device by name.
+def find_experiment(device: Device, name: str | None) -> Experiment:
+    """Return an experiment of a device by name. Without a name, return the first one.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def find_experiment(device: Device, name: str) -> Experiment:
         If the device has no such experiment. The message lists its experiments.
     """
     for experiment in device.experiments:
-        if experiment.name == name:
+        if not name or experiment.name == name:
             return experiment
     raise DeviceError(
         f"device {device.name!r} has no experiment {name!r}; it has {', '.join(e.name for e in device.experiments)}."

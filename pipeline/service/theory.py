@@ -53,7 +53,7 @@ def case_of_loop(of: Sequence[Any]) -> Case:
     if len(of) == 3:
         return Case(NormalisedLoop.ideal(*of))
     device = load_device(of[0])
-    return case_of(device, find_experiment(device, of[1]) if of[1] else device.experiments[0])
+    return case_of(device, find_experiment(device, of[1]))
 
 
 def document(what: str, of: Sequence[Any], *values: Any) -> Any:

@@ -166,11 +166,7 @@ def _harmless(text: str) -> str:
 
 def grouped(messages: Iterable[tuple[str, str]]) -> Iterator[str]:
     """Yield messages about places. Equal texts are printed once, with the first place and the number of places."""
-    groups: dict[str, list[str]] = {}
-    for place, text in messages:
-        groups.setdefault(text, []).append(place)
-    for text, places in groups.items():
-        yield f"{places[0] if len(places) == 1 else f'{len(places)} logs, first {places[0]}'}: {text}"
+    yield from warned((place, text, None) for place, text in messages)
 
 
 def warned(warnings: Iterable[tuple[str, str, str | None]]) -> Iterator[str]:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.json_object import JsonObject
-from pipeline.base.units import UNITS, find_unit, unit_in_heading
+from pipeline.base.units import find_unit, unit_in_heading
 from pipeline.intake.sources import Notices, find_sources
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name, quantity, si_unit
@@ -164,10 +164,14 @@ def _sheet(files: Sequence[Path]) -> Path | None:
         except ProfileError:
             continue
         for name in filter(None, table.names):
-            cells = {str(cell).replace("\\", "/").rpartition("/")[2].lower() for cell in table.column(name)}
-            if len(cells & (names | stems)) >= max(LEAST_NAMED * (len(files) - 1), 1):
+            if len(set(_file_names(table, name)) & (names | stems)) >= max(LEAST_NAMED * (len(files) - 1), 1):
                 return file
     return None
+
+
+def _file_names(table: SheetTable, column: str) -> list[str]:
+    """Return the cells of a column of a sheet as file names in lower case, without folders."""
+    return [str(cell).replace("\\", "/").rpartition("/")[2].lower() for cell in table.column(column)]
 
 
 def propose(folder: Folder) -> Proposal:
@@ -249,9 +253,8 @@ def _followed(laws: Mapping[str, WallLaw], names: Sequence[str], key: str) -> li
     return [laws[name].followed(key) for name in names]
 
 
-def _kind(laws: Mapping[str, WallLaw]) -> Kind:
-    law = next(iter(laws.values()))
-    return "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
+def _motion(laws: Mapping[str, WallLaw]) -> Kind:
+    return next(iter(laws.values())).motion
 
 
 def _asked_unit(found: Mapping[str, Answer], key: str) -> str:
@@ -273,7 +276,7 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
     for key in CONDITIONS:
         for word in words if key not in known else ():
             numbers = [_number_behind(word, name) for name in names]
-            unit = None if word in used else proved_unit(numbers, _followed(laws, names, key), key, _kind(laws))
+            unit = None if word in used else proved_unit(numbers, _followed(laws, names, key), key, _motion(laws))
             if unit is None:
                 factor = factor_of(numbers, _followed(laws, names, key))
                 if word.lower() in NAMES[key] and factor is not None:
@@ -303,7 +306,7 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
     named = _naming(table, samples)
     if named is None:
         return {}
-    rows = {str(cell).replace("\\", "/").rpartition("/")[2].lower(): i for i, cell in enumerate(table.column(named))}
+    rows = {name: i for i, name in enumerate(_file_names(table, named))}
     at = {name: rows.get(name.lower(), rows.get(Path(name).stem.lower())) for name in laws}
     logs = [name for name, row in at.items() if row is not None]
     by_name = conditions_by_name([name for name in table.names if name and name != named])
@@ -319,10 +322,10 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
             evidence = "stated in the heading"
             if unit is None and logs:
                 numbers = [_number(cells[row]) if (row := at[name]) is not None else None for name in logs]
-                unit = proved_unit(numbers, _followed(laws, logs, key), key, _kind(laws))
+                unit = proved_unit(numbers, _followed(laws, logs, key), key, _motion(laws))
                 evidence = f"agrees with {len(logs)} commands"
             if unit is None and key in by_name:
-                si = si_unit(quantity(key, _kind(laws) if laws else "translation"))
+                si = si_unit(quantity(key, _motion(laws) if laws else "translation"))
                 words = f"what is the unit of the column {column!r} ({key}) of the sheet?"
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:
@@ -339,7 +342,7 @@ def _naming(table: SheetTable, samples: Sequence[Sample]) -> str | None:
     names = {sample.name.lower() for sample in samples} | {Path(sample.name).stem.lower() for sample in samples}
 
     def count(column: str) -> int:
-        return sum(str(c).replace("\\", "/").rpartition("/")[2].lower() in names for c in table.column(column))
+        return sum(name in names for name in _file_names(table, column))
 
     best = max(filter(None, table.names), key=count, default=None)
     return best if best is not None and count(best) else None

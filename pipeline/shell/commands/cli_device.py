@@ -270,7 +270,7 @@ def design(
         if picture.suffix not in (".svg", ".pdf", ".png"):
             raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
     known = device_of(device)
-    conditions = find_experiment(known, experiment) if experiment else known.experiments[0]
+    conditions = find_experiment(known, experiment)
     loop = _held(known, conditions, hand)
     wanted = None if stiffness is None else stiffness_of(stiffness, loop.motion)
     wish = {

@@ -425,7 +425,7 @@ def _case(delay: float | None, gamma: float, delta: float, device: str | None, e
         from pipeline.device_data.devices import find_experiment
 
         known = device_of(device)
-        return case_of(known, find_experiment(known, experiment) if experiment else known.experiments[0])
+        return case_of(known, find_experiment(known, experiment))
     if delay is None:
         raise ParameterError("expected --delay, or --device for the loop of a device file.")
     from pipeline.loop.normalised_loop import NormalisedLoop

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.json_object import JsonObject
-from pipeline.base.units import UNITS, find_unit
+from pipeline.base.units import find_unit
 from pipeline.base.wording import counted
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.column_text import ColumnText
@@ -30,18 +30,13 @@ from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import conditions_by_name, read_sheet
 from pipeline.records.native import FREE
 from pipeline.shell.profile.check import check_samples
+from pipeline.shell.profile.roles import SAME_PERIOD, plausible_units
 
 MOST_SAMPLES = 12
 """Largest number of inspected logs, evenly spread. It suffices to check that all logs have the same form."""
 
-SAME_PERIOD = 0.02
-"""Relative tolerance between sampling periods of logs. Clocks drift by less."""
-
 ROUND_PERIOD = 2e-4
 """Largest relative deviation of a sampling period from the round number that replaces it."""
-
-PLAUSIBLE_PERIODS = (2e-5, 0.1)
-"""Plausible sampling periods of devices [s], for 50 kHz to 10 Hz."""
 
 COLUMNS, OPTIONAL = ("time", "command", "position"), ("force",)
 WALL = ("stiffness", "damping", "step")
@@ -68,9 +63,6 @@ class StatedColumns:
     experiment: str | None = None
     gain: str | None = None
     sheet: str | None = None
-
-    def __bool__(self) -> bool:
-        return any(getattr(self, each.name) is not None for each in fields(self))
 
 
 @dataclass(frozen=True)
@@ -299,8 +291,7 @@ class _Maker:
             return stated
         if name == "time":
             pace = float(np.median(np.diff(self.sample.numbers[column])))
-            low, high = PLAUSIBLE_PERIODS
-            fits = [unit for unit in ("s", "ms", "us", "ns") if low <= pace * UNITS[unit].factor <= high]
+            fits = plausible_units(self.sample, "time", column, pace)
             if len(fits) == 1:
                 self.evidence.append(f"time is in {fits[0]}: consecutive stamps differ by {pace:g}")
                 return fits[0]

@@ -36,7 +36,7 @@ from pipeline.readers.sample import SPEEDS, Sample
 from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
 from pipeline.records.trials import Floats, Trial
-from pipeline.shell.profile.columns import round_period, spread
+from pipeline.shell.profile.columns import MOST_SAMPLES, round_period, spread
 from pipeline.shell.profile.conditions import SAME, numbers_inside, place_of, proved_unit
 from pipeline.shell.profile.roles import (
     MOST_TRIED,
@@ -54,9 +54,6 @@ from pipeline.shell.profile.roles import (
 ROUND = 5e-3
 """Largest relative deviation of an identified gain from the round number that replaces it."""
 
-MOST_LAWS = 12
-"""Largest number of samples in which a wall law is searched for."""
-
 
 _NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+[.,]?\d*", re.IGNORECASE)
 """Pattern of stiffness or damping in a file name."""
@@ -71,9 +68,13 @@ class WallLaw(NamedTuple):
     law: WallGains
     columns: dict[str, str]
     units: dict[str, list[str]]
-    period_s: float
     first_row: bool
     kind: Excitation
+
+    @property
+    def motion(self) -> Kind:
+        """Motion of the device, by the unit of its position."""
+        return "rotation" if UNITS[self.units["position"][0]].quantity == "angle" else "translation"
 
     def followed(self, key: str) -> float:
         """Return a gain that the command follows [SI]. The sign of the position axis does not affect K and B."""
@@ -115,7 +116,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
     laws = common_laws(samples)
     law = laws[0] if laws else None
     columns = _columns(sample, law, len(laws))
-    names = _names(sample, paths, law)
+    names = _names(sample, paths)
     inside = _inside(samples, laws, names)
     walls = _walls(samples, law, laws, names | inside)
     walls = inside | {place: each for place, each in walls.items() if place.split(".")[-1] not in _keys(inside)}
@@ -126,7 +127,7 @@ def answers(samples: Sequence[Sample], paths: Sequence[Path]) -> Answers:
         at_once = bool(laws) and all(each.first_row for each in laws)
         evidence = "the step is already commanded in the first row" if at_once else "the command jumps at the step"
         found["step_at"] = Answer("first row" if at_once else "command edge", evidence)
-    found |= names | columns | _constants(sample, columns, law) | walls
+    found |= names | columns | _constants(sample, columns) | walls
     return dict(sorted(found.items(), key=lambda item: _ORDER.index(item[0].partition(".")[0])))
 
 
@@ -141,14 +142,13 @@ def _keys(answers: Answers) -> set[str]:
 def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) -> Answers:
     """Return the places in the files that state stiffness, damping and step, with units, as the commands show."""
     known = {tuple(law.columns.values()) for law in laws}
-    pairs = [(each, law) for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
+    pairs = [(each, law) for each in trials_of(samples)[:MOST_SAMPLES] if (law := wall_law(each)) is not None]
     pairs = [(each, law) for each, law in pairs if tuple(law.columns.values()) in known]
     if not pairs:
         return {}
     pattern = str(names["name_pattern"].value) if names else ""
     inside = numbers_inside([each.contents for each, _ in pairs])
     first = pairs[0][1]
-    kind: Kind = "rotation" if UNITS[first.units["position"][0]].quantity == "angle" else "translation"
     found: Answers = {}
     for key in ("stiffness", "damping", "step"):
         if f"<{key}>" in pattern or (key == "step" and first.kind != "step"):
@@ -160,10 +160,10 @@ def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) 
         # These gains are in SI only if the units of the columns are known.
         columns = ("command",) if key == "step" else ("command", "position")
         sure = all(len(first.units[role]) == 1 for role in columns)
-        unit = proved_unit(inside[place], followed, key, kind) if sure else None
+        unit = proved_unit(inside[place], followed, key, first.motion) if sure else None
         evidence = f"its numbers agree with {counted(len(pairs), 'command')}"
         found[f"{place[0]}.{key}"] = Answer(place[1], evidence + ("" if unit else ", except for a factor"))
-        if unit is not None and unit != si_unit(quantity(key, kind)):
+        if unit is not None and unit != si_unit(quantity(key, first.motion)):
             found[f"units.{key}"] = Answer(unit, evidence)
     return found
 
@@ -198,7 +198,7 @@ def trials_of(samples: Sequence[Sample]) -> list[Sample]:
     """Return one sample for each trial. If a file has many trials, a selection is used."""
     found: list[Sample] = []
     for each in samples:
-        some = spread(each.trials, MOST_LAWS)
+        some = spread(each.trials, MOST_SAMPLES)
         found += [each._replace(contents=trial, trials=()) for trial in some] if some else [each]
     return found
 
@@ -208,7 +208,7 @@ def common_laws(samples: Sequence[Sample]) -> list[WallLaw]:
 
     Without damping, command and position are interchangeable in the law.
     """
-    laws = [law for each in trials_of(samples)[:MOST_LAWS] if (law := wall_law(each)) is not None]
+    laws = [law for each in trials_of(samples)[:MOST_SAMPLES] if (law := wall_law(each)) is not None]
     counts = Counter(tuple(law.columns.values()) for law in laws)
     if not counts:
         return []
@@ -245,7 +245,7 @@ def wall_law(sample: Sample) -> WallLaw | None:
         kind = _kind_of(law, stamps * factor, force, place) if law is not None and law.stiffness and sure else None
         if law is not None and kind is not None:
             at_once = bool(abs(force[0]) > abs(law.step) / 2)
-            return WallLaw(law, columns, units, spans[0] * factor, at_once, kind)
+            return WallLaw(law, columns, units, at_once, kind)
     return None
 
 
@@ -368,7 +368,7 @@ def _sign(sample: Sample, role: str, names: dict[str, Answer], law: WallLaw | No
     return Answer(1, "a check refuses it if the motion shows the other sign")
 
 
-def _names(sample: Sample, paths: Sequence[Path], law: WallLaw | None) -> Answers:
+def _names(sample: Sample, paths: Sequence[Path]) -> Answers:
     """Return the pattern of conditions in the file names."""
     wall = _wall_in_name(Path(sample.name).stem)
     alike = (path.name for path in paths if path.suffix == Path(sample.name).suffix)
@@ -377,7 +377,7 @@ def _names(sample: Sample, paths: Sequence[Path], law: WallLaw | None) -> Answer
     return {"name_pattern": Answer(wall, f"as in {sample.name}")}
 
 
-def _constants(sample: Sample, columns: Answers, law: WallLaw | None) -> Answers:
+def _constants(sample: Sample, columns: Answers) -> Answers:
     """Return device name, experiment name and sampling period."""
     found = {"constants.device": Answer("bench", "any name"), "constants.experiment": Answer("1", "any name")}
     place = "constants.sampling_period_s"
@@ -433,7 +433,6 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     named = in_names[0]
     if law is None:
         return dict(_wall_questions(named)) if named else {}
-    kind: Kind = "rotation" if UNITS[law.units["position"][0]].quantity == "angle" else "translation"
     drive = UNITS[law.units["command"][0]].quantity in DRIVES
     found: Answers = {}
     evidence = "by the wall law of the command"
@@ -448,10 +447,10 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
             ratio = next((value / number for value, number in pairs if value and number), None)
             if ratio is None or drive:
                 continue
-            si = si_unit(quantity(key, kind))
+            si = si_unit(quantity(key, law.motion))
             unit = si if abs(ratio - 1) <= SAME else unit_between(si, ratio, SAME)
             if unit is None and not (law.units["command"][1:] or law.units["position"][1:]):
-                units = [symbol for symbol, known in UNITS.items() if known.quantity == quantity(key, kind)]
+                units = [symbol for symbol, known in UNITS.items() if known.quantity == quantity(key, law.motion)]
                 words = f"what is the unit of the {key} in the file names? One of {', '.join(units)}."
                 found[f"units.{key}"] = Answer(si, question=words)
             elif unit is not None:

@@ -27,8 +27,8 @@ MOST_TRIED = 8
 CLEARLY = 3.0
 """Factor by which the selected pair of columns must explain the motion better than all other pairs."""
 
-AGREE = 0.02
-"""Relative tolerance between the sampling periods of two equivalent clocks."""
+SAME_PERIOD = 0.02
+"""Relative tolerance between sampling periods of logs, and of equivalent clocks in a log. Clocks drift by less."""
 
 REGULAR = 0.02
 """Relative tolerance of the steps of a clock if other columns also increase in every row."""
@@ -286,7 +286,7 @@ def _clock(sample: Sample, rising: Sequence[str]) -> Answer:
     uneven = {name: float(np.std(np.diff(numbers[name])) / np.mean(np.diff(numbers[name]))) for name in clocks}
     factors = [getattr(find_unit(stated_unit(sample, "time", name)), "factor", 0.0) for name in clocks]
     paces = [float(np.median(np.diff(numbers[name]))) * factor for name, factor in zip(clocks, factors, strict=True)]
-    if clocks and min(paces) > 0 and max(paces) <= (1 + AGREE) * min(paces):
+    if clocks and min(paces) > 0 and max(paces) <= (1 + SAME_PERIOD) * min(paces):
         regular = min(clocks, key=lambda name: uneven[name])
         return Answer(regular, f"increases in every row, most regularly of {', '.join(clocks)}, which agree")
     regular = min(clocks, key=lambda name: uneven[name], default="")
