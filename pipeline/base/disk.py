@@ -75,17 +75,22 @@ def readable_in(folder: Path, mode: int = READABLE) -> int:
     return mode & (around | 0o600 | around >> 2 & 0o111)
 
 
+def sync_file(file: Path) -> None:
+    """Sync the content of a file, so that it is durable."""
+    descriptor = os.open(file, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def sync_folder(folder: Path) -> None:
     """Sync a folder, so that added, renamed and removed names are durable.
 
     Windows cannot open folders. There, the journal of the file system keeps the order.
     """
     if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+        sync_file(folder)
 
 
 def map_in_threads(work: Callable[[Item], Result], items: Sequence[Item], at_once: int = _SYNCS) -> list[Result]:

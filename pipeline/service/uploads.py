@@ -23,7 +23,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
-from pipeline.base.disk import make_folder, map_in_threads, sync_folder
+from pipeline.base.disk import make_folder, map_in_threads, sync_file, sync_folder
 from pipeline.base.paths import path_of_text, path_text
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import Source, content_hash, find_sources
@@ -255,7 +255,7 @@ class Upload:
     def _sync(self, files: list[Path]) -> None:
         """Sync contents and names of files to disk."""
         folders = {parent for file in files for parent in file.parents if self.folder in (parent, *parent.parents)}
-        map_in_threads(_sync_file, files)
+        map_in_threads(sync_file, files)
         map_in_threads(sync_folder, [*folders, self.folder.parent] if files else [])
 
 
@@ -315,14 +315,6 @@ def _parts(name: str) -> list[str]:
             expected=f"at most {DEEPEST} parts of {LONGEST_NAME} bytes",
         )  # fmt: skip
     return parts
-
-
-def _sync_file(file: Path) -> None:
-    descriptor = os.open(file, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def remove_unacknowledged(settings: Settings, database: Database) -> None:

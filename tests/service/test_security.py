@@ -319,7 +319,7 @@ def test_a_full_disk_is_told_and_nothing_stays(empty, tmp_path, monkeypatch, ful
     add = Database.transaction
     with monkeypatch.context() as patch:
         if full == "disk":
-            patch.setattr("pipeline.service.uploads._sync_file", no_room)
+            patch.setattr("pipeline.service.uploads.sync_file", no_room)
         else:
             patch.setattr(Database, "transaction", limited)
         sent = form([("a.csv", b"1"), *[(f"{'b' * 150}{i}.csv", f"{i}".encode()) for i in range(200)]])

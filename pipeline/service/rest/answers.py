@@ -41,22 +41,6 @@ class NotedTrial(Trial):
     notes: str
 
 
-class WrittenNotes(Record):
-    """A text on a trial or experiment."""
-
-    author: str | None
-    changed: float | None
-    text: str
-
-
-class WrittenTags(Record):
-    """Short words on a trial or experiment."""
-
-    author: str | None
-    changed: float | None
-    tags: list[str]
-
-
 class TrialPage(Page[Trial]):
     """A page of a list of trials, with the total number, and the number for each property."""
 
@@ -120,7 +104,7 @@ class Refused(Record):
     author: str | None
     row: int | None
     reason: str
-    code: str | None
+    code: str
     profile: str | None
     profile_line: str | None
 

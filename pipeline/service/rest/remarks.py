@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header
 from fastapi.responses import JSONResponse, Response
-from pydantic import BaseModel, Field
+from pydantic import Field, create_model
 
 from pipeline.base.provenance import digest
 from pipeline.service.database import Deed, Words
@@ -103,10 +103,19 @@ def keep_words(service: Service, kind: str, of: list[str], value: object, who: s
             service.database.note(who, f"wrote {kind}", {"of": of})
 
 
-def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags], answer: type[BaseModel]) -> None:
+WRITTEN = {
+    form: create_model(
+        f"Written{form.__name__}", __base__=form, __doc__=form.__doc__, author=str | None, changed=float | None
+    )
+    for form in (Notes, Tags)
+}
+"""Notes and tags with author and time of the last change, as answers."""
+
+
+def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]) -> None:
     """Add the routes of notes or tags, whose path ends with the kind and whose form has one field."""
     owned = Annotated[list[str], Depends(of)]
-    kind, (name,) = path.rpartition("/")[2], form.model_fields
+    kind, (name,), answer = path.rpartition("/")[2], form.model_fields, WRITTEN[form]
 
     @remarks.get(path, response_model=answer, responses=answers.NAMED)
     def words(service: Shared, of: owned) -> Response:
@@ -126,8 +135,8 @@ def _add_words(path: str, of: Callable[..., list[str]], form: type[Notes | Tags]
 
 def _add_remarks(owner: str, of: Callable[..., list[str]]) -> None:
     """Add the routes for notes, tags and changes of trials or experiments."""
-    _add_words(f"{owner}/notes", of, Notes, answers.WrittenNotes)
-    _add_words(f"{owner}/tags", of, Tags, answers.WrittenTags)
+    _add_words(f"{owner}/notes", of, Notes)
+    _add_words(f"{owner}/tags", of, Tags)
     owned = Annotated[list[str], Depends(of)]
 
     @remarks.get(f"{owner}/exclusion", responses=answers.NAMED)
