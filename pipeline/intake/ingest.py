@@ -69,7 +69,7 @@ class Refusal:
     path: str
     reason: str
     row: int | None
-    code: str | None = None
+    code: str
     profile_line: str | None = None
 
 

@@ -38,8 +38,8 @@ class QuarantineRecord(Record):
     reason : str
     profile, profile_sha256 : str or None
         Profile that claimed the source, or None.
-    code : str or None
-        Machine-readable reason, one of `errors.CURES`. None in records of former versions.
+    code : str
+        Machine-readable reason, one of `errors.CURES`.
     profile_line : str or None
         Line that the profile may need so that the source becomes readable.
     """
@@ -52,7 +52,7 @@ class QuarantineRecord(Record):
     reason: str
     profile: str | None
     profile_sha256: str | None
-    code: str | None = None
+    code: str
     profile_line: str | None = None
 
     def is_less_specific(self, other: QuarantineRecord | None) -> bool:

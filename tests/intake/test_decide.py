@@ -110,6 +110,7 @@ def test_size_time_and_profile_decide_without_reading(seen, kept, refused, repla
         sha256="a",
         row=None,
         reason="why",
+        code="damaged",
         profile="native",
         profile_sha256=SEEN.profile_sha256,
     )
@@ -125,6 +126,7 @@ def test_a_source_that_could_not_be_read_is_tried_again() -> None:
         sha256=None,
         row=None,
         reason="unreadable",
+        code="unreadable",
         profile="native",
         profile_sha256=SEEN.profile_sha256,
     )

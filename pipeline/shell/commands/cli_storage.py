@@ -175,7 +175,7 @@ def status(processed: Processed = Path("processed")) -> int:
         for place in sorted(trials)
     ]
     excluded = [one.model_dump(mode="json") for one in read_exclusions(processed).values()]
-    refused = Counter(record.code or "other" for record in list_quarantine(processed, damaged))
+    refused = Counter(record.code for record in list_quarantine(processed, damaged))
     document = {
         "experiments": rows,
         "excluded": excluded,
@@ -407,8 +407,7 @@ def _list_lines(records: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     refusals = []
     for one in records:
         row = "" if one["row"] is None else f", row {one['row']}"
-        code = "" if one["code"] is None else f" [{one['code']}]"
-        refusals.append((f"{one['id']}  {one['path']}{row}{code}", one["reason"]))
+        refusals.append((f"{one['id']}  {one['path']}{row} [{one['code']}]", one["reason"]))
     yield from console.grouped(refusals)
     other = [one["path"] for one in records if one["code"] in OTHER_COLUMNS]
     yield from (draft_hint(path) for path in other[:1])
