@@ -37,8 +37,6 @@ class Family:
         Stored column of the apparent cost due to sensor and chatter alone, if there is one.
     whole : bool
         Whether measured costs are integers.
-    smooth : bool
-        Whether costs are a smooth function of stiffness and damping.
     needs : tuple of str
         Stages whose results the stage uses.
     figure : str
@@ -55,7 +53,6 @@ class Family:
     none: float = 0.0
     floor: str = ""
     whole: bool = False
-    smooth: bool = False
     needs: tuple[str, ...] = ("response", "wall_law")
     figure: str = "6.5"
     term: str = ""
@@ -134,7 +131,6 @@ OVERSHOOT = Family(
 ENERGY = Family(
     "energy",
     "energy cost",
-    smooth=True,
     needs=("response", "wall_law", "device", "model", "delay", "mass"),
     figure="6.6",
     term="Energy cost <i>C</i><sub>E<i>w</i></sub> [1], (5.7) and (5.14)",

@@ -7,14 +7,13 @@ Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.json_object import JsonObject
 from pipeline.device.parameters import is_rotation
 from pipeline.device.parts import Operator
-from pipeline.device_data.published import HumanArm, human_arms
+from pipeline.device_data.published import human_arms
 from pipeline.rig.wish import stiffness_max
 from pipeline.surface.physical_loop import Loop
 
@@ -100,25 +99,23 @@ class Guidelines:
         return lines
 
 
-def guidelines(loop: Loop, arms: Mapping[str, HumanArm] | None = None) -> Guidelines:
+def guidelines(loop: Loop) -> Guidelines:
     """Return the effects of changes of a rig on its stiffest wall.
 
     Parameters
     ----------
     loop : Loop
         Rig. If the loop has an operator, it is the hand, and it is removed to compute the effect of a hand.
-    arms : mapping of HumanArm, optional
-        Known arms by name, by default those of Table 3.2.
 
     Raises
     ------
     ParameterError
         If no wall is stable.
     """
-    known = {arm.source: arm for arm in human_arms()} if arms is None else arms
+    arm = next(arm for arm in human_arms() if arm.source == USUAL_ARM)
     free = replace(loop, operator=None)
     most = stiffness_max(free)
-    given = loop.operator or Operator(**known[USUAL_ARM].model_dump(include={"mass", "damping", "stiffness"}))
+    given = loop.operator or Operator(**arm.model_dump(include={"mass", "damping", "stiffness"}))
     usual = loop.operator is None
     hand = () if usual and is_rotation(loop.motion) else _hand(free, given, most)
     held = replace(free, operator=given).normalised_loop if hand else loop.normalised_loop

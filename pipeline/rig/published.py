@@ -23,22 +23,17 @@ _ANGLES = 4000
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """Coulomb friction f_c [N, Nm] and sensor resolution [m, rad] of a device, or 0 if unknown."""
-
-    coulomb: float = 0.0
-    quantum: float = 0.0
-
-
-@dataclass(frozen=True)
 class Condition:
-    """Published condition with its source, guarantee and assumptions, and with its largest K for each damping B."""
+    """Published condition with its source, guarantee and assumptions, and with its largest K for each damping B.
+
+    The function ``stiffness`` receives the loop, the largest K by the friction of the device (NaN if unknown), and B.
+    """
 
     name: str
     source: str
     promises: Literal["stability", "passivity"]
     assumes: str
-    stiffness: Callable[[Loop, Sensor, Floats], Floats]
+    stiffness: Callable[[Loop, float, Floats], Floats]
 
 
 def _late(loop: Loop) -> float:
@@ -52,33 +47,32 @@ def _passive_damping(loop: Loop) -> float:
     return np.nan if loop.mode and loop.mode.sensor == "load" else loop.passive_damping
 
 
-def _minsky(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
+def _minsky(loop: Loop, _: float, B: Floats) -> Floats:
     device = loop.apparent()
     return (device.damping + B) / _late(loop) - device.stiffness
 
 
-def _linear(loop: Loop, _: Sensor, B: Floats) -> Floats:
+def _linear(loop: Loop, _: float, B: Floats) -> Floats:
     return (loop.apparent().damping + B) / _late(loop)
 
 
-def _gil(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
-    return _linear(loop.replace({"delay_samples": 0.0}), sensor, B)
+def _gil(loop: Loop, by_friction: float, B: Floats) -> Floats:
+    return _linear(loop.replace({"delay_samples": 0.0}), by_friction, B)
 
 
-def _colgate(loop: Loop, _: Sensor, B: Floats) -> Floats:
+def _colgate(loop: Loop, _: float, B: Floats) -> Floats:
     return 2 * (_passive_damping(loop) - np.abs(B)) / loop.sampling_period_s
 
 
-def _salcudean(loop: Loop, _: Sensor, B: Floats) -> Floats:
+def _salcudean(loop: Loop, _: float, B: Floats) -> Floats:
     return Loop(loop.apparent().mass, 0.0, loop.sampling_period_s, 1.0).linear_limits(B)
 
 
-def _abbott(loop: Loop, sensor: Sensor, B: Floats) -> Floats:
-    by_friction = quantum_limit(sensor.coulomb, sensor.quantum, loop.force_gain) if sensor.quantum > 0 else np.nan
+def _abbott(loop: Loop, by_friction: float, B: Floats) -> Floats:
     return np.where(B == 0, np.minimum(2 * _passive_damping(loop) / loop.sampling_period_s, by_friction), np.nan)
 
 
-def _hulin(loop: Loop, _: Sensor, B: Floats) -> Floats:
+def _hulin(loop: Loop, _: float, B: Floats) -> Floats:
     d, damping = loop.delay_samples, _passive_damping(loop)
     if d % 1 and damping >= 0:  # (4.6) requires an integer delay, but its sum over aliases does not
         unit = loop.units
@@ -212,12 +206,12 @@ def published_rows(
         if not 0 <= value < np.inf:
             raise ParameterError(f"{name} = {value}: expected a finite nonnegative number.")
     B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
-    sensor, without = Sensor(coulomb, quantum), _without(loop)
+    by_friction, without = quantum_limit(coulomb, quantum, loop.force_gain) if quantum > 0 else np.nan, _without(loop)
     rows: list[dict[str, Any]] = []
     exact = Condition("exact", "this package", "stability", _exact_assumes(loop), lambda *_: K)
     K = loop.linear_limits(B)
     for condition in (*CONDITIONS, exact):
-        stiffness = np.maximum(condition.stiffness(loop, sensor, B), 0.0)
+        stiffness = np.maximum(condition.stiffness(loop, by_friction, B), 0.0)
         assumes = condition.assumes if condition is exact else condition.assumes + without
         words = {"promises": condition.promises, "assumes": assumes, "source": condition.source}
         walls = zip(B.tolist(), stiffness.tolist(), strict=True)

@@ -372,17 +372,8 @@ class Correction(Exclusion):
     @property
     def at_place(self) -> Exclusion:
         """The exclusion, with the device and experiment after corrections."""
-        device, experiment = self.place
-        return Exclusion(
-            trial_id=self.trial_id,
-            label=self.label,
-            device=device,
-            experiment=experiment,
-            source_path=self.source_path,
-            source_sha256=self.source_sha256,
-            exclusion_reason=self.exclusion_reason,
-            excluded_since=self.excluded_since,
-        )
+        own = {name: getattr(self, name) for name in Exclusion.model_fields}
+        return Exclusion(**own | dict(zip(("device", "experiment"), self.place, strict=True)))
 
 
 IDENTITY = tuple(name for name in Exclusion.model_fields if name in TABLES["trials"])

@@ -14,7 +14,6 @@ from pipeline.base.errors import ParameterError
 from pipeline.device.loop import Loop
 from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import (
-    MEASURED_TABLES,
     PrintedNumber,
     PublishedRow,
     published_deviation,
@@ -62,11 +61,6 @@ class PrintedOptimum:
 def printed_optima(table: str) -> tuple[int, Iterator[PrintedOptimum]]:
     """Return the number of rows of a table, and an iterator over the rows, which are computed one by one.
 
-    Raises
-    ------
-    ParameterError
-        If the table is not in `MEASURED_TABLES`.
-
     Examples
     --------
     >>> count, rows = printed_optima("D.2")
@@ -74,8 +68,6 @@ def printed_optima(table: str) -> tuple[int, Iterator[PrintedOptimum]]:
     >>> count, round(measured[0].deviation_percent, 1)
     (12, -45.4)
     """
-    if table not in MEASURED_TABLES:
-        raise ParameterError(f"table {table!r} is unknown; expected one of {list(MEASURED_TABLES)}.")
     rows = [row for row in published_rows() if row.table == table]
     return len(rows), map(_recomputed, rows)
 

@@ -6,7 +6,7 @@ The module reads logs, estimates parameters with intervals, computes the limit o
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
@@ -541,8 +541,8 @@ def _document(
             }
             for each in found.combinations
         ],
-        "drive": _drive_document(found, of_device),
-        "gravity": _gravity_document(found, of_device),
+        "drive": _with_units(found.drive, {"asymmetry": "", "curvature": ""}, _unit("mass", of_device)),
+        "gravity": _with_units(found.gravity, {"angle": "rad"}, _unit("friction.coulomb", of_device)),
         "idle_starts": [asdict(each) for each in apart.idle],
         "measured_force": None if apart.drive is None else _force_document(apart.drive, apart.by_force),
         "scatter": {
@@ -622,17 +622,9 @@ def _replay_document(found: Identification) -> dict[str, Any]:
     return {"fit_percent": fit, "naive_percent": naive, "follows": follows(fit, naive), "logs": logs}
 
 
-def _drive_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
-    """Return the numbers of `Identification.drive`, or None if the gain is the same for all commands."""
-    masses = dict.fromkeys(("positive", "negative", "small", "large"), _unit("mass", motion))
-    units = {"asymmetry": "", "curvature": ""} | masses
-    return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.drive.items()} or None
-
-
-def _gravity_document(found: Identification, motion: Motion) -> dict[str, Any] | None:
-    """Return the numbers of `Identification.gravity`, or None if the logs show no gravity."""
-    units = {"torque": _unit("friction.coulomb", motion), "angle": "rad"}
-    return {name: {**_numbers(each, True), "unit": units[name]} for name, each in found.gravity.items()} or None
+def _with_units(numbers: Mapping[str, Interval], units: dict[str, str], other: str) -> dict[str, Any] | None:
+    """Return intervals with their units (``other`` if ``units`` has none), or None if there are no intervals."""
+    return {name: {**_numbers(each, True), "unit": units.get(name, other)} for name, each in numbers.items()} or None
 
 
 def _jitters(loop: dict[str, Any]) -> bool:

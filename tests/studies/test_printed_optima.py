@@ -7,8 +7,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.base.errors import ParameterError
-from pipeline.device_data.published import MEASURED_TABLES, published_rows
+from pipeline.device_data.published import published_rows
 from pipeline.shell.cli import application
 from pipeline.studies.printed_optima import printed_optima
 
@@ -49,9 +48,3 @@ def test_command_prints_tables_of_theory_and_of_experiments_together():
     text = CliRunner().invoke(application(), ["theory", "tables", "D.2"]).output
     assert "−45.4" in text or "-45.4" in text
     assert "printed numbers" not in text
-
-
-def test_an_unknown_table_is_refused():
-    with pytest.raises(ParameterError, match=r"D\.1"):
-        printed_optima("D.7")
-    assert MEASURED_TABLES[-1] == "D.6"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import pipeline.studies.thesis_tables as module
-from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import THEORY_TABLES, PublishedPoint, published_points
 from pipeline.loop.normalised_loop import NormalisedLoop
 from pipeline.shell.cli import run
@@ -199,12 +198,6 @@ def test_every_row_has_a_mark_and_none_is_unexplained() -> None:
     errata = {(*key, e.name) for key, row in zip(keys, rows, strict=True) for e in row.entries if e.mark == "erratum"}
     assert errata == {(p.table, p.criterion, p.delay, p.gamma, p.delta, n) for p in points for n in p.erratum_of}
     assert count_marks(rows)["equal"] > 750
-
-
-def test_an_unknown_table_is_refused_before_anything_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "recompute", lambda point: pytest.fail("computed"))
-    with pytest.raises(ParameterError, match=r"C\.4"):
-        list(module.recomputed_tables(["B.1", "C.4"]))
 
 
 ROWS = (

@@ -140,19 +140,9 @@ def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, m
     window = None if momentum_window is None else quantity("--momentum-window", momentum_window, "time")
     if window is not None and window <= 0:
         raise UsageError(f"--momentum-window {momentum_window}: expected a time above 0, such as '15 ms'.")
-    former = shown.measuring
-    measuring = Measuring(
-        final=former.final if final is None else final,
-        momentum_delay=former.momentum_delay if momentum_delay is None else momentum_delay,
-        momentum_window_s=former.momentum_window_s if window is None else window,
-    )
-    return Shown(
-        figures=shown.figures,
-        tables=shown.tables,
-        overlays=shown.overlays,
-        delays=shown.delays,
-        measuring=measuring,
-    )
+    options = {"final": final, "momentum_delay": momentum_delay, "momentum_window_s": window}
+    given = {name: value for name, value in options.items() if value is not None}
+    return Shown(**dict(shown) | {"measuring": Measuring(**dict(shown.measuring) | given)})
 
 
 def _show(result: ComparisonResult, report: Path, export: Path | None) -> None:
