@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pipeline.base.errors import DeviceError, PipelineError
-from pipeline.device_data.devices import read_device
+from pipeline.base.errors import PipelineError
 from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.identification.estimated import ESTIMATED
@@ -430,20 +429,6 @@ def test_parts_and_outputs_first_wall_with_a_heavy_hand(tmp_path, mass, damping,
     alone = plan(str(file), tmp_path / "none", None, PlanOptions(dampings=(0.0,), gentle=gentle)).next[0]
     if not body.damping:
         assert (alone.expected, alone.stiffness < 1e-3 * body.mass / T**2) == ("unstable", True)
-
-
-def test_a_wall_with_jitter_in_the_file_is_that_of_the_mean_delay(tmp_path):
-    text = "sampling_period_s = 0.001\nmass = 0.5\ndamping = 3.0\ndelay_samples = {}\njitter_samples = [{}]\n"
-    walls = []
-    for delay, jitter in ((1, "6, 7, 8"), (7, "")):
-        file = tmp_path / f"{delay}.toml"
-        file.write_text(text.format(float(delay), jitter), encoding="utf-8")
-        try:
-            read_device(file)
-        except DeviceError:
-            return  # a delay outside its jitter is refused
-        walls.append(plan(str(file), tmp_path / "none", None, PlanOptions(dampings=(20.0,))).next[0].stiffness)
-    assert walls[0] == pytest.approx(walls[1], rel=0.01)
 
 
 def test_the_lowest_limit_is_that_of_all_devices_in_the_range():

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import foreign_files
 import numpy as np
@@ -366,21 +365,6 @@ def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp
     assert not (tmp_path / "procesed").exists()
 
 
-def test_a_repaired_log_is_tried_again(call, refused, tmp_path):
-    assert call("ingest", "logs")[0] == 3
-    (tmp_path / "logs" / "bad.csv").write_text(log_text(600.0))
-    status, out, _ = call("ingest", "logs/bad.csv", "--json")
-    assert (status, json.loads(out)["ingested"]) == (0, 1)
-    assert json.loads(call("quarantine", "--json")[1]) == []
-
-
-def test_another_profile_takes_a_log_out_of_quarantine(call, lab):
-    # no shipped profile reads it; the native one claims it by its ending
-    assert call("ingest", "K300.csv")[0] == 3
-    assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 0
-    assert call("quarantine")[1] == "0 in quarantine\n"
-
-
 # no step
 
 
@@ -416,16 +400,6 @@ def test_simulink_profile_reads_structure_with_time(call, tmp_path):
     (trial,) = json.loads(out)["samples"][0]["trials"]
     assert {c["name"]: c["value"] for c in trial["conditions"]}["stiffness"] == 300
     assert [(c["first"], c["last"]) for c in trial["columns"]] == [(0, 0.002), (0, 8), (0, 0.02)]
-
-
-def test_documents_beside_logs_are_no_logs(call, tmp_path):
-    (tmp_path / "logs").mkdir()
-    (tmp_path / "logs" / "a.csv").write_text(log_text(300.0))
-    for name in ("README.md", "LICENSE", "truth.json"):
-        (tmp_path / "logs" / name).write_text("words")
-    assert json.loads(call("ingest", "logs", "--json")[1])["found"] == 1
-    # one that is named is looked at
-    assert call("ingest", Path("logs/README.md"))[0] == 3
 
 
 @pytest.mark.parametrize("text", ["x\n1.0\n2.0\n3.5\n", "1.0\n2.0\n3.5\n", "0.1;\n0.2;\n0.3;\n"])

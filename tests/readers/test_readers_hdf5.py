@@ -1,7 +1,6 @@
 """HDF5 logs, written by h5py."""
 
 import re
-from concurrent.futures import ThreadPoolExecutor
 
 import h5py
 import numpy as np
@@ -115,10 +114,3 @@ def test_loops_of_groups_end():
         file["a/again"] = file["a"]
 
     assert list(frame(hdf5_file(write)).columns) == ["/a/t"]
-
-
-def test_two_files_of_one_name_stay_apart():
-    first, second = (hdf5_file(lambda file, n=n: file.create_dataset("t", data=np.full(3, n))) for n in (1.0, 2.0))
-    with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda data: frame(data, "t").columns["t"][0], [first, second] * 20))
-    assert found == [1.0, 2.0] * 20

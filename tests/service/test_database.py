@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from types import SimpleNamespace
 
 import pytest
 
 from pipeline.service.database import Database
-from pipeline.service.problems import Problem
-from pipeline.service.security import _Body
 
 
 @pytest.fixture
@@ -42,18 +39,3 @@ def test_a_token_ends_with_its_days_and_its_sessions_with_it(tmp_path, later):
     assert known.holder_of(token) is known.holder_of_session(session) is known.login(token) is None
     later[0] = 1e5
     assert known.holder_of(lasting) == ("viewer", "Bob")
-
-
-def test_a_body_is_refused_as_soon_as_it_is_larger_than_allowed():
-    parts = iter([{"body": b"x" * 60, "more_body": True}, {"body": b"x" * 60, "more_body": False}])
-
-    async def receive():
-        return next(parts)
-
-    async def read():
-        body = _Body(receive, 100, 5.0, whole=True)
-        assert len((await body())["body"]) == 60
-        await body()
-
-    with pytest.raises(Problem, match="too large"):
-        asyncio.run(read())

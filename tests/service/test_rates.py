@@ -20,13 +20,6 @@ def test_a_sender_gets_what_the_rate_allows():
     assert taken == pytest.approx(2.0 * (BURST_S + 300.0), abs=2)
 
 
-def test_senders_do_not_share():
-    rates = Rates(60, lambda: 0.0)
-    while not rates.wait_s("one"):
-        pass
-    assert rates.wait_s("other") == 0.0
-
-
 def test_no_limit():
     rates = Rates(0)
     assert {rates.wait_s("one") for _ in range(10_000)} == {0.0}
