@@ -211,10 +211,10 @@ def requested_profiles(profile: str | Path | Profile | None, paths: Sequence[Pat
         return RequestedProfiles((loaded,))
     sheet = Path(loaded.sheet.file)
     names = {file.name for path in paths for file in (_files(path, None, [], {}) if path.is_dir() else [path])}
-    read = with_sheet(loaded, names)
+    read, found = with_sheet(loaded, names)
     # If a single log is given, the other logs of the sheet are elsewhere.
-    notices = tuple((sheet, text) for text in read.notices) if any(path.is_dir() for path in paths) else ()
-    return RequestedProfiles((read.profile,), (escape(os.path.abspath(sheet)),), notices)
+    notices = tuple((sheet, text) for text in found) if any(path.is_dir() for path in paths) else ()
+    return RequestedProfiles((read,), (escape(os.path.abspath(sheet)),), notices)
 
 
 def find_sources(

@@ -25,7 +25,7 @@ from pipeline.base.provenance import sha256
 from pipeline.base.units import DRIVES, UNITS, factor_to_si, find_unit, split_quantity
 from pipeline.device.parameters import Dimension, is_rotation, unit_of
 from pipeline.records.findings import Grip, Motion, Name, Record
-from pipeline.records.native import FREE
+from pipeline.records.native import OF_WALL
 
 Kind = Literal["translation", "rotation"]
 """Type of motion of a device. It does not depend on the quantity of the command."""
@@ -51,8 +51,8 @@ IMPLIED: dict[Excitation, tuple[str, ...]] = {
     "step": (),
     "release": ("step",),
     "hit": ("step",),
-    "free": FREE,
-    "staircase": FREE,
+    "free": OF_WALL,
+    "staircase": OF_WALL,
 }
 """Conditions that are 0 in each kind of trial."""
 
@@ -823,8 +823,8 @@ class Profile(TextLayout, StepTime):
                 yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a unique name"
         if self.steps and (self.trial_column or self.window or any(entry.window for entry in self.file)):
             yield ("steps",), "given together with trial_column or a window; expected one of them"
-        varies = "step" in {*self.name_groups(), *self.attributes, *self.condition_columns}
-        constant = 0.0 if self.conditions().isdisjoint(FREE) else None if varies else self.constants.step
+        varies = "step" in self._varying()
+        constant = 0.0 if self.conditions().isdisjoint(OF_WALL) else None if varies else self.constants.step
         constant = 0.0 if self.kind != "step" else constant
         if self.kind != "step" and (declared := next(((p, e.declared[0]) for p, e in places if e.declared), None)):
             yield (*declared[0], declared[1]), f"a trial of kind {self.kind!r} has no declared step. Remove it"
@@ -840,14 +840,21 @@ class Profile(TextLayout, StepTime):
     def conditions(self) -> set[str]:
         """Return the conditions that are given anywhere in the profile."""
         tables = {key for table in (self.constants, *self.file, *self.steps) for key in table.given()}
-        return tables | {*self.name_groups(), *self.attributes, *self.condition_columns, *IMPLIED[self.kind]}
+        return tables | self._varying() | {*IMPLIED[self.kind]}
+
+    def _varying(self) -> set[str]:
+        """Return the conditions that each log gives by its name, attributes or columns."""
+        return {*self.name_groups(), *self.attributes, *self.condition_columns}
+
+    def _stated(self, key: str) -> set[Any]:
+        """Return the values of a condition that the profile itself gives, except 0."""
+        return {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
 
     def _implied_problems(self) -> Iterator[Problem]:
         """Yield conditions that are given although trials of this kind have no such condition."""
-        varying = {*self.name_groups(), *self.attributes, *self.condition_columns}
         for key in IMPLIED[self.kind]:
-            stated = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None, 0.0}
-            if stated or key in varying:
+            stated = self._stated(key)
+            if stated or key in self._varying():
                 text = f"a trial of kind {self.kind!r} has no such condition. Remove it, or correct `kind`"
                 yield ("constants" if stated else "kind", *((key,) if stated else ())), f"{key}: {text}"
 
@@ -869,7 +876,7 @@ class Profile(TextLayout, StepTime):
         # The conditions of a sheet are unknown until it is read.
         for key in REQUIRED_CONDITIONS if self.sheet is None else ():
             # A log of free motion, without wall and step, needs none of their conditions.
-            if key not in given and not (key in FREE and given.isdisjoint(FREE)):
+            if key not in given and not (key in OF_WALL and given.isdisjoint(OF_WALL)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or state it in name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
                 yield ("constants", key), f"missing. Add {line} to [constants], {others}"
@@ -967,9 +974,11 @@ class Profile(TextLayout, StepTime):
     @property
     def motion(self) -> Motion:
         """Type of motion with the unit of the command. Without a gain, the unit is that of the drive."""
-        if not self.drive or self.units.gain is not None:
-            return self.motion_kind
-        return cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
+        return self.motion_kind if not self.drive or self.units.gain is not None else self._motion_of(self.drive)
+
+    def _motion_of(self, drive: str) -> Motion:
+        """Return the type of motion with the unit of a drive."""
+        return cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[drive]))}")
 
     def unit_factor(self, key: str, unit: str) -> float:
         """Return the factor from a unit of a condition to SI, or to the unit of the drive.
@@ -979,11 +988,10 @@ class Profile(TextLayout, StepTime):
         ParameterError
             If the unit is unknown or belongs to another quantity.
         """
-        allowed = quantity(key, self.motion)
-        if (gain := self.gain) is not None and key in FREE:
-            drive = cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[gain.drive]))}")
-            if (known := find_unit(unit)) is not None and known.quantity == quantity(key, drive):
-                return known.factor * gain.factor
+        allowed, known = quantity(key, self.motion), find_unit(unit)
+        gain = self.gain if key in OF_WALL else None
+        if gain and known and known.quantity == quantity(key, self._motion_of(gain.drive)):
+            return known.factor * gain.factor
         return factor_to_si(unit, (allowed,))
 
     def condition_factor(self, key: str) -> float:
@@ -995,12 +1003,10 @@ class Profile(TextLayout, StepTime):
         """Yield missing or wrong keys for a command in units of a drive, which must not be mistaken for a force."""
         assert self.columns is not None, "this is only called for a profile with columns"
         unit = self.columns.command.unit if self.columns.command else None
-        for key in FREE if self.drive else ():
-            constants = {getattr(table, key) for table in (self.constants, *self.file, *self.steps)} - {None}
-            varies = key in {*self.name_groups(), *self.attributes, *self.condition_columns}
-            if getattr(self.units, key) is None and (varies or constants - {0.0}):
-                drive = cast(Motion, f"{self.motion_kind} in {next(iter(DRIVES[self.drive]))}")
-                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], kind)}"' for kind in (drive, self.motion_kind))
+        for key in OF_WALL if self.drive else ():
+            if getattr(self.units, key) is None and (key in self._varying() or self._stated(key)):
+                motions = (self._motion_of(self.drive), self.motion_kind)
+                wanted = " or ".join(f'"{unit_of(_DIMENSIONS[key], motion)}"' for motion in motions)
                 text = f"missing; the command is in {unit}, so a plain number is ambiguous. Add {key} = {wanted}"
                 yield ("units", key), text
         if self.units.gain is None:
@@ -1018,7 +1024,7 @@ class Profile(TextLayout, StepTime):
 
     def _needs_gain(self, key: str) -> str:
         """Return the remedy for a condition in units of force, if the command is in units of a drive."""
-        if not self.drive or self.units.gain is not None or key not in FREE:
+        if not self.drive or self.units.gain is not None or key not in OF_WALL:
             return ""
         unit = next(iter(DRIVES[self.drive]))
         return f'. The command is in {unit}: give the condition in {unit} too, or [units] gain = "<number> N/{unit}"'

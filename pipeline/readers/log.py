@@ -13,9 +13,10 @@ from pipeline.base.errors import LogError, refusal
 from pipeline.device.parameters import is_rotation
 from pipeline.recording.check import check_recording, check_recordings
 from pipeline.recording.samples import Samples
+from pipeline.recording.timing import MISSING
 from pipeline.recording.wrapping import unwrapped
 from pipeline.records.findings import Finding
-from pipeline.records.native import NativeHeader
+from pipeline.records.native import OF_WALL, NativeHeader
 from pipeline.records.trials import Booleans, Floats, Integers
 
 GAP = 30.0
@@ -57,11 +58,6 @@ LONGEST_PAUSE = 1e6
 
 A response at 1 kHz has no pause of minutes, and rows at 1 ms have no sampling period of minutes.
 """
-
-
-MISSING = 1.5
-"""Threshold for the step between samples, in sampling periods. Above it, samples are missing, because the step rounds
-to 2 or more."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +191,7 @@ def check_samples(
     if header.step == 0 and "step_row" in header.extra:
         found = f"step is 0 (none was commanded), but the step is declared in row {step_row}"
         raise refusal("condition-wrong", "", found, "", "Give the size of the step, or remove the declared row.")
-    for name in ("stiffness", "damping", "step"):
+    for name in OF_WALL:
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
             expected = f"at most {LARGEST_CONDITION:g} [SI]"
             raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")

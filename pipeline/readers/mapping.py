@@ -44,7 +44,7 @@ from pipeline.readers.formats import refuse_other_kind
 from pipeline.readers.isolation import read_file
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Table, rows_of
-from pipeline.records.native import FREE, NativeHeader, parse_header
+from pipeline.records.native import OF_WALL, NativeHeader, parse_header
 from pipeline.records.trials import Floats, Integers
 
 Part = tuple[FileEntry | None, StepEntry | None]
@@ -466,8 +466,8 @@ def conditions_of(
             raise refusal("condition-missing", where, found)
         given[key] = _in_si(profile, where, key, value, inside)
     # If other files of the profile have walls, a file without conditions may also have a wall.
-    if given.keys().isdisjoint(FREE) and profile.conditions().isdisjoint(FREE):
-        given |= dict.fromkeys(FREE, 0.0)
+    if given.keys().isdisjoint(OF_WALL) and profile.conditions().isdisjoint(OF_WALL):
+        given |= dict.fromkeys(OF_WALL, 0.0)
     if missing := next((key for key in required if key not in given), None):
         line = f'[[file]]\nmatch = "{name}"\n{missing} = <value>'
         found = f"profile {profile.name} does not give the {missing} of this file"

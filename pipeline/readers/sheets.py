@@ -22,6 +22,7 @@ from pipeline.base.units import find_unit, unit_in_heading
 from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import (
+    CONDITION_QUANTITIES,
     CONDITIONS,
     NUMBERS_IN_NAMES,
     FileEntry,
@@ -32,6 +33,7 @@ from pipeline.profiles.profile_model import (
 from pipeline.readers.file_columns import library
 from pipeline.readers.isolation import isolated
 from pipeline.records.findings import Grip
+from pipeline.records.native import OF_WALL
 
 Cell = str | float | None
 
@@ -72,20 +74,13 @@ class SheetTable:
         return [row[at] for row in self.rows]
 
 
-@dataclass(frozen=True)
-class SheetRead:
-    """A profile with the rows of its sheet as entries, and sentences about mismatches between sheet and logs."""
-
-    profile: Profile
-    notices: tuple[str, ...] = ()
-
-
-def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
-    """Return a profile with the rows of its sheet, if it has one, as `[[file]]` entries.
+def with_sheet(profile: Profile, logs: Collection[str]) -> tuple[Profile, list[str]]:
+    """Return a profile with the rows of its sheet as `[[file]]` entries, and mismatches between sheet and logs.
 
     Parameters
     ----------
     profile : Profile
+        Profile with a sheet.
     logs : collection of str
         Names of the files to read. They identify the column of file names.
 
@@ -94,8 +89,7 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
     ProfileError
         If the sheet cannot be read, no column names the logs, two rows name the same log, or a cell is invalid.
     """
-    if profile.sheet is None:
-        return SheetRead(profile)
+    assert profile.sheet is not None, "the caller selects profiles with a sheet"
     path = Path(profile.sheet.file)
     table = read_sheet(path)
     named = name_column(table, profile, logs)
@@ -110,7 +104,7 @@ def with_sheet(profile: Profile, logs: Collection[str] = ()) -> SheetRead:
         mistakes = "; ".join(dict.fromkeys(mistake.text for mistake in find_mistakes(values, "")))
         raise ProfileError(f"{path}: the rows of this sheet make the profile invalid: {mistakes}") from None
     present = [name for name in logs if profile.claims(name) and name != path.name]
-    return SheetRead(ready, tuple(_missing(path, rows, present)) if logs else ())
+    return ready, _missing(path, rows, present) if logs else []
 
 
 def _joined(own: Sequence[JsonObject], rows: Sequence[JsonObject]) -> list[JsonObject]:
@@ -312,7 +306,7 @@ def mapped_columns(table: SheetTable, profile: Profile, named: str) -> tuple[dic
     for key, unit in units.items():
         if key in stated and find_unit(stated[key]) != find_unit(unit):
             raise ProfileError(f"{sheet.file}: the {key} is in {unit}, but [units] has {stated[key]}. Correct one.")
-    bare = [key for key in ("stiffness", "damping", "step") if key in columns and key not in units | stated]
+    bare = [key for key in OF_WALL if key in columns and key not in units | stated]
     for key in bare:
         if any(cell not in (None, 0.0, "0") for cell in table.column(columns[key])):
             raise ProfileError(
@@ -338,7 +332,7 @@ def conditions_by_name(names: Sequence[str]) -> dict[str, str]:
 
 
 def _quantities(profile: Profile) -> list[str]:
-    return [quantity(key, profile.motion) for key in ("stiffness", "damping", "step", "sampling_period_s")]
+    return [quantity(key, profile.motion) for key in CONDITION_QUANTITIES]
 
 
 def split_mapping(text: str, names: Collection[str], file: str) -> tuple[str, str, str]:

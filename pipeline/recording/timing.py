@@ -19,7 +19,7 @@ SURE = 4.0
 the two is wrong (by chance in 6e-5 of the logs)."""
 
 MISSING = 1.5
-"""Smallest time step, in periods, that indicates missing rows."""
+"""Smallest time step, in periods, that indicates missing rows, because it rounds to 2 or more."""
 
 
 def other_period(time: Floats, period: float) -> float | None:

@@ -36,14 +36,14 @@ _REQUIRED = {
     "step": "the size of the external force step in N (Nm for a rotational device), 0 if none was commanded",
     "sampling_period_s": "the sampling period T in s",
 }
-FREE = ("stiffness", "damping", "step")
-"""Conditions that a log of motion without wall and step omits together.
+OF_WALL = ("stiffness", "damping", "step")
+"""Conditions of a trial at a wall. A log of motion without wall and step omits all of them.
 
 They are then 0, and such a trial has no response to judge. The command shows the cause of the motion.
 """
 
 NOT_STATED = "not stated"
-"""Value of ``wall`` in the extra keys of a header that omits all of `FREE`."""
+"""Value of ``wall`` in the extra keys of a header that omits all of `OF_WALL`."""
 
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
 # Each pattern matches a run of blanks in only one way. Other patterns take minutes for a line of 10^4 blanks.
@@ -147,10 +147,10 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     """
     values, extra = _statements(lines)
     missing = [key for key in _REQUIRED if key not in values]
-    if values and set(FREE) <= set(missing):
-        values |= dict.fromkeys(FREE, ("0", 1))
+    if values and set(OF_WALL) <= set(missing):
+        values |= dict.fromkeys(OF_WALL, ("0", 1))
         extra["wall"] = NOT_STATED
-        missing = [key for key in missing if key not in FREE]
+        missing = [key for key in missing if key not in OF_WALL]
     if missing:
         raise _incomplete(missing, values, extra)
     if "step_row" in extra:

@@ -25,6 +25,7 @@ from pipeline.base.provenance import schema_folder
 from pipeline.base.wording import counted
 from pipeline.profiles.profile_files import find_questions, read_profile, shipped_profiles
 from pipeline.records.findings import Record
+from pipeline.records.native import OF_WALL
 from pipeline.service.problems import Problem
 from pipeline.service.settings import Settings
 
@@ -34,9 +35,6 @@ LONGEST = 100_000
 
 WAIT_S, DRAFT_S = 30.0, 86400.0
 """Time limit of a draft or preview, and retention time of samples [s]."""
-
-_WALL = ("stiffness", "damping", "step")
-"""Conditions that the wall law contains."""
 
 _REMARKS = 5
 """Largest number of contradictions listed in a profile."""
@@ -153,7 +151,7 @@ def contradictions(samples: Sequence[Mapping[str, Any]]) -> list[Contradiction]:
             if not why:
                 continue
             where = sample["path"] if trial["label"] is None else f"{sample['path']}, trial {trial['label']}"
-            named = _WALL if trial["other_gains"] else (*_WALL, "sampling_period_s")
+            named = OF_WALL if trial["other_gains"] else (*OF_WALL, "sampling_period_s")
             stated = {c["name"]: f"{c['value']:.6g} {c['unit']}" for c in trial["conditions"] if c["name"] in named}
             expected = ", ".join(f"{name} {stated[name]}" for name in named if name in stated)
             found.append(Contradiction(where, expected, why))

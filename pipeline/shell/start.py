@@ -23,6 +23,7 @@ from pipeline.profiles.profile_files import find_mistakes
 from pipeline.profiles.profile_model import IMPLIED, FileEntry, Kind, Profile, number_in_name, quantity, si_unit
 from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import NAMES, SheetTable, conditions_by_name, read_sheet
+from pipeline.records.native import OF_WALL
 from pipeline.shell.profile.check import IS_UNUSUAL, check_samples
 from pipeline.shell.profile.columns import MOST_SAMPLES, numbers_in_names, spread, suffix_of, with_group
 from pipeline.shell.profile.conditions import factor_of, proved_unit
@@ -34,8 +35,6 @@ SHEETS = (".csv", ".tsv", ".txt", ".xlsx", ".ods", ".xls")
 
 LEAST_NAMED = 0.5
 """Smallest share of the logs that a sheet must name."""
-
-CONDITIONS = ("stiffness", "damping", "step")
 
 MOST_CHECKED = 400
 """Largest number of logs whose walls are compared with their commands before storing, which takes a few seconds."""
@@ -182,7 +181,7 @@ def propose(folder: Folder) -> Proposal:
     """
     samples = folder.samples
     found = answers(samples, folder.logs)
-    inside = {key for key in CONDITIONS if f"attributes.{key}" in found or f"condition_columns.{key}" in found}
+    inside = {key for key in OF_WALL if f"attributes.{key}" in found or f"condition_columns.{key}" in found}
     found = {
         place: answer
         for place, answer in found.items()
@@ -202,9 +201,9 @@ def propose(folder: Folder) -> Proposal:
     given = _from_sheet(table, laws, samples) if table is not None else {}
     if any(key.startswith("units.") for key in given) and not laws:
         found.pop("kind", None)  # the sheet states walls that no command follows
-    named = _from_names(samples, laws, {key for key in CONDITIONS if f"units.{key}" in given} | inside)
+    named = _from_names(samples, laws, {key for key in OF_WALL if f"units.{key}" in given} | inside)
     found |= given | named
-    for key in CONDITIONS:
+    for key in OF_WALL:
         if f"units.{key}" in found or _is_mapped(found, key):
             found.pop(f"constants.{key}", None)
     if given and folder.sheet is not None:
@@ -217,7 +216,7 @@ def propose(folder: Folder) -> Proposal:
         without = IMPLIED[kind.value] if kind is not None else ()
         if kind is None:
             found.setdefault("step_at", Answer("command edge", "the command jumps at the step"))
-        for key in CONDITIONS:
+        for key in OF_WALL:
             if key not in without and not _is_mapped(found, key) and f"constants.{key}" not in found:
                 words = f"{key} of all walls [{_asked_unit(found, key)}]? Neither the files nor their commands show it"
                 found[f"constants.{key}"] = Answer(0, question=words)
@@ -273,7 +272,7 @@ def _from_names(samples: Sequence[Sample], laws: Mapping[str, WallLaw], known: s
     found: Answers = {}
     pattern: str | None = None
     used = set[str]()
-    for key in CONDITIONS:
+    for key in OF_WALL:
         for word in words if key not in known else ():
             numbers = [_number_behind(word, name) for name in names]
             unit = None if word in used else proved_unit(numbers, _followed(laws, names, key), key, _motion(laws))
@@ -313,7 +312,7 @@ def _from_sheet(table: SheetTable, laws: Mapping[str, WallLaw], samples: Sequenc
     found: Answers = {}
     mapping: list[str] = []
     taken = set(by_name.values())
-    for key in CONDITIONS:
+    for key in OF_WALL:
         candidates = [by_name[key]] if key in by_name else [n for n in table.names if n and n not in (named, *taken)]
         for column in candidates:
             cells = table.column(column)

@@ -54,7 +54,7 @@ def lab(tmp_path):
 def read(lab, rows=ROWS, profile=PROFILE, **how):
     (lab / "logs" / "runs.csv").write_text(text(rows, **how))
     (lab / "logs" / "lab.toml").write_text(profile)
-    return with_sheet(load_profile(lab / "logs" / "lab.toml"), list(WALLS))
+    return with_sheet(load_profile(lab / "logs" / "lab.toml"), list(WALLS))[0]
 
 
 def walls_of(profile):
@@ -63,7 +63,7 @@ def walls_of(profile):
 
 @pytest.mark.parametrize(("delimiter", "decimal"), [(";", ","), (",", "."), ("\t", ","), ("|", "."), (",", ",")])
 def test_a_sheet_of_any_layout_gives_the_conditions_of_each_log(lab, delimiter, decimal):
-    profile = read(lab, delimiter=delimiter, decimal=decimal).profile
+    profile = read(lab, delimiter=delimiter, decimal=decimal)
     assert walls_of(profile) == WALLS
     assert profile.units.stiffness == "N/mm"
     assert profile.sheet is None
@@ -73,7 +73,7 @@ def test_a_sheet_of_any_layout_gives_the_conditions_of_each_log(lab, delimiter, 
 def test_workbooks_are_read_as_csv_is(lab, ending, write):
     pytest.importorskip("python_calamine")
     (lab / "logs" / f"runs{ending}").write_bytes(write(ROWS))
-    profile = read(lab, profile=PROFILE.replace("runs.csv", f"runs{ending}")).profile
+    profile = read(lab, profile=PROFILE.replace("runs.csv", f"runs{ending}"))
     assert walls_of(profile) == WALLS
     table = read_sheet(lab / "logs" / f"runs{ending}")
     assert (table.names[1], table.first_row, table.rows[0][1:4]) == ("Datei", 2, ("run_a", 1.0, 3.0))
@@ -81,18 +81,18 @@ def test_workbooks_are_read_as_csv_is(lab, ending, write):
 
 def test_a_title_above_the_names_and_blank_rows_are_no_rows(lab):
     rows = [["Versuche 2026"], [""], *ROWS, ["", "", "", "", "", ""]]
-    assert walls_of(read(lab, rows).profile) == WALLS
+    assert walls_of(read(lab, rows)) == WALLS
 
 
 def test_paths_in_cells_are_names(lab):
     rows = [ROWS[0], *([n, rf"C:\data\{name}.txt", *more] for n, name, *more in ROWS[1:])]
-    assert walls_of(read(lab, rows).profile) == WALLS
+    assert walls_of(read(lab, rows)) == WALLS
 
 
 def test_a_mapping_names_column_condition_and_unit(lab):
     rows = [["file", "gain", "loss", "push"], *([name, k, b, f] for _, name, k, b, f, _ in ROWS[1:])]
     mapping = 'columns = ["gain:stiffness:N/mm", "loss:damping:Ns/m", "push:step:N"]\n'
-    assert walls_of(read(lab, rows, PROFILE + mapping).profile) == WALLS
+    assert walls_of(read(lab, rows, PROFILE + mapping)) == WALLS
 
 
 @pytest.mark.parametrize(

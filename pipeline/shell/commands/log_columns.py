@@ -101,10 +101,10 @@ def _stated(texts: dict[str, Text], logs: list[Path], profile: Text, save: Path 
         check_output(save, "--save-profile")
         if save.exists():
             raise UsageError(f"--save-profile {save}: already exists. Give another file, or remove it.")
-    made = stated_profile(StatedColumns(**texts), logs, walls=walls)
-    for line in made.evidence:
+    made, evidence = stated_profile(StatedColumns(**texts), logs, walls=walls)
+    for line in evidence:
         console.step(line)
     if save is not None:
-        write_text(save, profile_toml(made.profile, made.evidence, save.parent))
+        write_text(save, profile_toml(made, evidence, save.parent))
         console.step(f"wrote {save}")
-    return made.profile
+    return made

@@ -24,7 +24,7 @@ from pipeline.readers.gain_check import followed_gains, gain_mismatch
 from pipeline.readers.log import step_flags
 from pipeline.readers.mapping import entry_of, statements
 from pipeline.records.models import Motion
-from pipeline.records.native import FREE
+from pipeline.records.native import OF_WALL
 from pipeline.shell.console import grouped
 from pipeline.surface.log_picture import step_of, trial_of
 
@@ -127,7 +127,7 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
         usual, fault = "", ""
-        if key in PLAUSIBLE and not (drive_of(motion) and key in FREE):  # ranges are unknown for units of a drive
+        if key in PLAUSIBLE and not (drive_of(motion) and key in OF_WALL):  # ranges are unknown for units of a drive
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
             usual = f"{low:g} to {high:g}"
             if value and not low <= abs(value) <= high:

@@ -28,7 +28,7 @@ from pipeline.profiles.profile_model import IMPLIED, Profile
 from pipeline.readers.gain_check import WallGains, common_remedy, wall_gains
 from pipeline.readers.sample import Sample, open_sample
 from pipeline.readers.sheets import conditions_by_name, read_sheet
-from pipeline.records.native import FREE
+from pipeline.records.native import OF_WALL
 from pipeline.shell.profile.check import check_samples
 from pipeline.shell.profile.roles import SAME_PERIOD, plausible_units
 
@@ -39,7 +39,6 @@ ROUND_PERIOD = 2e-4
 """Largest relative deviation of a sampling period from the round number that replaces it."""
 
 COLUMNS, OPTIONAL = ("time", "command", "position"), ("force",)
-WALL = ("stiffness", "damping", "step")
 
 
 @dataclass(frozen=True)
@@ -65,14 +64,6 @@ class StatedColumns:
     sheet: str | None = None
 
 
-@dataclass(frozen=True)
-class StatedProfile:
-    """A profile made from column options, and sentences with the evidence from the logs."""
-
-    profile: Profile
-    evidence: tuple[str, ...]
-
-
 Item = TypeVar("Item")
 
 OPTIONS = {"sampling_period_s": "period"}
@@ -86,14 +77,14 @@ def option_of(place: Sequence[str | int]) -> str:
     ('--time', '--period')
     """
     name = next(
-        (str(key) for key in place if key in (*COLUMNS, *OPTIONAL, *WALL, "gain", "device", "experiment")), None
+        (str(key) for key in place if key in (*COLUMNS, *OPTIONAL, *OF_WALL, "gain", "device", "experiment")), None
     )
     name = name or next((OPTIONS[str(key)] for key in place if key in OPTIONS), str(place[-1]) if place else "")
     return f"--{name.replace('_', '-')}"
 
 
-def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> StatedProfile:
-    """Return the profile of logs that column options describe.
+def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool = True) -> tuple[Profile, list[str]]:
+    """Return the profile of logs that column options describe, and sentences with the evidence from the logs.
 
     Parameters
     ----------
@@ -126,7 +117,7 @@ def stated_profile(stated: StatedColumns, paths: Sequence[Path], *, walls: bool 
         lines = (_plain(option_of(each.place), each.text) for each in mistakes)
         raise ProfileError("\n".join(dict.fromkeys(lines))) from None
     _check(profile, stated, chosen)
-    return StatedProfile(profile, tuple(maker.evidence))
+    return profile, maker.evidence
 
 
 def _plain(option: str, text: str) -> str:
@@ -230,7 +221,7 @@ class _Maker:
         if self._turns(columns["position"]["unit"]):
             constants["motion"] = "rotation"
         values |= {"constants": constants, "units": {}, "attributes": {}, "condition_columns": {}}
-        for name in WALL:
+        for name in OF_WALL:
             if (text := getattr(stated, name)) is not None:
                 self._condition(values, name, text)
         self._period(values)
@@ -381,14 +372,14 @@ class _Maker:
         if kind not in IMPLIED:
             raise UsageError(f"--kind {kind}: expected one of {', '.join(IMPLIED)}.")
         values |= {} if kind == "step" else {"kind": kind}
-        given = {key for key in FREE if getattr(self.stated, key) is not None}
+        given = {key for key in OF_WALL if getattr(self.stated, key) is not None}
         for key, column in conditions_by_name(self.table.names).items() if self.table else ():
-            if key in FREE and key not in given:
+            if key in OF_WALL and key not in given:
                 given.add(key)
                 self.evidence.append(f"{key} is column {column!r} of {self.stated.sheet}")
         if not given:
             return
-        if missing := [f"--{key}" for key in FREE if key not in {*given, *IMPLIED[kind]}]:
+        if missing := [f"--{key}" for key in OF_WALL if key not in {*given, *IMPLIED[kind]}]:
             raise UsageError(
                 f"{' and '.join(missing)} missing: a wall needs --stiffness, --damping and --step, each as a column or "
                 "as a constant such as '0 N'. For logs without wall and step, omit all three."

@@ -16,6 +16,7 @@ from pathlib import Path
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import QUESTION
 from pipeline.readers.sample import Sample, open_sample
+from pipeline.records.native import OF_WALL
 from pipeline.shell.profile.evidence import answers, common_laws, trials_of
 from pipeline.shell.profile.roles import Answer, Answers
 
@@ -65,9 +66,7 @@ def _differing(samples: list[Sample], found: Answers) -> Answers:
     pattern = str(found["name_pattern"].value) if "name_pattern" in found else ""
     tables = ("constants", "attributes", "condition_columns", "units")
     missing = [
-        key
-        for key in ("stiffness", "damping", "step")
-        if f"<{key}>" not in pattern and not any(f"{table}.{key}" in found for table in tables)
+        key for key in OF_WALL if f"<{key}>" not in pattern and not any(f"{table}.{key}" in found for table in tables)
     ]
     if not missing or len(trials_of(samples)) < 2:
         return {}

@@ -35,6 +35,7 @@ from pipeline.readers.mapping import changes_of, is_staircase
 from pipeline.readers.sample import SPEEDS, Sample
 from pipeline.readers.sheets import NAMES
 from pipeline.recording.motion import free_response
+from pipeline.records.native import OF_WALL
 from pipeline.records.trials import Floats, Trial
 from pipeline.shell.profile.columns import MOST_SAMPLES, round_period, spread
 from pipeline.shell.profile.conditions import SAME, numbers_inside, place_of, proved_unit
@@ -150,7 +151,7 @@ def _inside(samples: Sequence[Sample], laws: Sequence[WallLaw], names: Answers) 
     inside = numbers_inside([each.contents for each, _ in pairs])
     first = pairs[0][1]
     found: Answers = {}
-    for key in ("stiffness", "damping", "step"):
+    for key in OF_WALL:
         if f"<{key}>" in pattern or (key == "step" and first.kind != "step"):
             continue
         followed = [law.followed(key) for _, law in pairs]
@@ -436,7 +437,7 @@ def _walls(samples: Sequence[Sample], law: WallLaw | None, laws: Sequence[WallLa
     drive = UNITS[law.units["command"][0]].quantity in DRIVES
     found: Answers = {}
     evidence = "by the wall law of the command"
-    for key in ("stiffness", "damping", "step"):
+    for key in OF_WALL:
         mine = [each.followed(key) for each in laws]
         same = max(mine) - min(mine) <= SAME * max(map(abs, mine), default=0.0)
         if key == "step" and law.kind != "step":
