@@ -189,15 +189,15 @@ def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> t
     return both[0].reshape(samples * fine, -1), both[1].reshape(samples * fine, -1)
 
 
-def settling_of(position: Floats, fine: int, band: float = BAND) -> Floats:
+def settling_of(position: Floats, fine: int) -> Floats:
     """Return the time of the last entry into the band, interpolated linearly, or NaN if there is none."""
-    outside = np.abs(position) > band
+    outside = np.abs(position) > BAND
     last = len(position) - 1 - np.argmax(outside[::-1], axis=0)
     column = np.arange(position.shape[1])
     following = np.minimum(last + 1, len(position) - 1)
     here, there = position[last, column], position[following, column]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (np.abs(here) - band) / np.abs(here - there)
+        share = (np.abs(here) - BAND) / np.abs(here - there)
     return np.where(outside[-1] | ~outside.any(axis=0), np.nan, (last + share) / fine)
 
 
