@@ -133,9 +133,9 @@ def test_a_changed_sample_or_document_in_it_is_named(away, tmp_path):
 
 def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
     monkeypatch.delenv("PIPELINE_DEVICES", raising=False)
-    with pytest.raises(DeviceError, match=r"device 'bench': the report uses its device file, which is not known"):
+    with pytest.raises(DeviceError, match=r"device 'bench': the report uses its device file, which was not found"):
         verify(bench.report, bench.folder / "processed", [bench.profile])
-    with pytest.raises(DeviceError, match="not known here"):
+    with pytest.raises(DeviceError, match="which was not found"):
         bundle(bench.report)
 
 
@@ -150,7 +150,7 @@ def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_pat
 def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):
     monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
     lone = Path(shutil.copy(bench.report, tmp_path / "lone.html"))
-    with pytest.raises(UsageError, match=r"lone.json: missing.*A bundle holds it, too"):
+    with pytest.raises(UsageError, match=r"lone.json: missing.*A bundle needs it"):
         bundle(lone)
     shutil.copy(bench.report.with_suffix(".json"), tmp_path / "lone.json")
     shutil.copytree(bench.folder / "processed", tmp_path / "processed")
