@@ -93,7 +93,7 @@ def test_a_log_that_becomes_a_copy_of_a_stored_one_is_not_stored_twice(native, r
 def test_a_corrected_name_gives_its_conditions(named):
     log = named.logs / "K100_a.csv"
     log.write_text(body(1))
-    print(named.ingest())
+    named.ingest()
     (before,) = read_trials(named.processed).column("trial_id").to_pylist()
     corrected = log.rename(named.logs / "K900_a.csv")
     (plan,) = named.ingest(dry_run=True).plan

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from native_logs import FAULTS
+from wall_logs import wall_rows
 
 from pipeline.base.units import unit_in_heading
 from pipeline.intake.quarantine import list_quarantine
@@ -35,15 +36,9 @@ sampling_period_s = 0.001
 
 
 def wall_log(stiffness, damping, heading="t/ms;x/mm;F/N"):
-    """Return a log of 0.3 kg and 2 Ns/m behind 3 samples of delay; steps of 1 N in row 20, T = 1 ms."""
-    lines, x, before, v, waiting = [heading], 0.0, 0.0, 0.0, [0.0] * 3
-    for row in range(300):
-        command = (row >= 20) - stiffness * x - damping * (x - before) / 1e-3
-        lines.append(f"{row};{1e3 * x:.12g};{command:.12g}")
-        waiting.append(command)
-        v += (waiting.pop(0) - 2 * v) / 0.3 * 1e-3
-        x, before = x + v * 1e-3, x
-    return "\n".join(lines) + "\n"
+    """Return a log of a step of 1 N in row 20, T = 1 ms."""
+    samples = wall_rows(stiffness, damping, step=1.0, mass=0.3, rows=300).tolist()
+    return "\n".join([heading, *(f"{1e3 * t:.0f};{x:.12g};{force:.12g}" for t, force, x in samples), ""])
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ import pytest
 from foreign_files import list_columns, read_frame
 from scipy.io import savemat
 from typer.testing import CliRunner
+from wall_logs import wall_rows
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.intake.ingest import ingest
@@ -176,28 +177,12 @@ def test_a_log_without_wall_and_step_states_none_of_them(tmp_path):
     assert "has no 'damping' and no 'step'" in refusal.reason
 
 
-def wall(stiffness, damping, rows=400, delay=2):
-    """Command [N] and position [m] of a mass of 0.6 kg at a wall, stepped by 8 N in row 50."""
-    position, command = np.zeros(rows), np.zeros(rows)
-    place = speed = 0.0
-    for k in range(rows):
-        position[k] = round(place / 1e-6) * 1e-6
-        command[k] = 8.0 * (k >= 50) - stiffness * position[k]
-        command[k] -= damping * (position[k] - position[max(k - 1, 0)]) / 0.001
-        for _ in range(4):
-            speed += 0.00025 * (command[max(k - delay, 0)] - 4 * speed) / 0.6
-            place += 0.00025 * speed
-    return command, position
-
-
 @pytest.mark.parametrize("mirrored", [1, -1])
 def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path, mirrored):
     files = []
     for number, text in enumerate(("0.5", "2")):
-        command, position = wall(1000 * float(text), 12.0)
-        rows = "".join(
-            f"{1e3 * t:.1f};{f:.6f};{x:.6f}\n" for t, f, x in zip(TIME, command, mirrored * 1e3 * position, strict=True)
-        )
+        samples = wall_rows(1000 * float(text), 12.0)
+        rows = "".join(f"{1e3 * t:.1f};{f:.6f};{mirrored * x:.6f}\n" for t, f, x in samples)
         files.append(tmp_path / f"K{text}_B12_{number}.csv")
         files[-1].write_text("Zeit;Kraft;Weg\n" + rows.replace(".", ","))
     text = draft_profile(*files)
@@ -209,20 +194,14 @@ def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path,
     done = pipeline("profile", "check", tmp_path / "lab.toml", *files)
     assert done.exit_code == 0, done.output
     assert "stiffness            500 N/m" in done.output
-    wrongs = (
-        ('unit = "mm"', 'unit = "m"', "[columns.position] unit"),
-        ('stiffness = "N/mm"', "", '[units] stiffness = "N/mm"'),
-    )
-    for right, wrong, cure in wrongs:
-        (tmp_path / "wrong.toml").write_text(text.replace(right, wrong))
-        done = pipeline("profile", "check", tmp_path / "wrong.toml", *files)
-        assert done.exit_code == 1
-        assert cure in done.output
+    (tmp_path / "wrong.toml").write_text(text.replace('stiffness = "N/mm"', ""))
+    done = pipeline("profile", "check", tmp_path / "wrong.toml", *files)
+    assert (done.exit_code, '[units] stiffness = "N/mm"' in done.output) == (1, True)
 
 
 def test_a_damping_that_makes_no_part_of_the_command_tells_no_unit(tmp_path):
-    command, position = wall(3000, 0.02)
-    text = draft_profile(write(tmp_path / "K3_B0.02.csv", "t,F,x", TIME, command, position))
+    time, command, position = wall_rows(3000.0, 0.02).T
+    text = draft_profile(write(tmp_path / "K3_B0.02.csv", "t,F,x", time, command, 1e-3 * position))
     assert '[units]\nstiffness = "N/mm"' in text
     assert "\ndamping = " not in text
 

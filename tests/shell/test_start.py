@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from packed_sheets import xlsx
 from places import docs_script
-from wall_logs import wall_log
+from wall_logs import wall_rows
 
 from pipeline.profiles.profile_files import read_profile
 from pipeline.store.storage import read_trials
@@ -21,8 +21,8 @@ def write(folder, heading="Zeit [ms];Kraft [N];Weg [mm]", *, named="K{0:g}_B{1:g
     folder.mkdir()
     rows = []
     for number, (k, b, step) in enumerate(WALLS):
-        numbers = np.array([line.split(";") for line in wall_log(1e3 * k, b, step=step).splitlines()[1:]], float)
-        lines = [f"{1e3 * t:.1f};{u:.9f};{-x:.9f}".replace(".", ",") for t, u, x in numbers.tolist()]
+        samples = wall_rows(1e3 * k, b, step=step).tolist()
+        lines = [f"{1e3 * t:.1f};{u:.9f};{-x:.9f}".replace(".", ",") for t, u, x in samples]
         name = f"run{number} {named.format(k, b)}".replace(".", ",") + ".csv"
         (folder / name).write_text("\n".join(["Prüfstand", heading, *lines, ""]), encoding="cp1252")
         rows.append([name, k, b, step])
@@ -105,9 +105,9 @@ def many(folder):
     folder.mkdir()
     for number in range(10):
         k, b = 0.8 + 0.3 * number, 3.0 + number
-        rows = [line.split(";") for line in wall_log(1e3 * k, b, step=4.0).splitlines()[1:]]
+        rows = wall_rows(1e3 * k, b, step=4.0).tolist()
         name = f"run{number} K{10 * k if number == 7 else k:g}_B{b:g}.csv"
-        (folder / name).write_text("\n".join(["t [s],F [N],x [mm]", *(",".join(row) for row in rows), ""]))
+        (folder / name).write_text("\n".join(["t [s],F [N],x [mm]", *(",".join(map(repr, row)) for row in rows), ""]))
 
 
 def test_a_log_that_contradicts_its_name_is_left_out_with_the_cure(call, tmp_path):

@@ -29,17 +29,23 @@ def profile_text(name="lab", unit="N/mm", step=8.0):
     return PROFILE.replace("NAME", name).replace("UNIT", unit).replace("STEP", repr(step))
 
 
-def wall_log(stiffness, damping, *, step=8.0, mass=0.5, rows=400, edge=20):
-    """Text of a log of a mass in front of a wall; stiffness [N/m], damping [Ns/m], step [N], position in mm."""
+def wall_rows(stiffness, damping, *, step=8.0, mass=0.5, rows=400, edge=20):
+    """Time [s], command [N] and position [mm] of a mass in front of a wall of N/m and Ns/m, shape (rows, 3)."""
     x = v = before = 0.0
-    lines = ["t;F;x"]
+    samples = []
     for row in range(rows):
         command = step * (row >= edge) - stiffness * x - damping * (x - before) / PERIOD_S
-        lines.append(f"{row * PERIOD_S:.3f};{command!r};{1e3 * x!r}")
+        samples.append((round(row * PERIOD_S, 3), command, 1e3 * x))
         before = x
         v += PERIOD_S * (command - 2.0 * v) / mass
         x += PERIOD_S * v
-    return "\n".join([*lines, ""])
+    return np.array(samples)
+
+
+def wall_log(stiffness, damping, **more):
+    """Text of these rows."""
+    rows = wall_rows(stiffness, damping, **more).tolist()
+    return "\n".join(["t;F;x", *(f"{t:.3f};{force!r};{x!r}" for t, force, x in rows), ""])
 
 
 def named_logs(count=4, seed=0, **more):

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from native_logs import log_text
 
-from pipeline.shell.cli import run
 from pipeline.surface.log_picture import MOST_COLUMNS, look
 
 PROFILE = """name = "lab"
@@ -43,19 +42,6 @@ def foreign(rows=300, missing=()):
             moved = 0.0 if i < 52 else 1.5 * (1 - 0.9 ** (i - 52))
             lines.append(f"{i};{0 if i < 50 else 8 - 4 * moved:.4f};{moved:.5f}".replace(".", ","))
     return "\n".join(lines) + "\n"
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def of(*arguments):
-        with pytest.raises(SystemExit) as ended:
-            run([str(a) for a in arguments])
-        told = capsys.readouterr()
-        return ended.value.code or 0, told.out, told.err
-
-    return of
 
 
 def test_a_file_that_no_profile_reads_is_shown_as_it_stands(call):

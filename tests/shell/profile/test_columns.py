@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from wall_logs import wall_log
+from wall_logs import wall_rows
 
 from pipeline.base.errors import UsageError
 from pipeline.profiles.column_text import ColumnText
@@ -19,17 +19,12 @@ WALLS = [(1.0, 3.0), (1.5, 5.0), (2.5, 8.0), (3.0, 4.0)]
 READ = ["--time", "t:ms", "--position", "s:mm", "--stiffness", "K:N/mm", "--damping", "B:Ns/m", "--device", "bench"]
 
 
-def rows_of(stiffness, damping, **more):
-    """Time [s], command [N] and position [mm] of a log, as numbers."""
-    text = wall_log(1e3 * stiffness, damping, **more)
-    return np.array([line.split(";") for line in text.splitlines()[1:]], float)
-
-
 def write_logs(folder, heading='t,"F soll, u",s', *, force=1.0, place=1.0, sign=1, walls=WALLS):
     folder.mkdir(exist_ok=True)
     for stiffness, damping in walls:
         lines = [
-            f"{1e3 * t:.4g},{float(force * u)!r},{float(sign * place * x)!r}" for t, u, x in rows_of(stiffness, damping)
+            f"{1e3 * t:.4g},{float(force * u)!r},{float(sign * place * x)!r}"
+            for t, u, x in wall_rows(1e3 * stiffness, damping)
         ]
         name = f"run K{stiffness:g}_B{damping:g}.csv".replace("2.5", "2,5")
         (folder / name).write_text("\n".join([heading, *lines, ""]), encoding="utf-8")
@@ -118,7 +113,7 @@ def test_columns_and_file_names_are_stored_in_si(call, logs, tmp_path):
     walls = [(row["stiffness"], row["damping"], row["step"], row["sampling_period_s"]) for row in rows]
     assert walls == [(1e3 * k, b, 8.0, 0.001) for k, b in WALLS]
     assert {(row["device"], row["experiment"], row["motion"]) for row in rows} == {("bench", "1", "translation")}
-    assert np.allclose(positions(tmp_path, 1500.0), rows_of(1.5, 5.0)[:, 2] * 1e-3, rtol=1e-12, atol=0)
+    assert np.allclose(positions(tmp_path, 1500.0), wall_rows(1500.0, 5.0)[:, 2] * 1e-3, rtol=1e-12, atol=0)
     status, _, err = call("ingest", "logs", *options)
     assert status == 0
     assert "stiffness is 'K' in the names of the files" in err
@@ -268,7 +263,7 @@ def test_the_time_between_rows_takes_the_place_of_stamps(call, tmp_path):
 def test_a_mat_file_with_three_variables_needs_three_words(call, tmp_path):
     from scipy.io import savemat
 
-    t, u, x = rows_of(1.0, 3.0).T
+    t, u, x = wall_rows(1000.0, 3.0).T
     savemat(tmp_path / "run.mat", {"t": t, "u": u / 2.3, "x": x})
     status, out, err = call("identify", "run.mat", "--time", "t", "--command", "u:V", "--position", "x:mm", "--json")
     assert status == 0, err

@@ -2,9 +2,8 @@
 
 import re
 
-import numpy as np
 import pytest
-from wall_logs import wall_log
+from wall_logs import wall_log, wall_rows
 
 from pipeline.profiles.profile_files import find_questions, read_profile
 from pipeline.shell.profile.conditions import factor_of, proved_unit
@@ -16,8 +15,7 @@ WALLS = [(0.8, 3.0, 4.0), (1.5, 5.0, 6.0), (2.5, 8.0, -4.0), (3.0, 4.0, 6.0), (0
 
 
 def rows_of(wall):
-    text = wall_log(1e3 * wall[0], wall[1], step=wall[2])
-    return np.array([line.split(";") for line in text.splitlines()[1:]], float)
+    return wall_rows(1e3 * wall[0], wall[1], step=wall[2])
 
 
 def stored(folder):
