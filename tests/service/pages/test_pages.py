@@ -190,32 +190,3 @@ def test_figures_of_a_served_report_are_saved(chromium, served, compared):
         assert saving.value.suggested_filename.endswith(f".{name.lower()}")
         assert content.startswith(begins)
         assert len(content) > 100
-
-
-@pytest.mark.browser
-@pytest.mark.slow
-def test_pages_in_a_browser(chromium, served):
-    """No error, nothing wider than the window, nothing that axe finds, light and dark, desk and phone."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
-    served.get("experiments/falcon/1/estimates")
-    trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
-    paths = (*PAGES[:-1], f"/trials/{trial}")
-    for path in paths:
-        page(served, path)
-        served.all_done()  # a page that waits for figures loads itself again
-    problems = []
-    for width, scheme in ((1500, "light"), (390, "dark")):
-        tab = chromium.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme).new_page()
-        tab.on("pageerror", lambda error: problems.append(str(error)))
-        for path in paths:
-            tab.goto(f"http://127.0.0.1:{served.port}{path}")
-            assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
-            left = (
-                "name => { const one = document.querySelector(name);"
-                "return one.getBoundingClientRect().left + parseFloat(getComputedStyle(one).paddingLeft); }"
-            )
-            texts = [tab.evaluate(left, name) for name in ("h1", "main")]
-            assert texts[0] == texts[1] >= 10, path
-            found = axe.run(tab).response["violations"]
-            assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
-    assert problems == []
