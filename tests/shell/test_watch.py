@@ -34,7 +34,6 @@ from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell import watch
-from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_report import WORDS, line_of
 from pipeline.shell.watch import Arrivals, Watched, follow, run_pass, status_of
 from pipeline.simulation.sweep import run_sweep, write_sweep
@@ -406,22 +405,9 @@ def test_what_changes_reports_has_a_pass_done(tmp_path, monkeypatch):
 # The command
 
 
-@pytest.fixture
-def call(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def run_here(*arguments):
-        with pytest.raises(SystemExit) as leaving:
-            run(["watch", *arguments])
-        out, err = capsys.readouterr()
-        return leaving.value.code or 0, out, err
-
-    return run_here
-
-
 def test_once_tells_in_words_and_in_json(call, tmp_path, compared):
     write_logs(tmp_path / "raw")
-    status, out, _ = call("raw", "--once")
+    status, out, _ = call("watch", "raw", "--once")
     assert status == 0
     stamped = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ "
     lines = out.splitlines()
@@ -430,7 +416,7 @@ def test_once_tells_in_words_and_in_json(call, tmp_path, compared):
     (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
     (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
     os.utime(tmp_path / "raw" / "broken.csv", (1e9, 1e9))
-    status, out, _ = call("raw", "--once", "--json", "--settle", "60")
+    status, out, _ = call("watch", "raw", "--once", "--json", "--settle", "60")
     events = [json.loads(line) for line in out.splitlines()]
     assert status == 3
     assert kinds(events)[:2] == ["ingest", "refused"]
@@ -443,7 +429,7 @@ def test_once_tells_in_words_and_in_json(call, tmp_path, compared):
 def test_once_leaves_with_1_where_a_report_failed(call, tmp_path, compared):
     write_logs(tmp_path / "raw")
     compared[1]["bench"] = OSError(28, "No space left on device")
-    status, out, _ = call("raw", "--once")
+    status, out, _ = call("watch", "raw", "--once")
     assert status == 1
     assert "failed: bench: [Errno 28] No space left on device" in out
 
@@ -460,7 +446,7 @@ def test_once_leaves_with_1_where_a_report_failed(call, tmp_path, compared):
 def test_wrong_usage_is_told_before_anything_is_begun(call, tmp_path, arguments, words):
     for name in ("raw", "processed"):
         (tmp_path / name).mkdir()
-    status, out, err = call(*arguments)
+    status, out, err = call("watch", *arguments)
     assert (status, out) == (2, "")
     assert words in err
     assert not list((tmp_path / "processed").iterdir())
@@ -572,14 +558,3 @@ def test_a_look_sees_the_files_that_an_ingest_would_find(tmp_path):
     for path, ((size, mtime_ns, _), _) in seen.items():
         status = os.stat(path)
         assert (status.st_size, status.st_mtime_ns) == (size, mtime_ns)
-
-
-def test_an_ingest_leaves_alone_what_somebody_saw_grow(tmp_path):
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_text(short_log(float(ord(name[0]))))
-        os.utime(tmp_path / name, (1e9, 1e9))  # a copy that brought its time along
-    growing = str(tmp_path / "b.csv")
-    report = ingest([tmp_path], tmp_path / "processed", growing=[growing], settle_s=5)
-    assert (report.found, report.ingested, report.waiting) == (1, 1, (growing,))
-    report = ingest([tmp_path], tmp_path / "processed", settle_s=5)
-    assert (report.found, report.ingested, report.skipped, report.waiting) == (2, 1, 1, ())

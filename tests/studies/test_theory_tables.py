@@ -11,7 +11,6 @@ import pytest
 import pipeline.studies.thesis_tables as module
 from pipeline.device_data.published import THEORY_TABLES, PublishedPoint, published_points
 from pipeline.loop.normalised_loop import NormalisedLoop
-from pipeline.shell.cli import run
 from pipeline.shell.console import table
 from pipeline.studies.thesis_tables import (
     FLAT,
@@ -237,29 +236,22 @@ def test_lines_show_computed_beside_printed_with_reasons_below() -> None:
     assert summary_line(ROWS).startswith("6 printed numbers: 1 equal, 2 within, 2 erratum, 1 unexplained.")
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as leaving:
-        run(["theory", "tables", *arguments])
-    out, err = capsys.readouterr()
-    return int(leaving.value.code or 0), out, err
-
-
-def test_command_prints_tables_and_summary(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = call(capsys, "B.2", "B.1")
+def test_command_prints_tables_and_summary(call):
+    status, out, _ = call("theory", "tables", "B.2", "B.1")
     assert status == 0
     assert out.index("Table B.2: 78 equal") < out.index("Table B.1: 78 equal")
     assert out.count("alpha_max  ") == 26
     assert out.splitlines()[-1].startswith("156 printed numbers: 156 equal, 0 within, 0 erratum, 0 unexplained.")
 
 
-def test_command_prints_one_json_document_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, err = call(capsys, "B.3", "--json")
+def test_command_prints_one_json_document_and_nothing_else(call):
+    status, out, err = call("theory", "tables", "B.3", "--json")
     assert (status, err) == (0, "")
     assert json.loads(out)["count"] == {"equal": 77, "within": 1, "erratum": 0, "unexplained": 0}
 
 
-def test_command_refuses_an_unknown_table(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, err = call(capsys, "D.9")
+def test_command_refuses_an_unknown_table(call):
+    status, out, err = call("theory", "tables", "D.9")
     assert (status, out) == (1, "")
     assert "B.1" in err
     assert "D.6" in err
