@@ -56,16 +56,11 @@ def nearest(step):
 
 RIGS = {
     "K to 50": nearest(50),
-    "K to 100": nearest(100),
     "K to 250": nearest(250),
     "K to 1000/3": nearest(1000 / 3),
-    "K to 1000": nearest(1000),
     "K to 2000": nearest(2000),
-    "K down to 100": lambda K, B: (100 * floor(K / 100 + 1e-9), B),
     "K down to 700": lambda K, B: (700 * floor(K / 700 + 1e-9), B),
     "K up to 700": lambda K, B: (700 * ceil(K / 700 - 1e-9), B),
-    "K up to 1000": lambda K, B: (1000 * ceil(K / 1000 - 1e-9), B),
-    "1.1 K": lambda K, B: (1.1 * K, B),
     "0.5 K": lambda K, B: (0.5 * K, B),
     "2 K": lambda K, B: (2.0 * K, B),
     "K at most 5000": lambda K, B: (min(K, 5000.0), B),

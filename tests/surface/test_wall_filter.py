@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def files(folder, recorded):
     return folder
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", ["translation", "rotation in V"])
 @pytest.mark.parametrize("velocity", [DIFFERENCE, BUTTERWORTH, COEFFICIENTS])
 def test_the_filter_of_walls_is_that_of_their_controller(velocity, motion):
     shown = wall_filter(logs(motion=motion, velocity=velocity))
@@ -122,9 +123,13 @@ def test_a_filter_is_in_the_loop_the_boundary_and_the_device_file(identified, tm
     assert top == pytest.approx(pipeline.Loop.of(truth).boundary().attrs["stiffness_max"], rel=0.02)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("velocity", [None, DIFFERENCE, BUTTERWORTH, COEFFICIENTS])
-@pytest.mark.parametrize("drawn", [(), (2, 3, 4)])
+@pytest.mark.parametrize(
+    ("motion", "velocity", "drawn"),
+    [
+        *((motion, BUTTERWORTH, ()) for motion in MOTIONS),
+        *product(["rotation"], [None, DIFFERENCE, COEFFICIENTS], [(), (2, 3, 4)]),
+    ],
+)
 def test_a_device_file_is_the_loop_of_its_document(identified, tmp_path, motion, velocity, drawn):
     shown = wall_filter(logs(velocity=velocity)) if velocity else None
     numbers = {f"{side}{i}": value for side in "ba" for i, value in enumerate(velocity[side])} if (
