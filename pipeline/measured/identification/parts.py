@@ -404,7 +404,8 @@ def _swinging(logs: Logs, state: Selection) -> Selection:
     fit = refined(segments, replace(fit.device, numbers=left, effects=None))
     rest = {name: gain for name, gain in parts.items() if name not in (*modes, *LOAD_PARTS)}
     without = {name: replace(test, decision="imitated") for name, test in state.tried.items() if name in LOAD_PARTS}
-    return Selection(segments, fit, rest, state.tried | without | {mode: found})
+    # a mode on the wrong side may hide the true one
+    return _swinging(logs, Selection(segments, fit, rest, state.tried | without | {mode: found}))
 
 
 def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
