@@ -431,11 +431,13 @@ def _sensor_variance(
     weight = math.sqrt(error.gain) * error.weight
     weight[:1] = 1.0
     answer = np.fft.rfft(weight, length).conj()
-    slope = np.zeros((len(slopes), length))
-    slope[:, first : terms.stop] = slopes
-    slopes = np.fft.irfft(np.fft.rfft(slope) * answer, length)
+    along = np.empty((len(slopes), rows))
+    for reading, slope in zip(along, slopes, strict=True):  # one by one, for which a long log needs less memory
+        padded = np.zeros(length)
+        padded[first : terms.stop] = slope
+        reading[:] = np.fft.irfft(np.fft.rfft(padded) * answer, length)[:rows]
     start = max(first, 1)
-    resting, moved = slopes[:, 1:start], slopes[:, start:rows]
+    resting, moved = along[:, 1:start], along[:, start:]
     at_rest, in_motion = resting.sum(axis=1), moved.sum(axis=1)
     # the first reading is the reference of all others, which share its persistent error until the device moves;
     # the wall pulls the device towards the first reading
