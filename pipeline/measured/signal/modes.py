@@ -43,6 +43,10 @@ WIDE, NARROW = 2, 3
 """Divisors of the length of a motion for the length of its windows (a half, a third), as two views of a noisy
 motion."""
 
+SINGULAR = 0.01
+"""Threshold for the smallest eigenvalue of a Gram matrix. Below it, its inverse increases rounding errors a hundred
+times or more."""
+
 NO_MODES = np.empty((0, 0))
 """Directions of a window without modes (none)."""
 
@@ -204,8 +208,7 @@ class MotionWindows:
         level = level if explained else left_over * spread * SIGMAS
         rank = min(int((values > level).sum()), points - 1)
         basis = right[:rank].T
-        shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0] if rank else NO_MODES
-        return _Span(left_over, clean, basis, shift)
+        return _Span(left_over, clean, basis, _shift(basis) if rank else NO_MODES)
 
     @cached_property
     def _modes(self) -> tuple[Floats, Floats]:
@@ -220,3 +223,15 @@ class MotionWindows:
         modulus = np.maximum(np.abs(poles), np.finfo(np.float64).tiny)
         at_first = np.sqrt(np.mean(np.abs(parts * (basis[0] @ vectors)[:, None]) ** 2, axis=1))
         return modulus, at_first * modulus ** (len(basis) - 1)
+
+
+def _shift(basis: Floats) -> Floats:
+    """Return the least-squares solution of basis[:-1] shift = basis[1:] for orthonormal columns.
+
+    The Gram matrix of basis[:-1] is I - v v', with the last row v, and its inverse is I + v v'/(1 - v'v).
+    """
+    last, shift = basis[-1], basis[:-1].T @ basis[1:]
+    free = 1 - float(last @ last)
+    if free < SINGULAR:
+        return np.asarray(np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0])
+    return shift + np.outer(last / free, last @ shift)
