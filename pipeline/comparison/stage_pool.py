@@ -39,11 +39,9 @@ Result = TypeVar("Result")
 COMPILED = ("pipeline.measured", "pipeline.loop.free_run")
 """Modules and packages whose compiled functions the stages call."""
 
-LARGE = 1000
-"""Smallest number of new trials for which an experiment is shared among processes.
-
-They take about 3 s, and starting the processes takes 1 s.
-"""
+LARGE = 4000
+"""Smallest number of new trials for which an experiment is shared between two processes, and number of further trials
+for each further process. They take about 10 s, and starting a process takes 1 s of processor time."""
 
 
 def compute_stages(experiments: Collection[ExperimentStages], needed: Collection[str]) -> None:
@@ -64,13 +62,15 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     # An experiment with less than the share of one processor is not split, and need not wait for other processes after
     # each stage.
     share = sum(e.trials.num_rows for e in waiting) / processors
-    large = [e for e in waiting if e.trials.num_rows > share and e.count_new_trials() >= LARGE]
-    small = [e for e in waiting if all(e is not other for other in large)]
-    if not large and len(small) < 2:
+    new = [e.count_new_trials() if e.trials.num_rows > max(share, LARGE - 1) else 0 for e in waiting]
+    large = [e for e, trials in zip(waiting, new, strict=True) if trials >= LARGE]
+    small = [e for e, trials in zip(waiting, new, strict=True) if trials < LARGE]
+    processes = min(max(len(small), 1 + max(new, default=0) // LARGE), processors)
+    if processes < 2:
         return
     wanted = sorted(needed, key=list(NEEDS).index)
     load_compiled(*COMPILED)
-    with single_processes(processors if large else min(len(small), processors)) as pools:
+    with single_processes(processes) as pools:
         try:
             count = len(large) + bool(small)
             for number, experiment in enumerate(large):
