@@ -103,7 +103,7 @@ class ExperimentStages:
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _keys: dict[str, str] = field(default_factory=dict, init=False)
-    _other_costs: dict[str, tuple[Floats, Floats, Floats, list[str]]] = field(default_factory=dict, init=False)
+    _known_costs: dict[str, tuple[Floats, Floats, Floats, list[str]]] = field(default_factory=dict, init=False)
 
     @classmethod
     def stored(
@@ -370,25 +370,28 @@ class ExperimentStages:
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
         """Return costs, both ends of their intervals, and reasons. They are computed if no column stores them."""
-        stage, column = cost_column(criterion)
-        if column in TABLES[stage]:
-            value, low, high = (self.column(stage, f"{column}{end}") for end in ("", "_low", "_high"))
-            return value, low, high, self.texts(stage, "reason")
-        if criterion not in self._other_costs:
-            from pipeline.measured.stages.stage import Missing
-            from pipeline.measured.stages.stages import other_cost
-
-            computation, nothing = other_cost(criterion_of(criterion)), np.full(len(self.samples), np.nan)
-            inputs = self.once(computation.inputs)
-            if isinstance(inputs, Missing):
-                found = nothing, nothing, nothing, [inputs.reason] * len(nothing)
+        if criterion not in self._known_costs:
+            stage, column = cost_column(criterion)
+            if column in TABLES[stage]:
+                value, low, high = (self.column(stage, f"{column}{end}") for end in ("", "_low", "_high"))
+                self._known_costs[criterion] = value, low, high, self.texts(stage, "reason")
             else:
-                rows = self.map_trials(partial(stage_row, measure=computation.measure, inputs=inputs))
-                names = ("cost", "cost_low", "cost_high")
-                value, low, high = (np.array([vars(row)[name] for row in rows]) for name in names)
-                found = value, low, high, [vars(row)["reason"] for row in rows]
-            self._other_costs[criterion] = found
-        return self._other_costs[criterion]
+                self._known_costs[criterion] = self._other_costs(criterion)
+        return self._known_costs[criterion]
+
+    def _other_costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
+        """Return costs as in `_costs` by a criterion without a stored column."""
+        from pipeline.measured.stages.stage import Missing
+        from pipeline.measured.stages.stages import other_cost
+
+        computation, nothing = other_cost(criterion_of(criterion)), np.full(len(self.samples), np.nan)
+        inputs = self.once(computation.inputs)
+        if isinstance(inputs, Missing):
+            return nothing, nothing, nothing, [inputs.reason] * len(nothing)
+        rows = self.map_trials(partial(stage_row, measure=computation.measure, inputs=inputs))
+        names = ("cost", "cost_low", "cost_high")
+        value, low, high = (np.array([vars(row)[name] for row in rows]) for name in names)
+        return value, low, high, [vars(row)["reason"] for row in rows]
 
     def floor(self, criterion: str) -> Floats | None:
         """Return the apparent cost of each trial due to sensor and chatter, or None if the criterion has none."""

@@ -67,6 +67,7 @@ RC: Any = {
     "axes.labelsize": 11.0,
     "axes.titlesize": 11.0,
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # otherwise all tick labels are laid out twice, to find whether one of them is above the axes
     "grid.color": FAINT,
     "grid.linewidth": 0.6,
     "font.size": 10.0,

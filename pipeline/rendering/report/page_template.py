@@ -6,13 +6,21 @@ with the listed hashes, so that code in a log would not run even if the escaping
 
 from __future__ import annotations
 
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from pipeline.base.compiled import cache_folder
+from pipeline.base.disk import read_result, write_result
 from pipeline.base.inline_page import json_text as json_text
 from pipeline.base.inline_page import policy as policy
 from pipeline.base.wording import counted, listed
 from pipeline.explorer import page as explorer
 from pipeline.rendering import labels
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 TEMPLATES = Path(__file__).parents[1] / "templates"
 """Folder of templates, style sheets, scripts and the vendored plot library."""
@@ -56,7 +64,28 @@ def fill_template(name: str, **content: object) -> str:
     jinja2.UndefinedError
         If the template uses a name without a value. This is a defect of the code, never of the data.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
+    return _environment().get_template(name).render(**content)
+
+
+@cache
+def _environment() -> Environment:
+    """Return the environment of all templates. Compiled templates are stored in the user's cache folder."""
+    from jinja2 import BytecodeCache, Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not for other commands
+    from jinja2.bccache import Bucket
+
+    class Stored(BytecodeCache):
+        """Compiled templates as files. Compiling them takes over a second."""
+
+        def load_bytecode(self, bucket: Bucket) -> None:
+            """Read a template if it is stored and undamaged."""
+            with suppress(OSError, RuntimeError):
+                if (code := read_result(cache_folder(), f"template-{bucket.key}", ".bin")) is not None:
+                    bucket.bytecode_from_string(code)
+
+        def dump_bytecode(self, bucket: Bucket) -> None:
+            """Store a template if the folder can be written."""
+            with suppress(OSError, RuntimeError):
+                write_result(cache_folder(), f"template-{bucket.key}", ".bin", bucket.bytecode_to_string())
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
@@ -64,9 +93,10 @@ def fill_template(name: str, **content: object) -> str:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=Stored(),
     )
     environment.filters |= FILTERS
-    return environment.get_template(name).render(**content)
+    return environment
 
 
 def scripts(with_trials: bool, with_explorer: bool = False) -> tuple[str, ...]:
