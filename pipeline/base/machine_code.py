@@ -11,7 +11,8 @@ from __future__ import annotations
 import ctypes
 import inspect
 import re
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -96,18 +97,18 @@ class Number(Type):
     """Number type of a signature, such as ``f8``. Indexing it gives an array type, such as ``f8[:, ::1]``."""
 
     dtype: str
-    passed: Any
+    passed: str
 
     def __getitem__(self, axes: object) -> Array:
         return Array(np.dtype(self.dtype), len(axes) if isinstance(axes, tuple) else 1)
 
     @property
-    def types(self) -> list[Any]:
-        """C types of the argument."""
+    def types(self) -> list[str]:
+        """LLVM type of the argument."""
         return [self.passed]
 
     def append(self, value: Any, values: list[Any]) -> None:
-        """Append the number to the C arguments."""
+        """Append the number to the arguments."""
         values.append(value)
 
     def read(self, words: list[int]) -> Any:
@@ -123,13 +124,13 @@ class Array(Type):
     axes: int
 
     @property
-    def types(self) -> list[Any]:
-        """C types of the arguments, which are two object pointers of numba, size, item size, address, shape and
+    def types(self) -> list[str]:
+        """LLVM types of the arguments, which are two object pointers of numba, size, item size, address, shape and
         strides."""
-        return [ctypes.c_int64] * (5 + 2 * self.axes)
+        return ["ptr", "ptr", "i64", "i64", "ptr"] + ["i64"] * (2 * self.axes)
 
     def append(self, value: np.ndarray, values: list[Any]) -> None:
-        """Append the description of an array to the C arguments."""
+        """Append the description of an array to the arguments."""
         shape = value.shape
         if not (value.dtype == self.dtype and len(shape) == self.axes and value.flags.c_contiguous):
             raise TypeError(
@@ -181,14 +182,17 @@ class Several(Type):
     parts: tuple[Any, ...]
 
     @property
-    def types(self) -> list[Any]:
-        """C types of all parts, in order."""
+    def types(self) -> list[str]:
+        """LLVM types of all parts, in order."""
         return [each for part in self.parts for each in part.types]
 
     def append(self, value: tuple[Any, ...], values: list[Any]) -> None:
-        """Append all parts to the C arguments."""
+        """Append all parts to the arguments."""
         for part, one in zip(self.parts, value, strict=True):
-            part.append(one, values)
+            if isinstance(part, Number):  # most parts are numbers, and a call would take longer than all else
+                values.append(one)
+            else:
+                part.append(one, values)
 
     def read(self, words: list[int]) -> Any:
         """Return the parts that the first words of a result contain, and remove them. Nothing is returned for void."""
@@ -207,10 +211,10 @@ _NAMES = {
     "void": Several(()),
     "Tuple": lambda parts: Several(tuple(parts)),
     "UniTuple": lambda part, count: Several((part,) * count),
-    "b1": Number("?", ctypes.c_uint8),
-    "i8": Number("i8", ctypes.c_int64),
-    "f8": Number("f8", ctypes.c_double),
-    "c16": Number("c16", None),
+    "b1": Number("?", "i8"),
+    "i8": Number("i8", "i64"),
+    "f8": Number("f8", "double"),
+    "c16": Number("c16", ""),
 }
 """Names that may occur in a signature."""
 
@@ -278,23 +282,49 @@ def loaded_object(data: bytes, signature: str) -> Function:
     symbol, _, code = data.partition(b"\n")
     engine, _ = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
     given_types = signature_of(signature)
     arguments, result = given_types.arguments, given_types.result
-    types = [ctypes.c_void_p, ctypes.c_void_p, *arguments.types]
-    code_of = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(engine.get_function_address(symbol.decode()))
+    engine.add_module(llvm.parse_assembly(_entry(symbol.decode(), arguments.types)))
+    engine.finalize_object()
+    code_of = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_char_p)(
+        engine.get_function_address(f"entry.{symbol.decode()}")
+    )
+    pack = struct.Struct("".join("d" if kind == "double" else "q" for kind in arguments.types)).pack
     returned = ctypes.c_int64 * max(len(result.types), 1)
 
     def call(*given: Any) -> Any:
-        words, error = returned(), ctypes.c_void_p()
-        values: list[Any] = [ctypes.byref(words), ctypes.byref(error)]
+        words, values = returned(), list[Any]()
         arguments.append(given, values)
-        status = code_of(*values)
+        status = code_of(ctypes.addressof(words), pack(*values))
         if status:
             raise ArithmeticError(f"{symbol.decode()}: machine code ended with status {status}.")
         return result.read(list(words))
 
     return call
+
+
+def _entry(symbol: str, types: Sequence[str]) -> str:
+    """Return LLVM code that calls a function with arguments from memory, each of which has 8 bytes.
+
+    Python would convert up to a hundred separate arguments in as much time as a trial takes.
+    """
+    loaded = [
+        f"%p{i} = getelementptr i64, ptr %words, i64 {i}\n%a{i} = load {kind}, ptr %p{i}"
+        for i, kind in enumerate(types)
+    ]
+    passed = ", ".join(["ptr %result", "ptr %error", *(f"{kind} %a{i}" for i, kind in enumerate(types))])
+    kinds = ", ".join(["ptr", "ptr", *types])
+    return "\n".join(
+        [
+            f'declare i32 @"{symbol}"({kinds})',
+            f'define i32 @"entry.{symbol}"(ptr %result, ptr %words) {{',
+            "%error = alloca ptr",
+            *loaded,
+            f'%status = call i32 @"{symbol}"({passed})',
+            "ret i32 %status",
+            "}",
+        ]
+    )
 
 
 @cache

@@ -141,7 +141,7 @@ def as_known(value: float, error: float | None = None) -> float:
     it by 0.3 %.
 
     >>> as_known(0.58013, 0.0003), as_known(0.123456)
-    (0.580078125, 0.123)
+    (0.58013916015625, 0.123)
     """
     scale = value if error is None else error
     if not np.isfinite(scale) or scale <= 0:
