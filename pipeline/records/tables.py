@@ -232,7 +232,10 @@ TABLES: dict[str, tuple[str, ...]] = {
 }
 """Columns of each table. The columns of a stage are the fields of its record."""
 
-SAMPLES = ("time_s", "command", "position", "force", "velocity", "raw_time", "raw_count")
+SIGNALS = ("time_s", "command", "position", "force", "velocity")
+"""Columns of the samples of a response. A log may lack the last two."""
+
+SAMPLES = (*SIGNALS, "raw_time", "raw_count")
 """Columns of the trials table that contain a list of samples in each row."""
 
 LOCATION = ("sample_file", "sample_row")

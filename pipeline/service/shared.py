@@ -37,8 +37,6 @@ MOST_REPORTS = 1000
 Kept = tuple[JsonObject | None, str | None]
 """A document, or the job that computes it."""
 
-SAMPLES = ("time_s", "command", "position", "force", "velocity")
-
 
 class Form(BaseModel):
     """Base of the models of requests. An unknown field is refused."""

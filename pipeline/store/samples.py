@@ -16,14 +16,9 @@ import pyarrow as pa
 from pipeline.base.errors import StoreError
 from pipeline.base.json_object import JsonObject
 from pipeline.records.table_files import damaged_file
-from pipeline.records.tables import LOCATION, OF_TRIALS
+from pipeline.records.tables import LOCATION, OF_TRIALS, SIGNALS
 from pipeline.records.trials import NO_STEP_ROW, Floats, Trial, Trials, common_motion
 from pipeline.store.storage import ATTEMPTS, read_trials, row_parts
-
-_OPTIONAL = ("force", "velocity")
-"""Columns of samples that a log may lack."""
-
-_SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
 
 
 def load_trials(processed: Path, trials: pa.Table) -> Trials:
@@ -51,14 +46,14 @@ def load_trials(processed: Path, trials: pa.Table) -> Trials:
 
 def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, Trial] | None:
     """Return a trial and its samples from its last known file and row, or None if it is no longer there."""
-    names = [*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES]
+    names = [*(name for name in OF_TRIALS if name not in LOCATION), *SIGNALS]
     try:
         ((_, table),) = row_parts(processed / file, np.array([row]), names)
     except (FileNotFoundError, ValueError):
         return None
     if table.column("trial_id").to_pylist() != [trial]:
         return None
-    samples = {name: values.copy() for name in _SAMPLES for values in _lists(table, name) if values is not None}
+    samples = {name: values.copy() for name in SIGNALS for values in _lists(table, name) if values is not None}
     return table, _trials(table, samples)[0]
 
 
@@ -74,8 +69,8 @@ def _read_samples(processed: Path, trials: pa.Table) -> Trials:
     samples: dict[str, Floats] = {}
     for name in np.unique(file).tolist():
         own = np.flatnonzero(file == name)
-        for which, part in row_parts(processed / name, at[own], list(_SAMPLES)):
-            for column in _SAMPLES:
+        for which, part in row_parts(processed / name, at[own], list(SIGNALS)):
+            for column in SIGNALS:
                 for place, values in zip(own[which].tolist(), _lists(part, column), strict=True):
                     if values is None:
                         continue
@@ -107,7 +102,7 @@ def _trials(table: pa.Table, samples: dict[str, Floats]) -> Trials:
     integrated = np.array([metadata.get("integrated") == "trapezoid" for metadata in extra], dtype=np.bool_)
     nothing = np.empty(0)
     rows = np.array([NO_STEP_ROW if row is None else int(row) for row in declared], dtype=np.int64)
-    force, velocity = (samples.get(name) for name in _OPTIONAL)
+    force, velocity = (samples.get(name) for name in SIGNALS[3:])
     return Trials(
         trial_id=tuple(table.column("trial_id").to_pylist()),
         **{name: table.column(name).to_numpy() for name in ("stiffness", "damping", "step", "sampling_period_s")},

@@ -17,14 +17,12 @@ from pipeline.intake.ingest import ingest as ingest_logs
 from pipeline.intake.sources import find_sources, logs_of, motion_of, requested_profiles
 from pipeline.readers import Log
 from pipeline.records.models import Motion
+from pipeline.records.tables import SIGNALS
 from pipeline.records.trials import Trial
 from pipeline.rendering.frames import units_of
 from pipeline.simulation.sweep import SimulatedSweep, run_sweep, write_sweep
 
 PathLike = str | os.PathLike[str]
-
-SAMPLES = ("time_s", "command", "position", "force", "velocity")
-"""Columns of a step response. The last two are NaN if the log lacks them."""
 
 
 def ingest(
@@ -106,7 +104,7 @@ def read_log(path: PathLike, profile: PathLike | None = None, label: str | None 
     except LogError as error:
         row = "" if error.row is None else f", row {error.row}"
         raise error.reworded(f"{path}{row}: {error.reason}") from error
-    names = {"time_s": "time", **{name: name for name in SAMPLES[1:]}}
+    names = {"time_s": "time", **{name: name for name in SIGNALS[1:]}}
     conditions = {name: value for name, value in vars(log.header).items() if name not in ("motion", "extra")}
     return response_frame(
         {column: getattr(log, name) for column, name in names.items()},
@@ -178,9 +176,9 @@ def simulate(
 def response_frame(samples: Mapping[str, Any], motion: Motion, about: Mapping[str, Any]) -> pd.DataFrame:
     """Return a step response, shape (rows, 5), with its conditions in ``attrs``."""
     rows = len(samples["time_s"])
-    columns = {name: np.full(rows, np.nan) if samples.get(name) is None else samples[name] for name in SAMPLES}
+    columns = {name: np.full(rows, np.nan) if samples.get(name) is None else samples[name] for name in SIGNALS}
     frame = pd.DataFrame(columns)
-    frame.attrs = {"units": units_of((*SAMPLES, "stiffness", "damping", "step", "sampling_period_s"), {motion})}
+    frame.attrs = {"units": units_of((*SIGNALS, "stiffness", "damping", "step", "sampling_period_s"), {motion})}
     frame.attrs |= {"motion": motion, **about}
     return frame
 

@@ -22,11 +22,12 @@ from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.records.criteria import MEASURED
 from pipeline.records.results import ExperimentNumbers
 from pipeline.records.table_files import read_table
+from pipeline.records.tables import SIGNALS
 from pipeline.rendering.frames import FORCED, boundary_frame, estimates_frame, frame_of, optima_frame, units_of
 from pipeline.rendering.table import Row
 from pipeline.store.samples import load_trials
 from pipeline.store.storage import list_devices, list_experiments, read_exclusions, read_trials, stage_file
-from pipeline.surface.logs import SAMPLES, PathLike, response_frame
+from pipeline.surface.logs import PathLike, response_frame
 
 _CONDITIONS = (
     *("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"),
@@ -152,7 +153,7 @@ def samples(processed: PathLike, trial_id: str) -> pd.DataFrame:
     (row,) = table.slice(0, 1).to_pylist()
     trial = load_trials(folder, table.slice(0, 1))[0]
     return response_frame(
-        {"time_s": trial.time, **{name: getattr(trial, name) for name in SAMPLES[1:]}},
+        {"time_s": trial.time, **{name: getattr(trial, name) for name in SIGNALS[1:]}},
         row["motion"],
         {"trial_id": trial_id, **{name: row[name] for name in _CONDITIONS}},
     )
