@@ -13,6 +13,8 @@ from pipeline.explorer.entries import Entry
 
 FOLDER = Path(__file__).parent
 
+_TITLE, _ENTRIES = "Explore a haptic loop", "explorer-entries"
+
 _LEAD = (
     "Move a slider, or drag the wall in the plane. The theory is exact for the linear loop of device, delay, filter "
     "and wall, and is computed in this page. The address of the page contains your settings."
@@ -44,34 +46,31 @@ def style() -> str:
     return (FOLDER / "explorer.css").read_text(encoding="utf-8")
 
 
-def panel(entries: Sequence[Entry], name: str = "explorer-entries") -> str:
+def panel(entries: Sequence[Entry]) -> str:
     """Return the HTML element of a panel and the element with its entries.
 
     The page must contain `script` and `style`.
     """
-    shown = f'<div data-explorer="{escape(name)}"><p>This panel needs JavaScript.</p></div>'
-    return f'{shown}\n<script type="application/json" id="{escape(name)}">{json_text(list(entries))}</script>'
+    shown = f'<div data-explorer="{_ENTRIES}"><p>This panel needs JavaScript.</p></div>'
+    return f'{shown}\n<script type="application/json" id="{_ENTRIES}">{json_text(list(entries))}</script>'
 
 
-def page(entries: Sequence[Entry], title: str = "Explore a haptic loop", before: str = "") -> str:
+def page(entries: Sequence[Entry]) -> str:
     """Return a self-contained HTML file.
 
     Parameters
     ----------
     entries : sequence of dict
         Loops to which the page can be reset. The page initially shows the first loop.
-    title : str
-    before : str
-        HTML before the title, such as the navigation of a service.
     """
     inline = script()
     sheet = (FOLDER / "standalone.css").read_text(encoding="utf-8") + style()
     head = (
         f'<meta charset="utf-8">\n<meta http-equiv="Content-Security-Policy" content="{escape(policy((inline,)))}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{sheet}</style>"
+        f"<title>{_TITLE}</title>\n<style>\n{sheet}</style>"
     )
-    body = f"{before}<header><h1>{escape(title)}</h1><p>{_LEAD}</p></header>\n<main>\n{panel(entries)}\n</main>"
+    body = f"<header><h1>{_TITLE}</h1><p>{_LEAD}</p></header>\n<main>\n{panel(entries)}\n</main>"
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n<script>{inline}</script>\n'
         "</body>\n</html>\n"

@@ -31,9 +31,7 @@ def read_sheet(path: Path, settings: Profile, contents: FileColumns) -> None:
     book: Any = library("python_calamine", "sheets").CalamineWorkbook.from_filelike(BytesIO(path.read_bytes()))
     for title in book.sheet_names:
         rows = book.get_sheet_by_name(title).to_python(skip_empty_area=False)
-        top = next(
-            (i for i, row in enumerate(rows) if sum(isinstance(cell, str) and cell != "" for cell in row) > 1), None
-        )
+        top = next((i for i, row in enumerate(rows) if sum(map(_is_text, row)) > 1), None)
         if top is None or len(rows) < top + 3:
             continue
         names = [str(cell).strip() for cell in rows[top]]
@@ -56,12 +54,8 @@ def _is_text(cell: object) -> bool:
     return isinstance(cell, str) and cell != ""
 
 
-def _is_float(cell: object) -> bool:
-    return isinstance(cell, float)
-
-
 def _column(cells: list[Any]) -> Array:
     """Return cells as numbers, with NaN for blank cells. If any cell is a text, return texts."""
-    if any(isinstance(cell, str) and cell != "" for cell in cells):
+    if any(map(_is_text, cells)):
         return np.array([str(cell) for cell in cells], np.str_)
     return np.array([np.nan if cell == "" else float(cell) for cell in cells])

@@ -275,7 +275,7 @@ def design(
     wanted = None if stiffness is None else stiffness_of(stiffness, loop.motion)
     wish = {
         "settling_s": None if settling is None else quantity("--settling", settling, "time"),
-        "overshoot": None if overshoot is None else _share("--overshoot", overshoot),
+        "overshoot": None if overshoot is None else _share(overshoot),
         "margin": margin,
     }
     with console.progress("design"):
@@ -408,17 +408,17 @@ def plan(
             console.show_line(answer.model_dump(mode="json"), str(answer).splitlines())
 
 
-def _share(option: str, text: str) -> float:
-    """Return a fraction from a number or a percentage.
+def _share(text: str) -> float:
+    """Return the fraction of an overshoot from a number or a percentage.
 
-    >>> _share("--overshoot", "5 %"), _share("--overshoot", "0.05")
+    >>> _share("5 %"), _share("0.05")
     (0.05, 0.05)
     """
     percent = text.strip().endswith("%")
     try:
         return float(text.strip().rstrip("%")) / (100 if percent else 1)
     except ValueError as error:
-        raise UsageError(f"{option} {text}: expected a number or a percentage, such as 0.05 or 5%.") from error
+        raise UsageError(f"--overshoot {text}: expected a number or a percentage, such as 0.05 or 5%.") from error
 
 
 def _dampings(words: Sequence[str]) -> tuple[float, ...]:

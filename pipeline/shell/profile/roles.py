@@ -232,7 +232,7 @@ def values_of_trials(sample: Sample, name: str) -> list[float]:
     return [] if changes else [float(column[0]) for column in columns]
 
 
-def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str, float] | None:
+def rate_of(sample: Sample, time: str, place: str) -> tuple[str, float] | None:
     """Return the column that is the rate of another column, and the implied unit of time in seconds, otherwise None.
 
     A velocity is the change of its position per second. Therefore, the factor between its integral over the stamps and
@@ -241,7 +241,7 @@ def rate_of(sample: Sample, time: str, place: str, fewest: int = 4) -> tuple[str
     numbers = sample.numbers
     for name in numbers:
         columns = [numbers.get(key) for key in (time, place, name)]
-        if name in (time, place) or any(column is None or len(column) < fewest for column in columns):
+        if name in (time, place) or any(column is None or len(column) < 4 for column in columns):
             continue
         stamps, motion, speed = (column for column in columns if column is not None)
         if not len(stamps) == len(motion) == len(speed) or not np.ptp(speed) or not np.ptp(motion):

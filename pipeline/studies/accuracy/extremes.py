@@ -14,7 +14,7 @@ from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.studies.accuracy.measure import FAILURES, largest
 from pipeline.studies.accuracy.peers import Case
-from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed, normalised_loop, reference
+from pipeline.studies.accuracy.theory import ENERGY, PLANTS, RADII, case_of, installed_radii, normalised_loop, reference
 from pipeline.theory.boundary import is_inside
 from pipeline.theory.poles import is_stable
 
@@ -41,7 +41,7 @@ def sweeps(quick: bool) -> Iterator[Sweep]:
         for method, plant in PLANTS.items():
             yield _sweep(name, method, paths[name], [_attempt(_plant_error, plant, row) for row in paths[name]])
     for name in ("delay", "resonant"):
-        for method, radius in installed(RADII).items():
+        for method, radius in installed_radii().items():
             yield _radius_sweep(name, method, radius, paths[name])
     yield from _margins()
     case = case_of(reference()["loop"])

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from importlib.util import find_spec
 from itertools import count
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +41,6 @@ OWN_ENERGIES = {quantity: COSTS[quantity] for quantity in ENERGIES}
 HARD |= {f"{quantity}, hard loops": f"{name}_discrete" for quantity, name in OWN_ENERGIES.items()}
 OPTIMA = {"optimum of energy": "energy_step_w0", "optimum of settling time": "settle_2pct"}
 GENERAL = ("boundary, general loop", "spectral radius, general loop")
-QUANTITIES = ("plant", "boundary", "spectral radius", *COSTS, *OPTIMA, "map", *GENERAL, *HARD)
 
 PEER = "python-control"
 
@@ -59,7 +58,7 @@ The optima are at (0.070, 0.471) and (0.045, 0.304).
 
 _TOLERANCE, _SAMPLES = "tolerance {:.0e}", "{} samples"
 _FINE = "{} points a sample", (1, 4, 16, 64), 3
-_Way = TypeVar("_Way")
+_Method = Callable[[Case, Floats, Floats], Floats]
 _repetition = count()
 
 
@@ -96,11 +95,6 @@ def own_numerator(gamma: float, delta: float) -> tuple[float, float]:
     return peers.numerator(np.column_stack((matrix[:2, :2], push[:2])))
 
 
-def installed(ways: dict[str, _Way]) -> dict[str, _Way]:
-    """Return the methods that need no optional library, or one that is installed."""
-    return {name: way for name, way in ways.items() if name != PEER or find_spec("control")}
-
-
 def own_costs(loop: NormalisedLoop, alpha: Floats, beta: Floats, names: Mapping[str, str]) -> Values:
     """Return costs by quantity as computed by this package."""
     found = point_costs_by_name(loop, alpha, beta, list(names.values()), LONGEST)
@@ -116,7 +110,7 @@ PLANTS: dict[str, Callable[[float, float], tuple[float, float]]] = {
 }
 """Methods for the numerator of the sampled plant."""
 
-RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
+RADII: dict[str, _Method] = {
     "polynomial roots": peers.radius_by_roots,
     "eigenvalues": peers.radius_by_eigenvalues,
     "squaring of the loop matrix": lambda case, *wall: peers.radius_by_squaring(peers.matrices(case, *wall), 40),
@@ -125,7 +119,13 @@ RADII: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
 }
 """Methods for the spectral radius."""
 
-ENERGY: dict[str, Callable[[Case, Floats, Floats], Floats]] = {
+
+def installed_radii() -> dict[str, _Method]:
+    """Return the methods for the spectral radius that need no optional library, or one that is installed."""
+    return {name: method for name, method in RADII.items() if name != PEER or find_spec("control")}
+
+
+ENERGY: dict[str, _Method] = {
     "truncated recurrence, 512 samples": partial(peers.truncated_energy, samples=512),
     "truncated recurrence, 8192 samples": partial(peers.truncated_energy, samples=8192),
     "Lyapunov equations (scipy)": peers.lyapunov_energy,
@@ -150,7 +150,7 @@ def theory_tables() -> Iterator[Table]:
     )
     yield _edge(case, loop)
     quantity = "spectral radius"
-    radii = [Row(name, _one(quantity, of, case, *wall)) for name, of in installed(RADII).items()]
+    radii = [Row(name, _one(quantity, of, case, *wall)) for name, of in installed_radii().items()]
     yield Table({quantity: points["radius"]}, radii)
     yield _costs(case, loop, points)
     yield from (_optimum(quantity, criterion) for quantity, criterion in OPTIMA.items())
