@@ -51,19 +51,19 @@ def write_bag(folder: Path, kind: str, first: int, rows: int):
             writer.write(topic, ns, STORE.serialize_cdr(message, joints.__msgtype__))
 
 
-def split_bag(folder: Path, kind: str, title: str = "K20", rows=(5, 3, 4)) -> Path:
+def split_bag(folder: Path, kind: str, rows=(5, 3, 4)) -> Path:
     """A bag as `ros2 bag record` splits it: files NAME_0, NAME_1, ... and one metadata.yaml."""
-    bag = folder / title
+    bag = folder / "K20"
     bag.mkdir(parents=True)
     first = 0
     for number, count in enumerate(rows):
         part = folder / "part"
         write_bag(part, kind, first, count)
-        (part / f"part.{kind}").rename(bag / f"{title}_{number}.{kind}")
+        (part / f"part.{kind}").rename(bag / f"K20_{number}.{kind}")
         metadata = (part / "metadata.yaml").read_text()
         shutil.rmtree(part)
         first += count
-    names = [f"{title}_{number}.{kind}" for number in range(len(rows))]
+    names = [f"K20_{number}.{kind}" for number in range(len(rows))]
     lines = metadata.splitlines()
     at = next(i for i, line in enumerate(lines) if "relative_file_paths" in line)
     indent = lines[at + 1][: lines[at + 1].index("-")]

@@ -16,8 +16,9 @@ NATIVE = next(profile for profile in shipped_profiles() if profile.name == "nati
 NAMED = NATIVE.model_copy(update={"name": "native", "name_pattern": "K(?P<stiffness>[0-9]+)"})
 
 
-def source(name: str = "K1.csv", profile=NATIVE, mtime_ns: int = 5) -> Source:
-    return Source(Path("/logs") / name, f"/logs/{name}", (Path("/logs") / name,), 100, mtime_ns, profile)
+def source(profile=NATIVE) -> Source:
+    path = Path("/logs/K1.csv")
+    return Source(path, str(path), (path,), 100, 5, profile)
 
 
 def stored(of: Source, sha256: str = "a", devices: tuple[str, ...] = ("bench",), **more) -> StoredSource:
@@ -26,8 +27,8 @@ def stored(of: Source, sha256: str = "a", devices: tuple[str, ...] = ("bench",),
     return base._replace(**more)
 
 
-def twin(of: Source, name: str = "K2.csv", exists: bool = True, **more) -> Twin:
-    return Twin(f"/logs/{name}", stored(of, **more), exists)
+def twin(of: Source, exists: bool = True, **more) -> Twin:
+    return Twin("/logs/K2.csv", stored(of, **more), exists)
 
 
 SEEN, NAMES = source(), source(profile=NAMED)

@@ -4,7 +4,6 @@ import errno
 import os
 import resource
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -15,8 +14,6 @@ from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake.ingest import ingest
 from pipeline.shell.watch import Watched, run_pass, status_of
 from pipeline.store.storage import list_experiments, read_steadily, read_trials
-
-PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 
 
 def test_more_experiments_than_files_may_be_open(logs, processed):

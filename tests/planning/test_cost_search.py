@@ -20,7 +20,7 @@ LIMITS = linear_limits(BY, DAMPINGS)
 LEAST = optimal_point(NormalisedLoop.of(BY), "settle_2pct").cost
 
 
-def search(measured, by, holds=True, most=40):
+def search(measured, by, holds=True):
     """Run a search whose trials have the costs of a function."""
     walls, costs = [], []
     while True:
@@ -32,7 +32,7 @@ def search(measured, by, holds=True, most=40):
             else TriedWalls(*[np.empty(0)] * 4)
         )
         found = search_walls(tried, CostTarget("settle_2pct", DAMPINGS, LIMITS, by, holds), 0.05, 1)
-        if found.done or len(walls) == most:
+        if found.done or len(walls) == 40:
             return found, walls, costs
         walls.append(found.walls[0][:2])
         costs.append(float(measured(*(np.array([x]) for x in walls[-1]))[0]))

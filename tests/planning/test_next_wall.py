@@ -45,12 +45,12 @@ def told(limit, off=0.0):
     return Forecast((1 + off) * value, 0.002 * value)
 
 
-def campaign(limit, aim, by=None, first=(), most=120):
+def campaign(limit, aim, by=None, first=()):
     rows = list(first)
     while True:
         columns = [np.array(column) for column in zip(*rows, strict=True)] or [np.empty(0)] * 4
         found = plan_state(TriedWalls(*columns), aim, by)
-        if found.done or len(rows) == most:
+        if found.done or len(rows) == 120:
             return found, TriedWalls(*columns)
         column = found.columns[order(found.columns)[0]]
         wall = column.wall if np.isfinite(column.wall) and column.wall > 0 else 5000.0

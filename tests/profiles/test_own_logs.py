@@ -35,10 +35,10 @@ sampling_period_s = 0.001
 """
 
 
-def wall_log(stiffness, damping, heading="t/ms;x/mm;F/N"):
+def wall_log(stiffness, damping):
     """Return a log of a step of 1 N in row 20, T = 1 ms."""
     samples = wall_rows(stiffness, damping, step=1.0, mass=0.3, rows=300).tolist()
-    return "\n".join([heading, *(f"{1e3 * t:.0f};{x:.12g};{force:.12g}" for t, force, x in samples), ""])
+    return "\n".join(["t/ms;x/mm;F/N", *(f"{1e3 * t:.0f};{x:.12g};{force:.12g}" for t, force, x in samples), ""])
 
 
 @pytest.fixture

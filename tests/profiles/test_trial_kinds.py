@@ -13,16 +13,16 @@ from pipeline.shell.profile.draft import draft_profile
 from pipeline.store.storage import read_trials
 
 
-def write(folder, way, rig="falcon", heading="Zeit [ms];Kraft [N];Weg [mm]"):
+def write(folder, way):
     """Logs of a lab with K and B in their names; returns trials and spectral radii."""
     folder.mkdir()
-    trials, radius = walls(rig, way)
+    trials, radius = walls("falcon", way)
     for number in range(len(radius)):
         trial = trials[number]
         table = np.column_stack([1e3 * trial.time, trial.command, 1e3 * trial.position]).tolist()
         lines = [f"{t:.3f};{u:.9g};{x:.9g}" for t, u, x in table]
         name = f"K{trial.stiffness / 1e3:g}_B{trial.damping:g}.csv"
-        (folder / name).write_text("\n".join([heading, *lines, ""]))
+        (folder / name).write_text("\n".join(["Zeit [ms];Kraft [N];Weg [mm]", *lines, ""]))
     return trials, radius
 
 

@@ -76,9 +76,8 @@ def bag(kind):
     return bag_file(kind, fill)
 
 
-def csv(stamps, decimal="."):
-    rows = (f"{t};{1};{k / 8}\n".replace(".", decimal) for k, t in enumerate(stamps))
-    return ("t;F;x\n" + "".join(rows)).encode()
+def csv(stamps):
+    return ("t;F;x\n" + "".join(f"{t};1;{k / 8}\n" for k, t in enumerate(stamps))).encode()
 
 
 def records(stamps):
@@ -115,7 +114,7 @@ def read(form, data, names, unit, **time) -> Log:
         "device": "d", "experiment": "1", "stiffness": 1, "damping": 1, "step": 1, "sampling_period_s": 0.001,
     }  # fmt: skip
     if form == "delimited":
-        values |= {"delimiter": ";", "decimal": "," if b"," in data else "."}
+        values |= {"delimiter": ";", "decimal": "."}
     profile = Profile.model_validate(values)
     (outcome,) = reader_of(profile)(profile, [RawLog(("log",), (data,))])
     if isinstance(outcome, Exception):

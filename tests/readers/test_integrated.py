@@ -37,12 +37,12 @@ sampling_period_s = 0.001
 J, b, T, EDGE, QUANTUM = 1.2e-4, 7e-5, 1e-3, 80, 2 * np.pi / 4096
 
 
-def motor(rows=400, delay=1):
+def motor(rows=400):
     """Angle and speed [rad, rad/s] of a motor under a torque step, by the closed solution of J w' = u - b w."""
     u = 0.06 * (np.arange(rows) >= EDGE)
     fade, angle, speed = np.exp(-b / J * T), np.zeros(rows), np.zeros(rows)
     for k in range(rows - 1):
-        final = u[max(k - delay, 0)] / b
+        final = u[max(k - 1, 0)] / b
         angle[k + 1] = angle[k] + final * T + (speed[k] - final) * (1 - fade) * J / b
         speed[k + 1] = final + (speed[k] - final) * fade
     return u, angle, speed

@@ -1,7 +1,6 @@
 """ROS 1 and 2 bags and MCAP files, written by rosbags."""
 
 import sqlite3
-import struct
 
 import numpy as np
 import pytest
@@ -179,14 +178,6 @@ def test_a_database_left_in_journal_mode_is_read(bags):
     data = bytearray(bags["db3", ""])
     data[18:20] = b"\x02\x02"
     assert len(frame("db3", bytes(data), "/command.data")) == 20
-
-
-def record(kind, body):
-    return struct.pack("<BQ", kind, len(body)) + body
-
-
-def text(value):
-    return struct.pack("<I", len(value)) + value.encode()
 
 
 def test_other_files_are_refused(bags):

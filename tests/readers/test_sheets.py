@@ -135,11 +135,6 @@ def test_a_sheet_that_is_not_there_is_refused_by_its_path(call, lab):
 # as a command uses it
 
 
-def stored(lab):
-    rows = read_trials(lab / "processed").to_pylist()
-    return {Path(row["source_path"]).name: (row["stiffness"] / 1e3, row["damping"], row["step"]) for row in rows}
-
-
 def test_ingest_stores_what_the_sheet_says_and_ignores_the_sheet(call, lab):
     status, out, _ = call("ingest", "logs", "--profile", "logs/lab.toml", "--json")
     found = json.loads(out)

@@ -15,13 +15,13 @@ def source(**keys) -> TimeSource:
     return TimeSource.model_validate({"name": "t", "unit": "ms"} | keys)
 
 
-def table_of(values, **columns):
-    return {"time": np.asarray(values), "row": np.arange(len(values)) + 10, **columns}
+def table_of(values):
+    return {"time": np.asarray(values), "row": np.arange(len(values)) + 10}
 
 
-def stamps(values, rest=None, **keys):
+def stamps(values, **keys):
     """Return columns with time in seconds, and how often a counter started again."""
-    table = table_of(values, **({} if rest is None else {"fraction": rest}))
+    table = table_of(values)
     return table | add_seconds(source(**keys), table, PERIOD, "a.csv, column 't' (columns.time)") | table
 
 

@@ -22,17 +22,20 @@ from pipeline.shell.cli import application
 FALCON = Loop(0.58, 4.0, 0.001, 4)
 
 
-def simulated(rig: Loop, K: float, B: float, samples: int, fine: int = 16) -> np.ndarray:
-    """Position over its final value after a step of the force, `fine` places a sample; exact motion."""
+FINE = 16
+
+
+def simulated(rig: Loop, K: float, B: float, samples: int) -> np.ndarray:
+    """Position over its final value after a step of the force, `FINE` places a sample; exact motion."""
     T, whole = rig.sampling_period_s, math.floor(rig.delay_samples)
-    late = round((rig.delay_samples - whole) * fine)
+    late = round((rig.delay_samples - whole) * FINE)
     A = np.array([[0, 1, 0], [-rig.stiffness / rig.mass, -rig.damping / rig.mass, 1 / rig.mass], [0, 0, 0]])
-    move = expm(A * T / fine)
+    move = expm(A * T / FINE)
     state, before, forces, path = np.zeros(3), 0.0, [0.0] * (whole + 2), []
     for _ in range(samples):
         forces.append(1.0 - K * state[0] - B * (state[0] - before) / T)
         before = state[0]
-        for i in range(fine):
+        for i in range(FINE):
             state[2] = forces[-1 - whole - (i < late)]
             state = move @ state
             path.append(state[0])
@@ -41,10 +44,10 @@ def simulated(rig: Loop, K: float, B: float, samples: int, fine: int = 16) -> np
     return np.array(path) * (K + rig.stiffness)
 
 
-def settles(rig: Loop, path: np.ndarray, fine: int = 16) -> float:
+def settles(rig: Loop, path: np.ndarray) -> float:
     """Settling time [s], counted as costs are: from when the device can move."""
     outside = np.flatnonzero(np.abs(path - 1) > 0.02)
-    return ((outside[-1] + 1) / fine - rig.delay_samples) * rig.sampling_period_s
+    return ((outside[-1] + 1) / FINE - rig.delay_samples) * rig.sampling_period_s
 
 
 def random_rig(random: np.random.Generator) -> Loop:

@@ -35,8 +35,8 @@ def store(url, *folders):
     return stored_by(url, lambda processed: ingest(folders, processed))
 
 
-def objects_of(url, prefix="trials/"):
-    return [name for name, _, _ in Objects(url).list(prefix)]
+def objects_of(url):
+    return [name for name, _, _ in Objects(url).list("trials/")]
 
 
 def seen(url, experiment="1"):

@@ -72,9 +72,9 @@ class S3:
 
 
 @contextmanager
-def moto(port=None):
+def moto():
     """Moto's S3 server with an empty bucket; what is stored is in its memory."""
-    port = port or free_port()
+    port = free_port()
     code = f"from moto.server import main; main(['-H', '127.0.0.1', '-p', '{port}'])"
     with running(sys.executable, "-c", code) as process:
         wait_for(lambda: answers(port), "moto")

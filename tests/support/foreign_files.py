@@ -203,7 +203,7 @@ def tdms_log() -> bytes:
     return buffer.getvalue()
 
 
-def bag_file(kind: str, fill: Callable[[Any, Any, bool], None], packed: str = "", store: Stores | None = None) -> bytes:
+def bag_file(kind: str, fill: Callable[[Any, Any, bool], None], packed: str = "") -> bytes:
     """A bag of a kind ("bag", "db3", "mcap"), filled by ``fill(writer, typestore, is_ros1)``."""
     with tempfile.TemporaryDirectory() as folder:
         if kind == "bag":
@@ -219,11 +219,7 @@ def bag_file(kind: str, fill: Callable[[Any, Any, bool], None], packed: str = ""
                 writer.set_compression(mode, CompressionFormat.ZSTD)
             path = Path(folder) / "x" / f"x.{kind}"
         with writer:
-            fill(
-                writer,
-                get_typestore(store or (Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)),
-                kind == "bag",
-            )
+            fill(writer, get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE), kind == "bag")
         return path.read_bytes()
 
 

@@ -15,14 +15,12 @@ def general_loop(
     return NormalisedLoop(Plant(1.0, delta, gamma, lag, **mode), delay, velocity)
 
 
-def vibration(
-    load_mass: float, spring: float, spring_damping: float, sensor_at_load: bool, load_damping: float = 0.0
-) -> dict[str, Any]:
+def vibration(load_mass: float, spring: float, spring_damping: float, sensor_at_load: bool) -> dict[str, Any]:
     """Return the numbers of a vibration mode by name."""
     return {
         "load_mass": load_mass,
         "spring": spring,
         "spring_damping": spring_damping,
         "sensor_at_load": sensor_at_load,
-        "load_damping": load_damping,
+        "load_damping": 0.0,
     }

@@ -176,22 +176,17 @@ _KINDS = {
 }
 
 
-def kinds(base: Device, experiment: str | None = None) -> dict[str, Callable[[int], Case]]:
+def kinds(base: Device) -> dict[str, Callable[[int], Case]]:
     """Return for each kind a function from a seed to a case.
 
     Parameters
     ----------
     base : Device
         Device that is varied; ranges are shares of its own step, mass and quantum, and times of a sampling period of
-        about 1 ms.
-    experiment : str, optional
-        Its experiment; the first by default. Its jitter is left out.
+        about 1 ms. The jitter of its first experiment is left out.
     """
-    names = [e.name for e in base.experiments]
-    chosen = base.experiments[0 if experiment is None else names.index(experiment)]
-    alone = base.model_copy(
-        update={"experiments": (chosen.model_copy(update={"jitter_samples": ()}),), "tables": (), "name": "case"}
-    )
+    first = base.experiments[0].model_copy(update={"jitter_samples": ()})
+    alone = base.model_copy(update={"experiments": (first,), "tables": (), "name": "case"})
     return {name: partial(_case, alone, name) for name in _KINDS}
 
 

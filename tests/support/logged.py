@@ -159,9 +159,9 @@ def written(trials, text, command=None):
     return replace(trials, position=FORMATS[text](trials.position), command=FORMATS[command](trials.command))
 
 
-def scattered(trials, share=0.15, seed=0):
+def scattered(trials, seed=0):
     """The course with stamps that the operating system scatters; control is exact."""
-    off = share * np.repeat(trials.sampling_period_s, trials.rows)
+    off = 0.15 * np.repeat(trials.sampling_period_s, trials.rows)
     return replace(trials, time=trials.time + off * np.random.default_rng(seed).standard_normal(len(trials.time)))
 
 

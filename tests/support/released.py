@@ -23,9 +23,9 @@ GRIDS = {
 WAYS = ("released by the controller", "released by hand", "hit by the controller", "hit by hand")
 
 
-def walls(rig, way, rows=300, begin=12):
+def walls(rig, way, rows=300):
     """Motions of a rig behind the walls of its grid, stepped with the matrix exponential."""
-    K, damping = GRIDS[rig]
+    (K, damping), begin = GRIDS[rig], 12
     about = RIGS[rig]
     m, T, delay, size, quantum = (about[name] for name in ("mass", "T", "delay", "size", "quantum"))
     A, g = plant(m, about["b"], T)

@@ -4,7 +4,7 @@ import numpy as np
 
 PERIOD_S = 0.001
 
-PROFILE = """name = "NAME"
+PROFILE = """name = "lab"
 format = "delimited"
 files = ["*.txt"]
 delimiter = ";"
@@ -24,9 +24,9 @@ sampling_period_s = 0.001
 """
 
 
-def profile_text(name="lab", unit="N/mm", step=8.0):
+def profile_text(unit="N/mm", step=8.0):
     """Text of a profile; a stiffness in the file names is in `unit`."""
-    return PROFILE.replace("NAME", name).replace("UNIT", unit).replace("STEP", repr(step))
+    return PROFILE.replace("UNIT", unit).replace("STEP", repr(step))
 
 
 def wall_rows(stiffness, damping, *, step=8.0, mass=0.5, rows=400, edge=20):
@@ -48,8 +48,8 @@ def wall_log(stiffness, damping, **more):
     return "\n".join(["t;F;x", *(f"{t:.3f};{force!r};{x!r}" for t, force, x in rows), ""])
 
 
-def named_logs(count=4, seed=0, **more):
+def named_logs(count=4, **more):
     """Names and contents of logs; K in a name is in N/mm."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     walls = [(float(k), float(b)) for k, b in rng.uniform((1.0, 2.0), (3.0, 9.0), (count, 2)).round(2)]
     return [(f"K{k:g}_B{b:g}.txt", wall_log(1e3 * k, b, **more).encode()) for k, b in walls]

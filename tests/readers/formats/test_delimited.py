@@ -35,10 +35,6 @@ def read_frame(profile, name, data, wanted):
     return read_file(profile, (name,), (data,), wanted).frame()
 
 
-def list_columns(name, data, profile):
-    return read_file(profile, (name,), (data,)).listed()
-
-
 def values(frame) -> dict[str, list]:
     return {name: column.tolist() for name, column in frame.columns.items()}
 

@@ -19,12 +19,11 @@ WALLS = [(1.0, 3.0), (1.5, 5.0), (2.5, 8.0), (3.0, 4.0)]
 READ = ["--time", "t:ms", "--position", "s:mm", "--stiffness", "K:N/mm", "--damping", "B:Ns/m", "--device", "bench"]
 
 
-def write_logs(folder, heading='t,"F soll, u",s', *, force=1.0, place=1.0, sign=1, walls=WALLS):
+def write_logs(folder, heading='t,"F soll, u",s', *, force=1.0, sign=1, walls=WALLS):
     folder.mkdir(exist_ok=True)
     for stiffness, damping in walls:
         lines = [
-            f"{1e3 * t:.4g},{float(force * u)!r},{float(sign * place * x)!r}"
-            for t, u, x in wall_rows(1e3 * stiffness, damping)
+            f"{1e3 * t:.4g},{float(force * u)!r},{float(sign * x)!r}" for t, u, x in wall_rows(1e3 * stiffness, damping)
         ]
         name = f"run K{stiffness:g}_B{damping:g}.csv".replace("2.5", "2,5")
         (folder / name).write_text("\n".join([heading, *lines, ""]), encoding="utf-8")

@@ -23,13 +23,13 @@ def stored(folder):
     return sorted((round(row["stiffness"] / 1e3, 9), row["damping"], row["step"]) for row in rows)
 
 
-def long_table(path, heading="run;Kw;Bw;F0;t [s];F [N];x [mm]"):
+def long_table(path):
     lines = [
         f"{number};{';'.join(map(str, wall))};{t:.3f};{u!r};{x!r}"
         for number, wall in enumerate(WALLS)
         for t, u, x in rows_of(wall).tolist()
     ]
-    path.write_text("\n".join([heading, *lines, ""]))
+    path.write_text("\n".join(["run;Kw;Bw;F0;t [s];F [N];x [mm]", *lines, ""]))
 
 
 def test_a_long_table_is_parted_where_its_time_begins_again(call, tmp_path):
