@@ -55,8 +55,8 @@ def test_all_of_an_experiment(three):
     (found,) = three.get("experiments?device=new%20rig").content["items"]
     assert found["verdicts"] == {"excluded": 8}
     answer = three.get("experiments/new%20rig/1/estimates")
-    assert (answer.status, "excluded by hand" in answer.content["detail"]) == (409, True)
-    assert "excluded by hand" in page(three, at)
+    assert (answer.status, "excluded manually" in answer.content["detail"]) == (409, True)
+    assert "excluded manually" in page(three, at)
     assert three.ask("POST", "comparisons", document={"device": "new rig"}).status == 409
     assert three.ask("POST", "comparisons", document=TWO).status in (200, 202), "others are compared"
     assert browser.do(at, "PUT", path).status == 303
