@@ -233,20 +233,21 @@ def next_ages(result: Floats, chances: Floats, ages: Floats, top: int, columns: 
 
 
 @inlined
-def advance(result: Floats, P: Floats, F: Floats, W: Floats, c: Floats, chances: Floats) -> None:
-    """Write the product Phi P into ``result``, with Phi = [F, W c'; 0, M']."""
-    n, A, m = len(F), len(c), len(P)
-    for i in range(n):
-        for j in range(m):
-            result[i, j] = 0.0
+def advance(result: Floats, P: Floats, F: Floats, m: int, forces: Any) -> None:
+    """Write the product Phi P into ``result``, with Phi = [F, W c'; 0, M'], for the transition m."""
+    W, c, chances = forces
+    n, A, columns = F.shape[1], len(c), P.shape[1]
+    for j in range(columns):
+        pulled = 0.0
         for a in range(A):
-            for j in range(m):
-                result[i, j] += W[i] * c[a] * P[n + a, j]
-        for h in range(n):
-            for j in range(m):
-                result[i, j] += F[i, h] * P[h, j]
+            pulled += c[a] * P[n + a, j]
+        for i in range(n):
+            value = W[m, i] * pulled
+            for h in range(n):
+                value += F[m, i, h] * P[h, j]
+            result[i, j] = value
     if A:
-        next_ages(result, chances, P, n, m)
+        next_ages(result, chances, P, n, columns)
 
 
 @compiled(
@@ -292,6 +293,7 @@ def filter_gains(
         rows += behind[s] - first[s]
     gains, spread = np.zeros((rows, m)), np.ones(rows)
     P, moved, seen, c = np.empty((m, m)), np.empty((m, m)), np.empty(m), np.empty(A)
+    forces = (W, c, M)
     v = np.zeros((A, A))
     if A:
         half, whole = np.empty((A, A)), np.empty((A, A))
@@ -310,22 +312,23 @@ def filter_gains(
                 P[i, j] = C[i - n, j - n] if i >= n and j >= n else 0.0
         for r in range(first[s], behind[s]):
             at = r if len(kind) > 1 else 0
-            f, g = F[kind[at]], W[kind[at]]
+            g = kind[at]
             variance = 1.0
             for i in range(m):
-                seen[i] = 0.0
+                value = 0.0
                 for j in range(n):
-                    seen[i] += P[i, j] * H[j]
+                    value += P[i, j] * H[j]
+                seen[i] = value
             for i in range(n):
                 variance += H[i] * seen[i]
             # the variance of a prediction error is below that of a reading only by rounding
             if variance < 1.0:
                 variance = 1.0
-            spread[place] = math.sqrt(variance)
+            spread[place], precision = math.sqrt(variance), 1.0 / variance
             for i in range(m):
-                gains[place, i] = seen[i] / variance
+                gains[place, i] = seen[i] * precision
                 for j in range(m):
-                    P[i, j] -= seen[i] * seen[j] / variance
+                    P[i, j] -= seen[i] * seen[j] * precision
             place += 1
             if A:
                 for i in range(A):
@@ -334,16 +337,16 @@ def filter_gains(
                     row = r - back[piece]
                     if row >= edge[s]:
                         c[age[piece]] += late * command[min(max(row, begin[s]), behind[s] - 1)] * width[piece]
-            advance(moved, P, f, g, c, M)
+            advance(moved, P, F, g, forces)
             for i in range(m):
                 for j in range(m):
                     P[i, j] = moved[j, i]
-            advance(moved, P, f, g, c, M)
+            advance(moved, P, F, g, forces)
             for i in range(m):
                 for j in range(i + 1):
                     P[i, j] = moved[i, j]
                     if i < n:
-                        P[i, j] += q * g[i] * g[j]
+                        P[i, j] += q * W[g, i] * W[g, j]
                     elif j >= n:
                         P[i, j] += v[i - n, j - n]
                     P[j, i] = P[i, j]
