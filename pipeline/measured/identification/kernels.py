@@ -353,6 +353,110 @@ def filter_gains(
     return gains, spread
 
 
+WIDTH = 4
+"""Number of columns that a processor handles at once. Loops over columns are written out for blocks of this size."""
+
+
+@inlined
+def padded(count: int) -> int:
+    """Return the number of columns of whole blocks."""
+    return (count + WIDTH - 1) // WIDTH * WIDTH
+
+
+@inlined
+def dot(first: Floats, second: Floats, count: int) -> float:
+    """Return the product of the first ``count`` elements of two vectors."""
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    whole = count // 4 * 4
+    for k in range(0, whole, 4):
+        s0 += first[k] * second[k]
+        s1 += first[k + 1] * second[k + 1]
+        s2 += first[k + 2] * second[k + 2]
+        s3 += first[k + 3] * second[k + 3]
+    for k in range(whole, count):
+        s0 += first[k] * second[k]
+    return (s0 + s1) + (s2 + s3)
+
+
+@inlined
+def observe(e: Floats, H: Floats, x: Floats, now: int, position: float) -> None:
+    """Write the prediction errors of all columns of the states into ``e``. The reading belongs to the first column."""
+    for b in range(0, len(e), 4):
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+        for i in range(len(H)):
+            s0 -= H[i] * x[now, i, b]
+            s1 -= H[i] * x[now, i, b + 1]
+            s2 -= H[i] * x[now, i, b + 2]
+            s3 -= H[i] * x[now, i, b + 3]
+        e[b], e[b + 1], e[b + 2], e[b + 3] = s0, s1, s2, s3
+    e[0] += position
+
+
+@inlined
+def propagate(x: Floats, now: int, F: Floats, m: int, inputs: Any) -> None:
+    """Write F x + FK e + u of_u + v of_v into the other states of x, for all columns and the transition m."""
+    FK, e, u, of_u, v, of_v = inputs
+    for i in range(F.shape[1]):
+        for b in range(0, len(e), 4):
+            s0 = FK[i] * e[b] + u[i] * of_u[b] + v[i] * of_v[b]
+            s1 = FK[i] * e[b + 1] + u[i] * of_u[b + 1] + v[i] * of_v[b + 1]
+            s2 = FK[i] * e[b + 2] + u[i] * of_u[b + 2] + v[i] * of_v[b + 2]
+            s3 = FK[i] * e[b + 3] + u[i] * of_u[b + 3] + v[i] * of_v[b + 3]
+            for h in range(F.shape[1]):
+                s0 += F[m, i, h] * x[now, h, b]
+                s1 += F[m, i, h] * x[now, h, b + 1]
+                s2 += F[m, i, h] * x[now, h, b + 2]
+                s3 += F[m, i, h] * x[now, h, b + 3]
+            x[1 - now, i, b], x[1 - now, i, b + 1], x[1 - now, i, b + 2], x[1 - now, i, b + 3] = s0, s1, s2, s3
+
+
+@inlined
+def shape_tangents(z: Floats, now: int, F: Floats, m: int, corrections: Any) -> None:
+    """Write F z + FK e + F' x into the other states of z, which are the state and its tangents. x is corrected."""
+    FK, e, F_z, corrected = corrections
+    for i in range(F.shape[1]):
+        for b in range(0, len(e), 4):
+            s0, s1, s2, s3 = FK[i] * e[b], FK[i] * e[b + 1], FK[i] * e[b + 2], FK[i] * e[b + 3]
+            for h in range(F.shape[1]):
+                s0 += F[m, i, h] * z[now, h, b] + F_z[m, i, h, b] * corrected[h]
+                s1 += F[m, i, h] * z[now, h, b + 1] + F_z[m, i, h, b + 1] * corrected[h]
+                s2 += F[m, i, h] * z[now, h, b + 2] + F_z[m, i, h, b + 2] * corrected[h]
+                s3 += F[m, i, h] * z[now, h, b + 3] + F_z[m, i, h, b + 3] * corrected[h]
+            z[1 - now, i, b], z[1 - now, i, b + 1], z[1 - now, i, b + 2], z[1 - now, i, b + 3] = s0, s1, s2, s3
+
+
+@inlined
+def add_inputs(z: Floats, now: int, G: Floats, piece: int, command: float, force: float) -> None:
+    """Add the motion due to a command and a force on the motor in a piece, with its tangents, G (Q, n, 2, columns)."""
+    for i in range(z.shape[1]):
+        for b in range(0, z.shape[2], 4):
+            s0 = z[now, i, b] + G[piece, i, 0, b] * command + G[piece, i, 1, b] * force
+            s1 = z[now, i, b + 1] + G[piece, i, 0, b + 1] * command + G[piece, i, 1, b + 1] * force
+            s2 = z[now, i, b + 2] + G[piece, i, 0, b + 2] * command + G[piece, i, 1, b + 2] * force
+            s3 = z[now, i, b + 3] + G[piece, i, 0, b + 3] * command + G[piece, i, 1, b + 3] * force
+            z[now, i, b], z[now, i, b + 1], z[now, i, b + 2], z[now, i, b + 3] = s0, s1, s2, s3
+
+
+@inlined
+def jitter_force(a: Floats, now: int, K: Floats, g: int, forces: Any) -> None:
+    """Correct the ages a by K e, and write the forces c' a into ``pull``."""
+    pull, e, c = forces
+    n = K.shape[1] - a.shape[1]
+    for b in range(0, len(e), 4):
+        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+        for i in range(a.shape[1]):
+            a0 = a[now, i, b] + K[g, n + i] * e[b]
+            a1 = a[now, i, b + 1] + K[g, n + i] * e[b + 1]
+            a2 = a[now, i, b + 2] + K[g, n + i] * e[b + 2]
+            a3 = a[now, i, b + 3] + K[g, n + i] * e[b + 3]
+            s0 += c[i] * a0
+            s1 += c[i] * a1
+            s2 += c[i] * a2
+            s3 += c[i] * a3
+            a[now, i, b], a[now, i, b + 1], a[now, i, b + 2], a[now, i, b + 3] = a0, a1, a2, a3
+        pull[b], pull[b + 1], pull[b + 2], pull[b + 3] = s0, s1, s2, s3
+
+
 GAIN, COULOMB, FORCE, FIELDS, SHAPE = 0, 1, 2, 3, 6
 """Codes of the columns of `whitened`: acceleration per unit of command, due to Coulomb friction, due to a constant
 force, and due to three forces that depend on the position. Codes from SHAPE on are parameters of the shape, and
@@ -424,10 +528,12 @@ def whitened(
     n, A, P, p, q, S = len(H), M.shape[1], dF.shape[1], len(codes), len(sizes), len(first)
     gamma, lag, delay, variance, reach = constants[0], constants[1], constants[2], constants[3], int(constants[4])
     command, drive = commands[0], len(commands) - 1
-    longest, total = 0, 0
+    longest, total, most = 0, 0, 0
     for s in range(S):
         longest = max(longest, behind[s] - first[s])
         total += behind[s] - first[s]
+    for at in range(len(offset) - 1):
+        most = max(most, offset[at + 1] - offset[at])
     # columns of the first pass: motion due to all forces, linear numbers, unknown initial values
     linear = np.full(p, -1)
     L = 1
@@ -437,13 +543,34 @@ def whitened(
             L += 1
     T = L + q
     columns, known, lost = np.zeros((total + S * q, p + 1)), np.zeros(S), 0.0
-    E, D = np.empty((longest + q, T)), np.empty((longest, P))
-    x, moved, a, aged = np.zeros((n, T)), np.zeros((n, T)), np.zeros((A, T)), np.zeros((A, T))
-    t, t_moved, ta, ta_aged = np.zeros((n, P)), np.zeros((n, P)), np.zeros((A, P)), np.zeros((A, P))
-    e, e_t, c, lag_start = np.zeros(T), np.zeros(P), np.zeros(A), np.zeros(3 + drive)
+    E, D, V = np.empty((T, longest + q)), np.empty((P, longest)), np.empty((p + 1, longest + q))
+    # columns of a pass are padded to whole blocks
+    X, Z = padded(T), padded(1 + P)
+    # states of both passes and their ages, at the present and at the next row
+    x, a, z, az = np.zeros((2, n, X)), np.zeros((2, A, X)), np.zeros((2, n, Z)), np.zeros((2, A, Z))
+    e, e_z, pull, pull_z = np.zeros(X), np.zeros(Z), np.zeros(X), np.zeros(Z)
+    of_command, of_force = np.zeros(X), np.zeros(X)
+    c, lag_start, corrected, FK = np.zeros(A), np.zeros(3 + drive), np.zeros(n), np.zeros(n)
     driven, acting, resting, changed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((drive, n))
-    triangle, along, fitted, start = np.zeros((q, q)), np.zeros((q, p + 1)), np.zeros(q), np.zeros(n)
+    values, acts = np.zeros(most), np.zeros(most)
+    triangle, along, fitted = np.zeros((q, q)), np.zeros(q), np.zeros(q)
     filtered, steady, pushed = np.any(K != 0), len(spread) == 1, fields.shape[1] > 0
+    senses = np.any(dH != 0)
+    # matrices of the second pass: the derivatives along all parameters are neighbours in memory
+    F_z, W_z, H_z = np.zeros((len(F), n, n, Z)), np.zeros((len(F), n, Z)), np.zeros((n, Z))
+    G_z = np.zeros((len(G) if P else 0, n, 2, Z))
+    for j in range(P):
+        for i in range(n):
+            H_z[i, 1 + j] = dH[j, i]
+            for m in range(len(F)):
+                W_z[m, i, 1 + j] = dW[m, j, i]
+                for h in range(n):
+                    F_z[m, i, h, 1 + j] = dF[m, j, i, h]
+            for piece in range(len(G)):
+                for h in range(2):
+                    G_z[piece, i, h, 0] = G[piece, i, h]
+                    G_z[piece, i, h, 1 + j] = dG[piece, j, i, h]
+    inputs, corrections = (FK, e, driven, of_command, acting, of_force), (FK, e_z, F_z, corrected)
     row_place, out = 0, 0
     for s in range(S):
         N = behind[s] - first[s]
@@ -473,120 +600,103 @@ def whitened(
                         lag_start[3 + d] += commands[1 + d, inside] * (newer - left + last * left)
                 newer, newer_lag, newer_delay = left, left_lag, left_delay
             oldest = newer
-        for col in range(T):
-            for i in range(n):
-                x[i, col] = 0.0
-            for i in range(A):
-                a[i, col] = 0.0
+        x[:] = 0.0
+        a[:] = 0.0
         if lag > 0:
-            x[n - 1, 0] = own_gain * lag_start[0]
+            x[0, n - 1, 0] = own_gain * lag_start[0]
             for j in range(p):
                 if codes[j] == GAIN:
-                    x[n - 1, linear[j]] = lag_start[0]
+                    x[0, n - 1, linear[j]] = lag_start[0]
                 elif codes[j] < 0:
-                    x[n - 1, linear[j]] = own_gain * lag_start[2 - codes[j]]
+                    x[0, n - 1, linear[j]] = own_gain * lag_start[2 - codes[j]]
         for j in range(q):
             if j == 0 or not rests:
-                x[j, L + j] = oldest if lag > 0 and j == n - 1 else 1.0
+                x[0, j, L + j] = oldest if lag > 0 and j == n - 1 else 1.0
+        # acceleration in each column due to a command of 1, and due to the force on the motor
+        of_command[0], of_force[0] = own_gain, direct
+        for j in range(p):
+            if codes[j] < SHAPE:
+                of_command[linear[j]] = 1.0 if codes[j] == GAIN else 0.0
+                of_force[linear[j]] = 1.0 if codes[j] == FORCE else -way if codes[j] == COULOMB else 0.0
         for k in range(N):
-            r = first[s] + k
+            r, now, other = first[s] + k, k % 2, 1 - k % 2
             at = r if len(kind) > 1 else 0
-            f, w = F[kind[at]], W[kind[at]]
-            gain = K[0 if steady else row_place + k]
-            deviation = spread[0 if steady else row_place + k]
+            m, g = kind[at], 0 if steady else row_place + k
+            scale = 1.0 / spread[g]
+            observe(e, H, x, now, position[r])
             for col in range(T):
-                e[col] = 0.0
-            e[0] = position[r]
-            for i in range(n):
-                for col in range(T):
-                    e[col] -= H[i] * x[i, col]
-            for col in range(T):
-                E[k, col] = e[col] / deviation
+                E[col, k] = e[col] * scale
             if k == N - 1:
                 break
-            force = direct + fields[0, r] if pushed else direct
-            if filtered:
+            if filtered and (k == 0 or not steady or len(kind) > 1):
                 for i in range(n):
-                    for col in range(T):
-                        x[i, col] += gain[i] * e[col]
-                for i in range(A):
-                    for col in range(T):
-                        a[i, col] += gain[n + i] * e[col]
-            for i in range(n):
-                for col in range(T):
-                    moved[i, col] = 0.0
-                for h in range(n):
-                    for col in range(T):
-                        moved[i, col] += f[i, h] * x[h, col]
-            for i in range(n):
-                driven[i], acting[i], resting[i] = 0.0, 0.0, 0.0
-                for d in range(drive):
-                    changed[d, i] = 0.0
+                    total_gain = 0.0
+                    for h in range(n):
+                        total_gain += F[m, i, h] * K[g, h]
+                    FK[i] = total_gain
             for i in range(A):
                 c[i] = 0.0
-            for piece in range(offset[at], offset[at + 1]):
-                row = r - back[piece]
-                acts = 1.0 if row >= edge[s] else 0.0
+            low, high = offset[at], offset[at + 1]
+            for piece in range(low, high):
+                row, place = r - back[piece], piece - low
+                acts[place] = 1.0 if row >= edge[s] else 0.0
                 inside = min(max(row, begin[s]), behind[s] - 1)
-                value = command[inside] * acts
-                for i in range(n):
-                    driven[i] += G[piece, i, 0] * value
-                    for d in range(drive):
-                        changed[d, i] += G[piece, i, 0] * commands[1 + d, inside] * acts
-                    acting[i] += G[piece, i, 1] * acts
-                    resting[i] += G[piece, i, 1] * (1.0 - acts)
+                values[place] = command[inside] * acts[place]
                 if A > 0:
-                    c[age[piece]] += late * value * width[piece]
+                    c[age[piece]] += late * values[place] * width[piece]
             for i in range(n):
-                moved[i, 0] += driven[i] * own_gain + acting[i] * force
-                if q:
-                    # friction keeps a device at rest against the spring
-                    moved[i, L] += gamma * resting[i]
+                by_command, by_force, at_rest = 0.0, 0.0, 0.0
+                for piece in range(low, high):
+                    place = piece - low
+                    by_command += G[piece, i, 0] * values[place]
+                    by_force += G[piece, i, 1] * acts[place]
+                    at_rest += G[piece, i, 1] * (1.0 - acts[place])
+                driven[i], acting[i], resting[i] = by_command, by_force, at_rest
+            if pushed:
+                of_force[0] = direct + fields[0, r]
                 for j in range(p):
-                    if codes[j] == GAIN:
-                        moved[i, linear[j]] += driven[i]
-                    elif codes[j] == COULOMB:
-                        moved[i, linear[j]] -= acting[i] * way
-                    elif codes[j] == FORCE:
-                        moved[i, linear[j]] += acting[i]
-                    elif codes[j] < 0:
-                        moved[i, linear[j]] += changed[-1 - codes[j], i] * own_gain
-                    elif codes[j] < SHAPE:
-                        moved[i, linear[j]] += acting[i] * fields[1 + codes[j] - FIELDS, r]
-            if A:
-                for col in range(T):
-                    e[col] = 0.0
-                for i in range(A):
-                    for col in range(T):
-                        e[col] += c[i] * a[i, col]
-                next_ages(aged, M, a, 0, T)
+                    if FIELDS <= codes[j] < SHAPE:
+                        of_force[linear[j]] = fields[1 + codes[j] - FIELDS, r]
+            propagate(x, now, F, m, inputs)
+            if q:
+                # friction keeps a device at rest against the spring
                 for i in range(n):
-                    for col in range(T):
-                        moved[i, col] += w[i] * e[col]
-                a, aged = aged, a
-            x, moved = moved, x
+                    x[other, i, L] += gamma * resting[i]
+            if drive:
+                for d in range(drive):
+                    for i in range(n):
+                        changed[d, i] = 0.0
+                        for piece in range(low, high):
+                            inside = min(max(r - back[piece], begin[s]), behind[s] - 1)
+                            changed[d, i] += G[piece, i, 0] * commands[1 + d, inside] * acts[piece - low]
+                for j in range(p):
+                    if codes[j] < 0:
+                        for i in range(n):
+                            x[other, i, linear[j]] += changed[-1 - codes[j], i] * own_gain
+            if A:
+                jitter_force(a, now, K, g, (pull, e, c))
+                next_ages(a[other], M, a[now], 0, X)
+                for i in range(n):
+                    for col in range(X):
+                        x[other, i, col] += W[m, i] * pull[col]
         # maximum-likelihood initial state: orthonormalise the columns of its unknowns, including the rows of the prior
         for j in range(q):
             for k in range(N):
-                E[k, L + j] = -E[k, L + j]
+                E[L + j, k] = -E[L + j, k]
             for i in range(q):
-                E[N + i, L + j] = math.sqrt(variance) / sizes[j] if i == j else 0.0
+                E[L + j, N + i] = math.sqrt(variance) / sizes[j] if i == j else 0.0
                 triangle[i, j] = 0.0
         for j in range(q):
             for _ in range(2):
                 for i in range(j):
-                    product = 0.0
-                    for k in range(N + q):
-                        product += E[k, L + i] * E[k, L + j]
+                    product = dot(E[L + i], E[L + j], N + q)
                     triangle[i, j] += product
                     for k in range(N + q):
-                        E[k, L + j] -= product * E[k, L + i]
-            square = 0.0
-            for k in range(N + q):
-                square += E[k, L + j] * E[k, L + j]
+                        E[L + j, k] -= product * E[L + i, k]
+            square = dot(E[L + j], E[L + j], N + q)
             triangle[j, j] = math.sqrt(square)
             for k in range(N + q):
-                E[k, L + j] /= triangle[j, j]
+                E[L + j, k] /= triangle[j, j]
             information = square * sizes[j] * sizes[j]
             share = max(1.0 - variance / information, 0.0)
             known[s] += share
@@ -596,117 +706,77 @@ def whitened(
         # tangents along the parameters of the shape, from the maximum-likelihood initial state
         if P:
             for j in range(q - 1, -1, -1):
-                value = 0.0
-                for k in range(N):
-                    value += E[k, L + j] * E[k, 0]
+                value = dot(E[L + j], E[0], N)
                 for i in range(j + 1, q):
                     value -= triangle[j, i] * fitted[i]
                 fitted[j] = value / triangle[j, j]
-            for i in range(n):
-                start[i] = 0.0
+            z[:] = 0.0
+            az[:] = 0.0
             for j in range(q):
                 if j == 0 or not rests:
-                    start[j] = fitted[j] * (oldest if lag > 0 and j == n - 1 else 1.0)
-            for i in range(n):
-                x[i, 0] = start[i]
-                for j in range(P):
-                    t[i, j] = 0.0
-            for i in range(A):
-                a[i, 0] = 0.0
-                for j in range(P):
-                    ta[i, j] = 0.0
+                    z[0, j, 0] = fitted[j] * (oldest if lag > 0 and j == n - 1 else 1.0)
+            start = z[0, 0, 0]
             if lag > 0:
-                x[n - 1, 0] += own_gain * lag_start[0]
-                if places[1] >= 0:
-                    t[n - 1, places[1]] = own_gain * lag_start[1]
-                if places[2] >= 0:
-                    t[n - 1, places[2]] = own_gain * lag_start[2]
+                z[0, n - 1, 0] += own_gain * lag_start[0]
+                for j in range(1, 3):
+                    if places[j] >= 0:
+                        z[0, n - 1, 1 + places[j]] = own_gain * lag_start[j]
             for k in range(N):
-                r = first[s] + k
+                r, now, other = first[s] + k, k % 2, 1 - k % 2
                 at = r if len(kind) > 1 else 0
-                f, df, w, dw = F[kind[at]], dF[kind[at]], W[kind[at]], dW[kind[at]]
-                gain = K[0 if steady else row_place + k]
-                deviation = spread[0 if steady else row_place + k]
-                error = position[r]
-                for i in range(n):
-                    error -= H[i] * x[i, 0]
+                m, g = kind[at], 0 if steady else row_place + k
+                scale = 1.0 / spread[g]
+                observe(e_z, H, z, now, position[r])
+                if senses:
+                    for i in range(n):
+                        for j in range(P):
+                            e_z[1 + j] -= H_z[i, 1 + j] * z[now, i, 0]
                 for j in range(P):
-                    e_t[j] = 0.0
-                for i in range(n):
-                    for j in range(P):
-                        e_t[j] -= H[i] * t[i, j] + dH[j, i] * x[i, 0]
-                for j in range(P):
-                    D[k, j] = -e_t[j] / deviation
+                    D[j, k] = -e_z[1 + j] * scale
                 if k == N - 1:
                     break
                 force = direct + fields[0, r] if pushed else direct
-                if filtered:
-                    for i in range(n):
-                        x[i, 0] += gain[i] * error
-                        for j in range(P):
-                            t[i, j] += gain[i] * e_t[j]
-                    for i in range(A):
-                        a[i, 0] += gain[n + i] * error
-                        for j in range(P):
-                            ta[i, j] += gain[n + i] * e_t[j]
                 for i in range(n):
-                    moved[i, 0] = 0.0
-                    for j in range(P):
-                        t_moved[i, j] = 0.0
-                    for h in range(n):
-                        moved[i, 0] += f[i, h] * x[h, 0]
-                        for j in range(P):
-                            t_moved[i, j] += f[i, h] * t[h, j] + df[j, i, h] * x[h, 0]
+                    total_gain, corrected[i] = 0.0, z[now, i, 0] + K[g, i] * e_z[0]
+                    if filtered:
+                        for h in range(n):
+                            total_gain += F[m, i, h] * K[g, h]
+                    FK[i] = total_gain
+                shape_tangents(z, now, F, m, corrections)
                 for i in range(A):
                     c[i] = 0.0
                 for piece in range(offset[at], offset[at + 1]):
                     row = r - back[piece]
-                    acts = 1.0 if row >= edge[s] else 0.0
-                    value = command[min(max(row, begin[s]), behind[s] - 1)] * acts
-                    driven_by, pushed_by = value * own_gain, force * acts + gamma * (1.0 - acts) * start[0]
-                    for i in range(n):
-                        moved[i, 0] += G[piece, i, 0] * driven_by + G[piece, i, 1] * pushed_by
-                        if places[0] >= 0:
-                            t_moved[i, places[0]] += G[piece, i, 1] * (1.0 - acts) * start[0]
-                        for j in range(P):
-                            t_moved[i, j] += dG[piece, j, i, 0] * driven_by + dG[piece, j, i, 1] * pushed_by
+                    active = 1.0 if row >= edge[s] else 0.0
+                    value = command[min(max(row, begin[s]), behind[s] - 1)] * active
+                    add_inputs(z, other, G_z, piece, value * own_gain, force * active + gamma * (1.0 - active) * start)
                     if A > 0:
                         c[age[piece]] += late * value * width[piece]
+                    if places[0] >= 0 and active == 0.0:
+                        for i in range(n):
+                            z[other, i, 1 + places[0]] += G[piece, i, 1] * start
                 if A:
-                    force = 0.0
-                    for j in range(P):
-                        e_t[j] = 0.0
-                    for i in range(A):
-                        force += c[i] * a[i, 0]
-                        for j in range(P):
-                            e_t[j] += c[i] * ta[i, j]
-                    next_ages(aged, M, a, 0, 1)
-                    next_ages(ta_aged, M, ta, 0, P)
+                    jitter_force(az, now, K, g, (pull_z, e_z, c))
+                    next_ages(az[other], M, az[now], 0, Z)
                     for i in range(n):
-                        moved[i, 0] += w[i] * force
-                        for j in range(P):
-                            t_moved[i, j] += w[i] * e_t[j] + dw[j, i] * force
-                    a, aged = aged, a
-                    ta, ta_aged = ta_aged, ta
-                x, moved = moved, x
-                t, t_moved = t_moved, t
+                        for col in range(Z):
+                            z[other, i, col] += W[m, i] * pull_z[col] + W_z[m, i, col] * pull_z[0]
         for k in range(N):
-            common = E[k, 0]
-            for j in range(p):
-                value = -E[k, linear[j]] if codes[j] < SHAPE else D[k, codes[j] - SHAPE]
-                columns[out + k, j] = value
-                common += shifts[s, j] * value
-            columns[out + k, p] = common
-        for i in range(q):
-            for j in range(p + 1):
-                along[i, j] = 0.0
+            V[p, k] = E[0, k]
+        for j in range(p):
+            of, sign = (E[linear[j]], -1.0) if codes[j] < SHAPE else (D[codes[j] - SHAPE], 1.0)
             for k in range(N):
-                for j in range(p + 1):
-                    along[i, j] += E[k, L + i] * columns[out + k, j]
-        for k in range(N + q):
+                V[j, k] = sign * of[k]
+                V[p, k] += shifts[s, j] * V[j, k]
+        for j in range(p + 1):
             for i in range(q):
-                for j in range(p + 1):
-                    columns[out + k, j] -= E[k, L + i] * along[i, j]
+                along[i] = dot(E[L + i], V[j], N)
+                V[j, N + i] = 0.0
+            for i in range(q):
+                for k in range(N + q):
+                    V[j, k] -= along[i] * E[L + i, k]
+            for k in range(N + q):
+                columns[out + k, j] = V[j, k]
         row_place += N
         out += N + q
     return columns, known, lost
