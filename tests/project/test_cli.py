@@ -20,7 +20,7 @@ from native_logs import FAULTS, log_text
 from pipeline import __version__
 from pipeline.base.errors import StoreError
 from pipeline.base.progress import part_of_work, report
-from pipeline.comparison import compare
+from pipeline.comparison import plan as planning
 from pipeline.intake.ingest import ingest
 from pipeline.shell import cli, console
 from pipeline.shell.cli import app, run
@@ -73,7 +73,7 @@ LOADED = {
     "ingest 0.csv": INGEST,
     "ingest 0.csv 1.csv": INGEST,
     "compare --device bench": {*INGEST, "numpy.ma", "jinja2"},
-    "simulate lwr -e delay-8 --coarsen 8": {"numba", "numpy", "numpy.ma", "pydantic", "scipy"},
+    "simulate lwr -e delay-8 --coarsen 8": {"numpy", "numpy.ma", "pydantic", "scipy"},
 }
 """What each command, a comparison where nothing changed, may load of these, and of numpy and pyarrow, which would load
 pandas where it is installed."""
@@ -165,7 +165,7 @@ def test_simulate_options_reach_the_simulation(call, tmp_path):
 
 
 def test_simulate_takes_a_device_file(call, tmp_path):
-    shipped = Path(compare.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
+    shipped = Path(planning.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
     text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     assert document(call("simulate", "mine.toml", "-e", "delay-6", "--coarsen", "8", "--json"))["device"] == "mine"
@@ -476,13 +476,13 @@ def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
     def damaged(*_, **__):
         raise StoreError("a.parquet: is damaged.")
 
-    monkeypatch.setattr(compare, "plan_comparison", damaged)
+    monkeypatch.setattr(planning, "plan_comparison", damaged)
     assert call("compare", "--device", "lwr") == (1, "", "Error: a.parquet: is damaged.\n")
 
     def broken(*_, **__):
         raise ZeroDivisionError("a defect")
 
-    monkeypatch.setattr(compare, "plan_comparison", broken)
+    monkeypatch.setattr(planning, "plan_comparison", broken)
     with pytest.raises(ZeroDivisionError, match="a defect"):
         run(["compare", "--device", "lwr"])
 

@@ -25,6 +25,7 @@ from report_data import document_without_places
 
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.comparison import compare as comparison
+from pipeline.comparison import plan as planning
 from pipeline.comparison.scene.scene_file import read_scene
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
@@ -230,7 +231,7 @@ def compared(monkeypatch):
         finished.plan.path.write_text(finished.plan.device)
 
     empty = SimpleNamespace(experiments=())
-    monkeypatch.setattr(comparison, "plan_comparison", plan)
+    monkeypatch.setattr(planning, "plan_comparison", plan)
     monkeypatch.setattr(comparison, "run", lambda planned: SimpleNamespace(plan=planned, document=empty))
     monkeypatch.setattr(comparison, "write_report", write)
     return asked, answers
