@@ -306,6 +306,7 @@ def _unknown_starts(segments: Segments, device: Device, largest: float) -> tuple
     return sizes, states
 
 
+@np.errstate(all="ignore")  # as in `moments_of`
 def free_motion(segments: Segments, device: Device, variance: float, largest: float) -> tuple[Floats, Floats, Floats]:
     """Return free runs from their maximum-likelihood initial states, derivatives along the unknowns, and the unknowns.
 

@@ -192,7 +192,8 @@ def test_estimates_of_noisy_logs_hold_the_truth(noisy):
 def test_needs_are_those_of_the_definitions():
     # a trial whose command obeys another wall than stated is none of the boundary
     assert required(["boundary"]) == {"boundary", "response", "wall_law"}
-    assert required(["overshoot"]) == {"overshoot", "response"}
+    # the gain at rest is that of the wall that the command obeys
+    assert required(["overshoot"]) == {"overshoot", "response", "wall_law"}
     assert required(["settling"]) == {"settling", "response", "wall_law", "parts", "device", "model", "delay"}
     assert required(["energy"]) == {"energy", "mass", *required(["settling"])} - {"settling"}
     assert list(NEEDS) == list(STAGES)
