@@ -52,9 +52,12 @@ def command(work: Callable[..., int | None]) -> Callable[..., None]:
 
     @wraps(work)
     def run(as_json: bool = False, **given: Any) -> None:
-        _JSON.set(as_json)
+        before = _JSON.set(as_json)
         on_compiling(None if as_json or not _is_watched() else note)
-        raise typer.Exit(work(**given) or 0)
+        try:
+            raise typer.Exit(work(**given) or 0)
+        finally:
+            _JSON.reset(before)
 
     signature = inspect.signature(work, eval_str=True)
     last = inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json)
