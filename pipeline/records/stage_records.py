@@ -93,6 +93,8 @@ class PartsRow:
     assumed: Sequence[str] | None = None
     bound_names: Sequence[str] | None = None
     bound_values: Sequence[float] | None = None
+    free_run_filter: Sequence[float] | None = None
+    open_parts: Sequence[str] | None = None
     reason: str | None = None
 
 

@@ -176,6 +176,8 @@ COLUMNS: dict[str, Column] = {
     "part_names": _same(_LS, "", "parts that some trials show or do not exclude", True),
     "part_gains": _same(_L, "1", "gain of cross-validated log-likelihood by each part; 0 if undecided", True),
     "assumed": _same(_LS, "", "parameters that are assumed to be zero", True),
+    "free_run_filter": _same(_L, "", "filter that whitens the errors of free runs; empty if none are used", True),
+    "open_parts": _same(_LS, "", "parts of the drive that logs left out require, but free runs do not confirm", True),
     # device stage
     "parameter_names": _same(_LS, "", "names in `PARAMETERS` of the P parameters of the identified loop", True),
     "parameter_values": _same(_L, "SI", "values of parameter_names", True),

@@ -12,9 +12,6 @@ from pipeline.measured.identification.part_table import PARTS
 from pipeline.measured.identification.parts import Choice
 from pipeline.measured.identification.search import climbed, refined
 
-OPEN = ("gain by direction", "gain by size", "saturation")
-"""Parts of a drive that change all parameters per unit of command. A delay already includes an unseen lag."""
-
 
 def with_open_parts(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
     """Return intervals that include those with each open part.
@@ -30,10 +27,7 @@ def with_open_parts(parameters: dict[str, Interval], choice: Choice) -> dict[str
     choice : Choice
     """
     result = dict(parameters)
-    for name in OPEN:
-        test = choice.tried.get(name)
-        if test is None or test.decision != "free runs" or not test.gain > test.required:
-            continue
+    for name in choice.open:
         errors = Errors.of(_with_part(choice, name))
         others = over_gains({key: errors.parameter(key, choice.units) for key in result}, errors.numbers)
         for key, other in others.items():

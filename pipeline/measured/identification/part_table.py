@@ -136,6 +136,10 @@ PARTS: dict[str, Part] = {
 DRIVE_PARTS = ("saturation", "gain by direction", "gain by size", "lag")
 """Parts of a drive. A measured force contains their effects."""
 
+OPEN_PARTS = ("gain by direction", "gain by size", "saturation")
+"""Parts of a drive that change all parameters per unit of command. They are left open if the likelihood requires them,
+but free runs do not confirm them. A lag is not one of them, since the delay already includes an unseen lag."""
+
 Decision = Literal[
     "accepted",
     "undecided",

@@ -27,7 +27,7 @@ from pipeline.measured.identification.likelihood import (
 )
 from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.noise import WHITE, Noise
-from pipeline.measured.identification.part_table import CLOSER, NEARBY, PARTS, Decision, Part, TriedPart
+from pipeline.measured.identification.part_table import CLOSER, NEARBY, OPEN_PARTS, PARTS, Decision, Part, TriedPart
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording, reading_noise
 from pipeline.measured.identification.replay import medians, replays, replays_left_out
 from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
@@ -52,7 +52,8 @@ LONGEST_DELAY = 48
 """Longest delay [samples] that is searched for."""
 
 LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
-"""Longest delay [samples] in the search for a force limit, and number of rows on each side for the speed."""
+"""Longest delay [samples] in the search for a force limit and from the applied command, and number of rows on each side
+for the speed."""
 
 LIMITS_SOUGHT = 0.05, 0.99, 150
 """Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
@@ -137,7 +138,8 @@ class Choice:
     A part with a gain of 0 is undecided, and its number is included as unknown. ``assumed`` contains the names of
     parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag. For a
     delay that cannot be separated from a lag, it contains the other end of the delay's range. Keys are names of
-    `ESTIMATED`. ``tried`` contains the test of each part that was tried.
+    `ESTIMATED`. ``open`` contains the names of parts as in `ChosenParts`, and ``tried`` the test of each part that was
+    tried.
     """
 
     fit: Fit
@@ -146,6 +148,7 @@ class Choice:
     parts: dict[str, float]
     assumed: tuple[str, ...]
     bounds: dict[str, float] = field(default_factory=dict)
+    open: tuple[str, ...] = ()
     tried: dict[str, TriedPart] = field(default_factory=dict)
 
     @property
@@ -176,6 +179,8 @@ class ChosenParts:
         Upper ends of friction and spring [SI], from a fit with both.
     free : tuple of float
         Filter that whitens the errors of free runs, as in `Segments`, if free runs determine the device.
+    open : tuple of str
+        Names of those `OPEN_PARTS` that logs left out require, but free runs do not confirm.
     tried : dict of str to TriedPart
         Test of each part that was tried. Empty if the parts were read from a stored table.
     """
@@ -189,6 +194,7 @@ class ChosenParts:
     assumed: tuple[str, ...]
     bounds: dict[str, float]
     free: tuple[float, ...] = ()
+    open: tuple[str, ...] = ()
     tried: dict[str, TriedPart] = field(default_factory=dict)
 
     @property
@@ -305,7 +311,8 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
         for name, test in state.tried.items()
     }
     found = device.numbers, device.noise, device.reading
-    chosen = ChosenParts(*found, units, lead, state.parts, assumed, bounds, segments.free, tried)
+    unconfirmed = tuple(name for name in OPEN_PARTS if name in tried and tried[name].decision == "free runs")
+    chosen = ChosenParts(*found, units, lead, state.parts, assumed, bounds, segments.free, unconfirmed, tried)
     return chosen, state.fit, float(np.median(segments.rows))
 
 
@@ -433,7 +440,7 @@ def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
         bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
     elif numbers.get("lag", np.inf) < IMITATED:
         bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
-    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds, chosen.tried)
+    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds, chosen.open, chosen.tried)
 
 
 def _largest_bound(name: str, units: LogUnits) -> float:

@@ -21,7 +21,17 @@ from pipeline.records.trials import Floats, Trial
 
 @dataclass(frozen=True)
 class RestPositions:
-    """Stored part of a `Response`, which is enough to measure the motion at rest."""
+    """Stored part of a `Response`, which is enough to measure the motion at rest.
+
+    Parameters
+    ----------
+    edge_row : int
+        Row of the command edge, or `NO_ROW`.
+    position_start, position_final_expected : float
+        Rest positions before and after the step [m or rad].
+    floor : float
+        Smallest visible motion [m or rad].
+    """
 
     edge_row: int
     position_start: float

@@ -103,30 +103,35 @@ def parts(of: Experiment) -> list[PartsRow]:
         return [PartsRow(reason=str(error))]
     except np.linalg.LinAlgError as error:
         return [PartsRow(reason=str(no_fit(error)))]
+    return [parts_row(chosen)]
+
+
+def parts_row(chosen: ChosenParts) -> PartsRow:
+    """Return the row of the stage `parts` for the chosen parts, without their tests."""
     noise, units = chosen.noise, chosen.units
-    return [
-        PartsRow(
-            [*chosen.numbers],
-            [*chosen.numbers.values()],
-            noise.force,
-            noise.late,
-            noise.jitter,
-            chosen.reading,
-            units.period,
-            units.position,
-            units.command,
-            units.origin,
-            chosen.lead,
-            [*chosen.parts],
-            [*chosen.parts.values()],
-            chosen.assumed,
-            [*chosen.bounds],
-            [*chosen.bounds.values()],
-        )
-    ]
+    return PartsRow(
+        [*chosen.numbers],
+        [*chosen.numbers.values()],
+        noise.force,
+        noise.late,
+        noise.jitter,
+        chosen.reading,
+        units.period,
+        units.position,
+        units.command,
+        units.origin,
+        chosen.lead,
+        [*chosen.parts],
+        [*chosen.parts.values()],
+        chosen.assumed,
+        [*chosen.bounds],
+        [*chosen.bounds.values()],
+        chosen.free,
+        chosen.open,
+    )
 
 
-def _chosen(row: Mapping[str, Any]) -> ChosenParts:
+def chosen_by_row(row: Mapping[str, Any]) -> ChosenParts:
     """Return the parts of a device from a row of the stage `parts`."""
 
     def named(names: str, values: str) -> dict[str, float]:
@@ -141,6 +146,8 @@ def _chosen(row: Mapping[str, Any]) -> ChosenParts:
         named("part_names", "part_gains"),
         tuple(row["assumed"]),
         named("bound_names", "bound_values"),
+        tuple(row["free_run_filter"]),
+        tuple(row["open_parts"]),
     )
 
 
@@ -153,7 +160,7 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     if row["reason"]:
         return None, row["reason"]
     try:
-        result = identified(found, _chosen(row))
+        result = identified(found, chosen_by_row(row))
     except ParameterError as error:
         return None, str(error)
     remedy = result.recorded.remedy()

@@ -14,7 +14,6 @@ from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import Device
 from pipeline.measured.identification.open_parts import with_open_parts
-from pipeline.measured.identification.part_table import TriedPart
 from pipeline.measured.identification.parts import exceeds_noise
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.replay import follows, medians, replays
@@ -114,7 +113,7 @@ def test_intervals_include_a_gain_by_size_that_free_runs_do_not_confirm():
     assert with_open_parts(found.parameters, found.choice) == found.parameters
     numbers = {name: value for name, value in found.choice.fit.device.numbers.items() if name != "curvature"}
     fit = refined(found.choice.segments, replace(found.choice.fit.device, numbers=numbers, effects=None), far=False)
-    unseen = replace(found.choice, fit=fit, tried={"gain by size": TriedPart("free runs", 200.0, 5.0)})
+    unseen = replace(found.choice, fit=fit, open=("gain by size",))
     mass = Errors.of(fit).parameter("mass", unseen.units)
     assert not mass.low <= rig.motor <= mass.high
     wide = with_open_parts({"mass": mass}, unseen)["mass"]

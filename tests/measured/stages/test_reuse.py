@@ -24,7 +24,9 @@ from pipeline.base.disk import write_text
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs
-from pipeline.measured.identification.parts import choose_parts, subset
+from pipeline.measured.identification.noise import Noise
+from pipeline.measured.identification.parts import ChosenParts, choose_parts, subset
+from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.stages import stage_device, stage_tables
 from pipeline.measured.stages import stage_rows as rows_of
 from pipeline.measured.stages.stage_tables import stage_row
@@ -45,6 +47,17 @@ def lab(tmp_path_factory):
     shutil.rmtree(lab.processed)
     ingest([lab.raw], lab.processed, jobs=1)
     return lab
+
+
+def test_stored_parts_are_all_that_was_chosen():
+    noise, units = Noise(0.1, 0.2, 0.3), LogUnits(1e-3, 2.0, 3.0, 0.5)
+    chosen = ChosenParts(
+        {"gain": 1.5, "delta": 0.2}, noise, 0.4, units, 7, {"friction": 9.0}, ("constant_force",), {"stiffness": 8.0},
+        (1.0, -0.9), ("gain by size",),
+    )  # fmt: skip
+    assert all(value for name, value in vars(chosen).items() if name != "tried")
+    row = stage_device.parts_row(chosen)
+    assert vars(stage_device.chosen_by_row(vars(row))) == vars(chosen)
 
 
 def tables(lab, processed):
