@@ -16,9 +16,10 @@ from pipeline.device.parameters import Motion
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_from_row, nominal_loop
+from pipeline.measured.identification.final_fit import fit_parts
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.identification.identified import check_recordings, described
-from pipeline.measured.identification.parts import ChosenParts, fit_parts
+from pipeline.measured.identification.parts import ChosenParts
 from pipeline.measured.identification.parts import choose_parts as look_at_once
 from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.signal.response import find_response

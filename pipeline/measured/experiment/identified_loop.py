@@ -15,9 +15,9 @@ from pipeline.device.parameters import PARAMETERS, Motion
 from pipeline.device.parts import Friction, Mode, VelocityFilter
 from pipeline.loop.normalised_loop import LARGEST_DELAY
 from pipeline.measured.experiment.stored import Experiment
+from pipeline.measured.identification.first_fit import UNSEEN_FRICTION
 from pipeline.measured.identification.identifiability import IdentifiableCombination
 from pipeline.measured.identification.intervals import Interval
-from pipeline.measured.identification.parts import UNSEEN_FRICTION
 from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import ROUNDING, Estimate
 from pipeline.records.trials import Floats

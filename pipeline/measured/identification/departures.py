@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.measured.identification.final_fit import Choice
 from pipeline.measured.identification.likelihood import columns_of
-from pipeline.measured.identification.parts import Choice
 from pipeline.records.trials import Floats, Integers
 
 SHARE = 0.2

@@ -8,8 +8,8 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.measured.identification.estimated import Numbers, Quantity
+from pipeline.measured.identification.final_fit import Choice
 from pipeline.measured.identification.intervals import Errors, Interval
-from pipeline.measured.identification.parts import Choice
 from pipeline.measured.identification.recordings import Recording, median
 from pipeline.records.trials import Floats
 

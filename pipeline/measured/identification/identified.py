@@ -11,6 +11,7 @@ from pipeline.base.progress import part_of_work, report
 from pipeline.base.wording import counted, listed
 from pipeline.measured.identification.departures import departure
 from pipeline.measured.identification.estimated import ESTIMATED, Numbers, Quantity, estimated_names
+from pipeline.measured.identification.final_fit import Choice, fit_parts
 from pipeline.measured.identification.free_search import LOAD_PARTS, SENSED
 from pipeline.measured.identification.identifiability import (
     FEWEST_COUNTS,
@@ -28,7 +29,7 @@ from pipeline.measured.identification.intervals import Errors, Interval, OwnEsti
 from pipeline.measured.identification.likelihood import groups_of
 from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.open_parts import over_gains, with_open_parts
-from pipeline.measured.identification.parts import Choice, ChosenParts, choose_parts, fit_parts
+from pipeline.measured.identification.parts import ChosenParts, choose_parts
 from pipeline.measured.identification.quasi_static import damping_without_inertia
 from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording
 from pipeline.measured.identification.replay import (

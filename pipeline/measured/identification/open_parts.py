@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from pipeline.measured.identification.final_fit import Choice
 from pipeline.measured.identification.identifiability import PER_MASS
 from pipeline.measured.identification.intervals import Errors, Interval
 from pipeline.measured.identification.likelihood import Fit
 from pipeline.measured.identification.part_table import PARTS
-from pipeline.measured.identification.parts import Choice
 from pipeline.measured.identification.search import climbed, refined
 
 

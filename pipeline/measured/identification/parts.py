@@ -4,7 +4,6 @@ with it."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,38 +11,32 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.progress import part_of_work, report
 from pipeline.measured.identification.drive import DRIVE, applied_command
-from pipeline.measured.identification.estimated import ESTIMATED
-from pipeline.measured.identification.first_guess import BALANCED, first_guesses
-from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, free_fit, required_gain, with_mode
-from pipeline.measured.identification.intervals import Errors
-from pipeline.measured.identification.likelihood import (
-    DONE,
-    LIMITS,
-    ROUNDED_ROW,
-    WORTH,
-    Device,
-    Fit,
-    moments_of,
+from pipeline.measured.identification.first_fit import (
+    SHORTER,
+    UNSEEN_FRICTION,
+    Selection,
+    _upper,
+    base_numbers,
+    devices_of,
+    first_devices,
+    first_fit,
+    loss_without,
+    some_of,
+    springless,
 )
+from pipeline.measured.identification.first_guess import BALANCED
+from pipeline.measured.identification.force_limit import LIMIT_DELAY, exceeds_noise, saturated
+from pipeline.measured.identification.free_search import LOAD_PARTS, MODE, SENSED, required_gain, with_mode
+from pipeline.measured.identification.likelihood import LIMITS, ROUNDED_ROW, WORTH, Device, Fit, moments_of
 from pipeline.measured.identification.motion import GRAVITY
 from pipeline.measured.identification.noise import WHITE, Noise
 from pipeline.measured.identification.part_table import CLOSER, NEARBY, OPEN_PARTS, PARTS, Decision, Part, TriedPart
-from pipeline.measured.identification.recordings import SHORTEST, LogUnits, Recording, reading_noise
+from pipeline.measured.identification.recordings import LogUnits, Recording
 from pipeline.measured.identification.replay import medians, replays, replays_left_out
-from pipeline.measured.identification.scatter import FEWEST, Solved, inverse, solve
-from pipeline.measured.identification.search import climbed, ended, refined
+from pipeline.measured.identification.scatter import Solved, inverse, solve
+from pipeline.measured.identification.search import climbed, refined
 from pipeline.measured.identification.segments import Segments, segments_of
 from pipeline.records.trials import Integers
-
-BASE = ("gain", "delta", "delay", "force")
-"""Numbers that every device has."""
-
-SHORTER = (150,)
-"""Largest number of rows of short segments, which give additional starting values. It is about ten time constants of a
-fast motor at 1 kHz."""
-
-STARTS = 2
-"""Number of initial devices for a search on whole segments. One has a spring, and one does not."""
 
 MOST_TRIALS = 100
 """Largest number of trials that are used to choose parts. All trials are used for the final fit."""
@@ -51,31 +44,6 @@ MOST_TRIALS = 100
 LONGEST_DELAY = 48
 """Longest delay [samples] that is searched for."""
 
-LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
-"""Longest delay [samples] in the search for a force limit and from the applied command, and number of rows on each side
-for the speed."""
-
-LIMITS_SOUGHT = 0.05, 0.99, 150
-"""Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
-
-CLEARLY, RANDOM_COMMAND = 3.0, 0.3
-"""Smallest rms excess of commands over a force limit, relative to the noise of the command, and noise of a command,
-relative to its standard deviation, above which the command itself is random. The excess of pure noise has an rms of 1.
-Independent levels of every row have a noise of about 1, and the noise of measured currents is below 0.1."""
-
-LIMIT_SPREADS = (0.015, 0.005, 0.0015)
-"""Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit
-are accurate only to a percent."""
-
-DELAYS, FRICTIONS = 4, (0.3, 2.0)
-"""Number of delays over their range, and factors of the best friction, from which other optima are searched for."""
-
-UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
-"""Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than none."""
-
-IMITATED = 0.75
-"""Threshold for the lag [samples]. Below it, a fast mode, beyond the range of the search, has the same effect. A mode
-at 1.9 rad/sample acts like a lag of 0.38 samples with a delay that is shorter by the same amount."""
 
 BESIDE = 1.92
 """Drop of the log-likelihood at the ends of a 95 % profile interval."""
@@ -86,9 +54,6 @@ WEIGHED = 0.1
 EXPLAINED = 95.0
 """Threshold for the fit of free runs without gravity [%]. Above it, gravity is small enough to be added later."""
 
-LOOKED_AT = 9000
-"""Number of rows used in the first search for parts, in segments spread over all rows. More rows would
-not change any decision."""
 
 FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
@@ -117,44 +82,6 @@ periods)."""
 APART = 10.0
 """Largest range of the initial positions of logs that begin in the same place, in noise standard deviations of a
 reading."""
-
-UNSEEN_FRICTION = 0.02
-"""Friction that may remain undetected, relative to the largest command. Beyond it, unknown friction is included in the
-fit. The relative error of the mass equals this ratio."""
-
-SLIGHT = 1e-6
-"""Threshold for the force of a spring or of friction, relative to the largest command. Below it, the force counts as
-zero. The value separates rounding from real forces in exact logs."""
-
-CONSTANT = 1e-3
-"""Threshold for the change of the commands, relative to the largest one. Below it, the commands are treated as one
-constant command."""
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """Fit of a device with its parts, and the gain of cross-validated likelihood of each part.
-
-    A part with a gain of 0 is undecided, and its number is included as unknown. ``assumed`` contains the names of
-    parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag. For a
-    delay that cannot be separated from a lag, it contains the other end of the delay's range. Keys are names of
-    `ESTIMATED`. ``open`` contains the names of parts as in `ChosenParts`, and ``tried`` the test of each part that was
-    tried.
-    """
-
-    fit: Fit
-    segments: Segments
-    units: LogUnits
-    parts: dict[str, float]
-    assumed: tuple[str, ...]
-    bounds: dict[str, float] = field(default_factory=dict)
-    open: tuple[str, ...] = ()
-    tried: dict[str, TriedPart] = field(default_factory=dict)
-
-    @property
-    def moving(self) -> bool:
-        """Whether rows with an unknown direction of motion are excluded."""
-        return "friction" in self.parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,16 +132,6 @@ class ChosenParts:
 
 Logs = tuple[list[Recording], LogUnits, int]
 """Recordings, their units, and the number of rows before a segment whose commands may still act in it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """Intermediate result of the selection: a fit to segments, its parts with their gains, and all tests so far."""
-
-    segments: Segments
-    fit: Fit
-    parts: dict[str, float]
-    tried: dict[str, TriedPart]
 
 
 def held_out(fit: Fit) -> float:
@@ -288,12 +205,12 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
     The segment length is the median number of rows.
     """
     rows = int(np.median([len(each.time) for each in some]))
-    base, assumed = _base(some)
+    base, assumed = base_numbers(some)
     most = int(np.clip(rows // 8, 2, LONGEST_DELAY))
-    begin = _begin(some, units, base, most)
+    begin = first_devices(some, units, base, most)
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
     with part_of_work("", 0.1, 0.5):
-        state, bounds = _first(some, units, lead, begin)
+        state, bounds = first_fit(some, units, lead, begin)
     if state.segments.scale:
         heavy = _with_gravity((some, units, lead), (*base, *GRAVITY), most, state)
         lead, state, bounds = heavy or (lead, state, bounds)
@@ -330,7 +247,7 @@ def _from_applied_command(state: Selection) -> Selection:
     applied = replace(segments, command=applied_command(segments.command, drive)[0])
     parts = [applied, *(applied.split(rows) for rows in SHORTER if applied.rows.max() > 2 * rows)]
     try:
-        begin = [guess for part in parts for guess in _first_devices(part, names, LIMIT_DELAY)]
+        begin = [guess for part in parts for guess in devices_of(part, names, LIMIT_DELAY)]
     except ParameterError:
         return state
     starts = [Device(dict(fit.device.numbers) | guess.numbers) for guess in begin]
@@ -347,29 +264,29 @@ def _with_gravity(
     Without gravity, no device may be near the one that explains the motion, so that gravity cannot be added later.
     Free runs of logs left out decide, since both fits may use different rows. For a single log, the random forces
     decide. ``most`` is the longest delay of the search. The result is the number of rows before a segment whose
-    commands may still act in it, the selection, and its bounds (see `_first`).
+    commands may still act in it, the selection, and its bounds (see `first_fit`).
     """
     some, units, _ = logs
     without = _velocity_fit(logs, plain.segments, plain.fit)
     if without is None or without > EXPLAINED:
         return None
-    begin = _begin(some, units, base, most)
+    begin = first_devices(some, units, base, most)
     lead = int(np.ceil(max(each.numbers.get("delay", 0.0) for each in begin))) + 3
-    state, bounds = _first(some, units, lead, begin)
+    state, bounds = first_fit(some, units, lead, begin)
     found = _velocity_fit((some, units, lead), state.segments, state.fit)
     if "stiffness" in state.parts:
         # a spring may take up a few degrees of gravity, and is wild without one of the logs
-        alone = refined(state.segments, _springless(state.fit.device), far=False)
-        springless = _velocity_fit((some, units, lead), state.segments, alone)
-        if found is None or (springless is not None and springless >= found):
-            found = springless
+        alone = refined(state.segments, springless(state.fit.device), far=False)
+        without_spring = _velocity_fit((some, units, lead), state.segments, alone)
+        if found is None or (without_spring is not None and without_spring >= found):
+            found = without_spring
             parts = {name: gain for name, gain in state.parts.items() if name != "stiffness"}
             state = replace(state, fit=alone, parts=parts)
     if found is None or 100 - found > LEFT**0.5 * (100 - without):
         return None
     if len(some) == 1 and not _takes_away(plain.fit, state.fit):
         return None
-    gain = sum(_loss(state.fit, name, signed=True) for name in GRAVITY)
+    gain = sum(loss_without(state.fit, name, signed=True) for name in GRAVITY)
     test = TriedPart("accepted", gain, PARTS["gravity"].threshold)
     return lead, replace(state, parts=state.parts | {"gravity": gain}, tried=state.tried | {"gravity": test}), bounds
 
@@ -415,243 +332,6 @@ def _swinging(logs: Logs, state: Selection) -> Selection:
     return _swinging(logs, Selection(segments, fit, rest, state.tried | without | {mode: found}))
 
 
-def fit_parts(recordings: list[Recording], chosen: ChosenParts) -> Choice:
-    """Fit a device with chosen parts to recordings in the order of their ranks.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If no device fits.
-    """
-    units, lead = chosen.units, chosen.lead
-    if chosen.free:
-        segments = segments_of(recordings, units, lead, False, chosen.free)
-        segments, fit = free_fit(segments, chosen.device, errors=chosen.free)
-        fit = ended(segments, fit.device)
-    else:
-        segments = segments_of(recordings, units, lead, "friction" in chosen.parts)
-        fit = ended(segments, chosen.device)
-    if fit.few and not segments.free and "coulomb" in fit.device.numbers and "delay" in fit.device.numbers:
-        fit = _spanned(segments, fit, lead)
-    numbers = fit.device.numbers
-    absent = (name for name in chosen.bounds if ESTIMATED[name].number not in numbers)
-    bounds = {name: chosen.bounds[name] for name in absent if chosen.bounds[name] <= _largest_bound(name, units)}
-    if lag := _unseen_lag(segments, fit):
-        bounds |= {"actuator_lag_s": lag * units.period, "delay_samples": numbers["delay"] - lag}
-    elif numbers.get("lag", np.inf) < IMITATED:
-        bounds["delay_samples"] = numbers["delay"] + numbers["lag"]
-    return Choice(fit, segments, units, chosen.parts, chosen.assumed, bounds, chosen.open, chosen.tried)
-
-
-def _largest_bound(name: str, units: LogUnits) -> float:
-    """Return the largest meaningful upper end of friction or of a spring [SI].
-
-    Friction larger than the largest command would fix the device. A spring stiffer than twice the largest command over
-    the largest displacement would not have allowed this displacement.
-    """
-    return {"friction.coulomb": units.command, "stiffness": 2 * units.command / units.position}[name]
-
-
-def _spanned(segments: Segments, fit: Fit, lead: int) -> Fit:
-    """Return the best of several optima, with intervals that include all optima that the logs do not exclude.
-
-    With friction and few logs there are several optima, because a reversal depends on both friction and delay. The
-    search starts from delays over the whole range, with less and with more friction.
-    """
-    numbers = fit.device.numbers
-    starts = [
-        replace(fit.device, numbers=numbers | {"delay": float(delay), "coulomb": share * numbers["coulomb"]})
-        for delay in np.unique(np.linspace(0, max(lead - 3, 1), DELAYS).round())
-        for share in FRICTIONS
-    ]
-    fits = [fit, *(climbed(segments, device, SOME_STEPS) for device in starts)]
-    best = max(fits, key=lambda each: each.likelihood)
-    best = fit if best.likelihood < fit.likelihood + DONE else ended(segments, best.device)
-    # the last search may find a better optimum than all others
-    near = [each for each in fits if each.likelihood > best.likelihood - BESIDE * best.repeats]
-    steps = [np.array(list(each.device.numbers.values())) - list(best.device.numbers.values()) for each in near]
-    return replace(best, optima=np.stack([*best.optima, *steps]))
-
-
-def _unseen_lag(segments: Segments, fit: Fit) -> float:
-    """Return the longest lag [samples] that cannot be distinguished from an equal additional delay.
-
-    Up to second order in its length, a lag acts like a delay. The result is 0 if the device has a lag or a mode.
-    """
-    numbers = fit.device.numbers
-    if "delay" not in numbers or {"lag", "mode_frequency"} & set(numbers):
-        return 0.0
-    some, alone = _some(segments), replace(fit.device, effects=None)
-
-    def likelihood(lag: float) -> float:
-        late = {"delay": numbers["delay"] - lag} | ({"lag": lag} if lag else {})
-        device = replace(alone, numbers=numbers | late)
-        # start at the optimum of the other numbers for this lag, because predictions from far away are too optimistic
-        step = np.zeros(len(device.names))
-        step[: len(numbers)] = _others(some, device, PARTS["lag"], fit.places).step
-        return _others(some, device.stepped(step), PARTS["lag"], fit.places).likelihood
-
-    most, end = likelihood(0.0), 0.0
-    for lag in (lag for lag in UNSEEN if lag <= numbers["delay"]):
-        likely = likelihood(lag)
-        if likely < most - BESIDE * fit.repeats:
-            return lag if end else 0.0
-        end, most = lag, max(most, likely)
-    return end
-
-
-def _first(
-    recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
-) -> tuple[Selection, dict[str, float]]:
-    """Return the selection with friction and spring if present or possible, and bounds.
-
-    The search starts from each of the given devices. Bounds are the upper ends of friction and spring [SI], from a fit
-    with both.
-    """
-    bounds, fit, tried = {}, None, dict[str, TriedPart]()
-    if "coulomb" in begin[0].numbers and len(segments := segments_of(recordings, units, lead, True)):
-        whole = _searched(segments, begin)
-        bounds = {name: _upper(whole, name, units) for name in ("friction.coulomb", "stiffness")}
-        fit, spring = _worth(segments, whole, begin[0])
-        gain, numbers = _loss(fit, "coulomb"), fit.device.numbers
-        rubs = gain > WORTH and numbers["coulomb"] / numbers["gain"] > SLIGHT
-        if rubs or _upper(fit, "friction.coulomb", units) >= UNSEEN_FRICTION * units.command:
-            tried = {"friction": TriedPart("accepted" if rubs else "undecided", gain, WORTH), "stiffness": spring}
-            return Selection(segments, fit, {"friction": gain if rubs else 0.0} | _found(spring), tried), bounds
-        tried = {"friction": TriedPart("size", gain, WORTH)}
-    segments = segments_of(recordings, units, lead, False)
-    starts = [_sliding(each) for each in begin]
-    fit = refined(segments, _sliding(fit.device), far=False) if fit is not None else _searched(segments, starts)
-    bounds["stiffness"] = _upper(fit, "stiffness", units)
-    fit, spring = _worth(segments, fit, starts[0])
-    return Selection(segments, fit, _found(spring), tried | {"stiffness": spring}), bounds
-
-
-def _found(spring: TriedPart) -> dict[str, float]:
-    """Return the part of a spring with its gain if it is accepted."""
-    return {"stiffness": spring.gain} if spring.decision == "accepted" else {}
-
-
-def _upper(fit: Fit, name: str, units: LogUnits) -> float:
-    """Return the upper end of the interval of a nonnegative quantity."""
-    return Errors.of(fit).interval(ESTIMATED[name].quantity(units), ends_at_zero=True).high
-
-
-def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, TriedPart]:
-    """Return the fit with its spring if the logs show a spring, otherwise the fit without a spring, and the test.
-
-    If the logs seem to show a spring, the search is repeated without it from the same start. With a single wall, a
-    spring may imitate the command.
-    """
-    gain, numbers = _loss(fit, "gamma"), fit.device.numbers
-    # relative to the largest command, at the largest displacement
-    if gain > WORTH and abs(numbers["gamma"] / numbers["gain"]) > SLIGHT:
-        free = refined(segments, _springless(begin))
-        if free.likelihood > fit.likelihood - WORTH:
-            return free, TriedPart("gain", fit.likelihood - free.likelihood, WORTH)
-        return fit, TriedPart("accepted", gain, WORTH)
-    return refined(segments, _springless(fit.device), far=False, noisy=False), TriedPart("size", gain, WORTH)
-
-
-def _springless(device: Device) -> Device:
-    return Device({name: value for name, value in device.numbers.items() if name != "gamma"}, device.noise)
-
-
-def _sliding(device: Device) -> Device:
-    """Return a device without friction and with a spring."""
-    numbers = {name: value for name, value in device.numbers.items() if name != "coulomb"}
-    return Device({"gamma": 0.0} | numbers, device.noise)
-
-
-def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the numbers that the commands make identifiable, and the parameters that are assumed to be zero."""
-    largest = max(float(np.abs(each.command).max()) for each in recordings)
-    if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
-        return BASE, ()
-    if any(each.edge is not None for each in recordings):
-        return ("gain", "delta", "delay"), ("constant_force",)
-    levels = np.array([float(each.command[0]) for each in recordings])
-    if np.ptp(levels) > CONSTANT * largest:
-        return ("gain", "delta", "force"), ("delay_samples",)
-    return ("gain", "delta"), ("delay_samples", "constant_force")
-
-
-def _begin(recordings: list[Recording], units: LogUnits, base: tuple[str, ...], lead: int) -> list[Device]:
-    """Return initial devices for a search, with a spring, and with friction if directions of motion are known.
-
-    Force balances are integrated over whole and over short segments. In a whole segment, a long plateau outweighs the
-    fast motion before it; in short segments, a slow motion is hardly visible.
-
-    Raises
-    ------
-    ParameterError
-        If no part of a log is long enough or in motion, or if the device moves against its command.
-    """
-    segments, names = segments_of(recordings, units, lead, True), (*base, "gamma", "coulomb")
-    if not len(segments):
-        names, segments = (*base, "gamma"), segments_of(recordings, units, lead, False)
-    if not len(segments):
-        raise ParameterError(
-            f"no log has {SHORTEST} consecutive rows after the first {lead} rows, whose commands are needed for the "
-            "delay. Record longer logs, with the step closer to the start"
-        )
-    parts = [segments, *(segments.split(rows) for rows in SHORTER if segments.rows.max() > 2 * rows)]
-    return [device for part in parts for device in _first_devices(part, names, lead)]
-
-
-def _first_devices(segments: Segments, names: Sequence[str], most_delay: float) -> list[Device]:
-    """Return two initial devices from the force balance, one with and one without a spring. The more likely one comes
-    first.
-
-    With a single wall, the command is that of a spring and a damper. Except for the delay, a device with a spring and a
-    damper but no gain moves in the same way. Reading errors then decide between the two devices.
-    """
-    some = _some(segments)
-    return sorted(first_guesses(segments, names, most_delay), key=lambda device: -_likelihood(some, device))
-
-
-def _searched(segments: Segments, begin: list[Device]) -> Fit:
-    """Return the maximum-likelihood fit, starting from the first device.
-
-    If the best model includes a random force, the search is repeated from all devices without a random force. A random
-    force that is included too early may replace friction, a delay, or a fast motion.
-    """
-    fit = refined(segments, begin[0])
-    if not fit.solved.information.any():
-        raise ParameterError(
-            "no motion follows the edge of the command, so the logs contain no information on the device. Record for a "
-            "longer time after the edge, and start at rest"
-        )
-    if segments.trials < FEWEST and len(begin) > 1:
-        first, second = (climbed(segments, device).solved.here for device in begin[:2])
-        # one fit suffices if both starts lead to the same optimum without a random force
-        if abs(first - second) >= WORTH:
-            fit = max(fit, refined(segments, begin[1]), key=lambda each: each.likelihood)
-    if fit.device.noise == WHITE or (len(begin) <= STARTS and segments.trials >= FEWEST):
-        return fit
-    some = _some(segments)
-    climbs = [climbed(some, device) for device in begin]
-    here = climbed(some, replace(fit.device, noise=WHITE, effects=None))
-    # if all have the same optimum without a random force, the random force has replaced nothing
-    best = max(climbs, key=lambda each: each.solved.here)
-    if best.solved.here < here.solved.here + WORTH:
-        return fit
-    if segments.trials >= FEWEST:
-        climbs = [best]
-    other = max((refined(some, each.device, far=False) for each in climbs), key=lambda each: each.likelihood)
-    if some is not segments:
-        whole = refined(some, replace(fit.device, effects=None), far=False)
-        if other.likelihood <= whole.likelihood + WORTH:
-            return fit
-        other = refined(segments, replace(other.device, effects=None), far=False)
-    return other if other.likelihood > fit.likelihood else fit
-
-
-def _likelihood(segments: Segments, device: Device) -> float:
-    """Return the likelihood of a device without a further search."""
-    return solve(moments_of(segments, device), np.empty(0, dtype=np.int64)).here
-
-
 def _pruned(logs: Logs, state: Selection) -> Selection:
     """Remove friction and spring if they only imitated another part, and return the selection.
 
@@ -662,7 +342,7 @@ def _pruned(logs: Logs, state: Selection) -> Selection:
     for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
         if name not in parts:
             continue
-        if (gain := _loss(fit, number)) > WORTH:
+        if (gain := loss_without(fit, number)) > WORTH:
             tried[name] = TriedPart("accepted", parts[name] or gain, WORTH)
             parts = parts | {name: parts[name] or gain}
             continue
@@ -703,19 +383,10 @@ def _without_imitations(logs: Logs, state: Selection) -> Selection:
     return replace(state, fit=fit, parts=parts)
 
 
-def _loss(fit: Fit, name: str, *, signed: bool = False) -> float:
-    """Return the loss of likelihood if a number in which the motion is linear is set to 0.
-
-    A negative number has no meaning and no loss, unless it may be ``signed``.
-    """
-    found = Errors.of(fit).interval(lambda n: n[name])
-    return 0.5 * (found.value / found.error) ** 2 if (signed or found.value > 0) and found.error > 0 else 0.0
-
-
 def _further(logs: Logs, state: Selection, optional: Mapping[str, Part]) -> Selection:
     """Add optional parts to a selection. The most likely part is added first, since each may replace another."""
     segments, fit, parts, tried = state.segments, state.fit, state.parts, dict(state.tried)
-    some, left, rounds = _some(segments), dict(optional), 0
+    some, left, rounds = some_of(segments), dict(optional), 0
     accepted = True
     while accepted and left and "delay" in fit.device.numbers:
         alone, candidates = replace(fit.device, effects=None), dict[str, Fit]()
@@ -785,15 +456,10 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
         return None, TriedPart("random force", gain, BESIDE)
     # a part does not cause jitter, so none is searched for if the fit without the part has none
     found = refined(some, replace(within.device, effects=None), SOME_STEPS, far=False, jitters=noise.jitter > 0)
-    if part.size and (gain := _loss(found, part.size)) < WORTH:
+    if part.size and (gain := loss_without(found, part.size)) < WORTH:
         return None, TriedPart("size", gain, WORTH)
     gain = found.likelihood - plain.likelihood
     return (found if gain >= part.threshold else None), TriedPart("gain", gain, part.threshold)
-
-
-def _some(segments: Segments) -> Segments:
-    """Return segments with about `LOOKED_AT` rows in total, or all segments if they have fewer."""
-    return segments.subset(int(LOOKED_AT / np.mean(segments.rows)) + 1)
 
 
 def _is_inside(device: Device, part: Part) -> bool:
@@ -804,22 +470,6 @@ def _is_inside(device: Device, part: Part) -> bool:
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
-
-
-def exceeds_noise(segments: Segments, limit: float) -> bool:
-    """Return whether commands exceed a force limit [units of the command] by more than their noise.
-
-    In a measured command, such as a current, the noise does not drive the device. A limit inside the noise of a
-    plateau removes half of it, and is more likely than none. The noise is that of third differences. A command that
-    changes as much in every row has none.
-    """
-    command = segments.command[segments.places]
-    noise = reading_noise(command, 0.0)
-    beyond = np.abs(command) - limit
-    beyond = beyond[beyond > 0]
-    if noise > RANDOM_COMMAND * float(np.std(command)) or not len(beyond):
-        return True
-    return bool(np.sqrt(np.mean(beyond**2)) > CLEARLY * noise)
 
 
 def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) -> bool:
@@ -863,50 +513,9 @@ def _having(segments: Segments, device: Device, part: Part) -> Device:
         found = _best(segments, found, part, [{part.near: value} for value in near if value < LIMITS[part.near][1]])
     found = replace(found, noise=WHITE)
     if "limit" in part.numbers:
-        climbs = (climbed(segments, each, FIRST_STEPS) for each in (found, _saturated(segments, device)))
+        climbs = (climbed(segments, each, FIRST_STEPS) for each in (found, saturated(segments, device)))
         found = max(climbs, key=lambda each: each.likelihood).device
     return found
-
-
-def _saturated(segments: Segments, device: Device) -> Device:
-    """Return the most likely device with a force limit, from force balances with a clipped command.
-
-    If most commands exceed the limit, the numbers of a device without a limit are far from the true ones. The search
-    starts at the limit above which the velocity no longer follows the command.
-    """
-    known = [name for name in (*BALANCED, "delay") if name in device.names]
-
-    def guessed(limit: float) -> tuple[float, Device]:
-        clipped = replace(segments, command=np.clip(segments.command, -limit, limit))
-        devices = [replace(device, noise=WHITE, effects=None, numbers=device.numbers | {"limit": limit})]
-        with suppress(ParameterError):
-            for guess in first_guesses(clipped, known, LIMIT_DELAY):
-                numbers = devices[0].numbers | {name: guess.numbers[name] for name in known}
-                devices.append(replace(devices[0], numbers=numbers))
-        return max(((_likelihood(segments, each), each) for each in devices), key=lambda pair: pair[0])
-
-    best = guessed(_static_limit(segments))
-    for reach in LIMIT_SPREADS:
-        near = (best[1].numbers["limit"] * (1 + reach * way) for way in (-2, -1, 1, 2))
-        best = max([best, *(guessed(limit) for limit in near if limit < 1)], key=lambda pair: pair[0])
-    return best[1]
-
-
-def _static_limit(segments: Segments) -> float:
-    """Return the command limit for which the speed is closest to a linear function of the command clipped at this
-    limit."""
-    ahead = segments.places[LIMIT_ROWS:-LIMIT_ROWS]
-    inside = segments.segment[: -2 * LIMIT_ROWS] == segments.segment[2 * LIMIT_ROWS :]
-    row = ahead[inside]
-    speed = segments.position[row + LIMIT_ROWS] - segments.position[row - LIMIT_ROWS]
-    command, limits = segments.command[row], np.geomspace(*LIMITS_SOUGHT)
-
-    def left(limit: float) -> float:
-        clipped = np.clip(command, -limit, limit)
-        columns = np.stack([clipped, np.sign(speed), np.ones(len(clipped))], axis=1)
-        return float(((speed - columns @ np.linalg.lstsq(columns, speed, rcond=None)[0]) ** 2).sum())
-
-    return min(limits.tolist(), key=left) if len(row) else 1.0
 
 
 def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:
@@ -917,10 +526,10 @@ def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str,
 
 def _promise(segments: Segments, device: Device, part: Part) -> float:
     """Return the likelihood of a device after optimisation of the numbers that do not belong to a part."""
-    return _others(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
+    return other_numbers(segments, device, part, np.empty(0, dtype=np.int64)).likelihood
 
 
-def _others(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
+def other_numbers(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
     """Return the estimate of the numbers that do not belong to a part. Those at ``random`` vary between trials."""
     others = tuple(name for name in device.names if name not in part.numbers)
     return solve(moments_of(segments, device, others), random)

@@ -9,12 +9,12 @@ import pytest
 from real_drives import KINDS, Rig, levels, square, two_carts
 
 from pipeline.measured.identification.drive import DRIVE, applied_command
+from pipeline.measured.identification.force_limit import exceeds_noise
 from pipeline.measured.identification.free_search import EXPLORED_ROWS, WHITE_ERRORS, informative
 from pipeline.measured.identification.identified import identified
 from pipeline.measured.identification.intervals import Errors
 from pipeline.measured.identification.likelihood import Device
 from pipeline.measured.identification.open_parts import with_open_parts
-from pipeline.measured.identification.parts import exceeds_noise
 from pipeline.measured.identification.recordings import LogUnits
 from pipeline.measured.identification.replay import follows, medians, replays
 from pipeline.measured.identification.search import refined
