@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,7 @@ from pipeline.device.parts import Sensor
 from pipeline.loop.normalised_loop import LoopUnits, NormalisedLoop
 from pipeline.measured.experiment.identified_loop import IdentifiedLoop
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.trials import Floats, Trial, Trials
+from pipeline.records.trials import Floats, Integers, Trials
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import delays_of, simulate
 from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
@@ -134,33 +133,46 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
     low, high = np.maximum(least, softest), linear + BEYOND * linear.max()
     begin, ends = low.copy(), high > low
     for _ in range(ROUNDS):
-        K = _rounded(np.linspace(low, high, WALLS + 1)[1:])
-        trials = simulate_behind(loop, K.ravel(), np.tile(damping, WALLS), trial)
+        walls = _rounded(np.linspace(low, high, WALLS + 1)[1:])
+        last, first = _brackets(loop, walls, np.where(ends, damping, np.nan), trial)
+        ends = first >= 0
+        # Verdicts are undecided between the stiffest stable and the first unstable wall.
         step = (high - low) / WALLS
-        for each in range(len(damping)):
-            found = _bracket([trials[row * len(damping) + each] for row in range(WALLS)]) if ends[each] else None
-            ends[each] = found is not None
-            last, first = found or (0, 0)
-            # Verdicts are undecided between the stiffest stable and the first unstable wall.
-            low[each], high[each] = low[each] + last * step[each], low[each] + (first + 1) * step[each]
+        low, high = low + np.where(ends, last, 0) * step, low + np.where(ends, first + 1, 1) * step
     known = ends & (low > np.where(begin > least, begin, -1.0))
     return np.where(known, 0.5 * (low + high), np.nan), 0.5 * (high - low)
 
 
-def _bracket(trials: Sequence[Trial]) -> tuple[int, int] | None:
-    """Return the index after the last stable trial below the first unstable one, and the index of this unstable trial.
+def _brackets(loop: Loop, K: Floats, damping: Floats, trial: StepTrial) -> tuple[Integers, Integers]:
+    """Return at each damping the row after the last stable wall, and the row of the first unstable wall above it.
 
-    The result is None if there is no unstable trial. Trials must have increasing stiffness. Trials above the first
-    unstable trial are not judged.
+    Parameters
+    ----------
+    loop : Loop
+    K : float64, shape (walls, n)
+        Stiffness in increasing order [N/m, Nm/rad]. Walls above the first unstable one are not simulated.
+    damping : float64, shape (n,)
+        B [Ns/m, Nms/rad], or NaN for a damping that is left out.
+    trial : StepTrial
+
+    Returns
+    -------
+    last, first : int64, shape (n,)
+        Rows of K. ``first`` is -1 if no wall is unstable.
     """
-    last = 0
-    for place, trial in enumerate(trials):
-        verdict = judge(trial).verdict
-        if verdict == "unstable":
-            return last, place
-        if verdict == "stable":
-            last = place + 1
-    return None
+    last, first = np.zeros(len(damping), dtype=np.int64), np.full(len(damping), -1)
+    for row, stiffness in enumerate(K):
+        places = np.flatnonzero(np.isfinite(damping) & (first < 0))
+        if not len(places):
+            break
+        runs = simulate_behind(loop, stiffness[places], damping[places], trial)
+        for place, run in zip(places.tolist(), runs, strict=True):
+            verdict = judge(run).verdict
+            if verdict == "unstable":
+                first[place] = row
+            elif verdict == "stable":
+                last[place] = row + 1
+    return last, first
 
 
 def _rounded(stiffness: Floats) -> Floats:

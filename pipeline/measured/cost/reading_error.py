@@ -134,20 +134,20 @@ def usual_gain(gain: Floats) -> float:
 
 
 def as_known(value: float, error: float | None = None) -> float:
-    """Return a value rounded to between an eighth and a quarter of its error, or a spread rounded to three digits.
+    """Return a value rounded to between an eighth and a quarter of its error, or a spread rounded to two digits.
 
     Values on which all trials depend are rounded. An additional log of n changes such a value by its error divided by
     the root of n, so that the results of the other trials seldom change. Rounding to a quarter of the error increases
-    it by 0.3 %.
+    it by 0.3 %. A spread of 20 trials is itself uncertain by 16 %, and two digits differ from it by 5 % at most.
 
     >>> as_known(0.58013, 0.0003), as_known(0.123456)
-    (0.58013916015625, 0.123)
+    (0.58013916015625, 0.12)
     """
     scale = value if error is None else error
     if not np.isfinite(scale) or scale <= 0:
         return value
     if error is None:
-        return round(value, 2 - math.floor(math.log10(scale)))
+        return round(value, 1 - math.floor(math.log10(scale)))
     step = 2.0 ** (math.floor(math.log2(error)) - 2)
     return round(value / step) * step
 
