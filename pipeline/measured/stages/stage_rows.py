@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 
@@ -153,7 +154,8 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
     found = by_model(of, "mass")
     if found.value is None:
         return Missing(f"energy costs require the mass: {found.reason}")
-    error, timed = as_known(standard_error(found)), of.once(timed_inputs)
+    error, timed = standard_error(found), of.once(timed_inputs)
+    error = as_known(error, error / math.sqrt(2 * max(of.trials.num_rows, 1)))  # a standard error of n values
     if isinstance(timed, Missing):
         return timed
     return replace(timed, mass=as_known(found.value, error), mass_error=error)
