@@ -307,6 +307,14 @@ def course(tmp_path_factory):
     return folder / "processed"
 
 
+def test_the_only_device_of_a_store_needs_no_name(call, course, tmp_path):
+    given, named = (call("compare", *words, "--processed", course, "--dry-run") for words in ((), ("--device", "lwr")))
+    assert given == named
+    status, _, err = call("compare", "--processed", str(tmp_path))
+    assert status == 2
+    assert "ingest logs first: pipeline ingest LOGS" in " ".join(re.sub("[│╭╮╰╯─]", " ", err).split())
+
+
 def test_compare_says_what_it_would_do_and_why(call, course, tmp_path):
     arguments = ("compare", "--device", "lwr", "--processed", course, "--dry-run")
     plan = document(call(*arguments, "--json"))

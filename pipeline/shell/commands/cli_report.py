@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: from the scene).")] = None,
+    device: Annotated[str | None, option("--device", "Device: name or file (.toml) (default: the only one).")] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
     processed: Store = "processed",
@@ -86,9 +86,7 @@ def compare(
         )
     chosen = None if scene is None else read_scene(scene)
     of_file = device_of(device) if device is not None and device.endswith(".toml") else None
-    name = of_file.name if of_file else device or (chosen.device if chosen else None)
-    if name is None:
-        raise typer.BadParameter("no device is given. Name it with --device or in a scene file.", param_hint="--device")
+    name = of_file.name if of_file else device or (chosen.device if chosen else _only_device(processed))
     if save_scene is not None:
         _save_scene(name, processed, save_scene)
         return
@@ -130,6 +128,25 @@ def compare(
         _show_against(against_document(result, document), page_against_document(target, earlier))
     else:
         _show(result, target, export)
+
+
+def _only_device(processed: str) -> str:
+    """Return the device of a store that contains logs of one device. An object store is not downloaded for this."""
+    from pipeline.store.objects import is_url
+    from pipeline.store.storage import list_devices
+
+    devices = None if is_url(processed) else list_devices(Path(processed))
+    if devices is not None and len(devices) == 1:
+        return devices[0]
+    if devices is None:
+        stored = ""
+    elif devices:
+        stored = f"; {processed} contains {', '.join(devices)}"
+    else:
+        stored = f"; {processed} contains no logs, so ingest logs first: pipeline ingest LOGS --processed {processed}"
+    raise typer.BadParameter(
+        f"no device is given{stored}. Name it with --device or in a scene file.", param_hint="--device"
+    )
 
 
 def _shown(shown: Shown | None, final: str | None, momentum_delay: int | None, momentum_window: str | None) -> Shown:
