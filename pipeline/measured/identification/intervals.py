@@ -127,10 +127,17 @@ class Errors:
 
         In few logs, a single portion may be the only one that identifies a number, such as the delay. The step without
         it is then of first order.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If no unit contains information, because the errors cannot be computed in double precision.
         """
         solved, numbers = fit.solved, fit.device.numbers
         total = solved.total
         informative = np.einsum("tii->t", solved.information) > 0
+        if not informative.any():
+            raise np.linalg.LinAlgError("its errors exceed the range of double precision")
         information, score = solved.information[informative], solved.score[informative]
         without = inverse(total)[None] if fit.few else inverse(total - information)
         steps = -(without @ score[..., None])[..., 0]

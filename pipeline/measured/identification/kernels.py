@@ -785,6 +785,9 @@ def whitened(
 BLOCK = 32
 """Number of rows that are added to a triangular factor together."""
 
+NEGLIGIBLE = 1e-290
+"""Sum of squares that counts as zero. The inverse of a smaller one overflows, e.g. for a response that has decayed."""
+
 
 @compiled("void(f8[:,:,::1],f8[:,::1],i8[::1],i8[::1],i8[::1])")
 def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integers, unit: Integers) -> None:
@@ -810,7 +813,7 @@ def triangles(factors: Floats, columns: Floats, first: Integers, behind: Integer
                 square = 0.0
                 for k in range(top, end):
                     square += columns[k, j] * columns[k, j]
-                if square == 0.0:
+                if square < NEGLIGIBLE:
                     continue
                 norm = math.sqrt(R[j, j] * R[j, j] + square)
                 diagonal = -norm if R[j, j] > 0 else norm

@@ -296,6 +296,17 @@ def test_triangular_factors_have_the_products_of_all_rows():
         np.testing.assert_allclose(found, exact, atol=1e-13)
 
 
+def test_triangles_of_a_response_that_has_decayed_are_finite():
+    """Squares of 1e-160 are subnormal, and the inverse of their sum overflows."""
+    rng = np.random.default_rng(5)
+    columns = rng.normal(size=(40, 3)) * [1.0, 1e-160, 1.0]
+    factors = np.zeros((1, 3, 3))
+    kernels.triangles(factors, columns.copy(), np.array([0]), np.array([40]), np.array([0]))
+    assert np.isfinite(factors).all()
+    others = columns[:, [0, 2]]
+    assert factors[0][:, [0, 2]].T @ factors[0][:, [0, 2]] == pytest.approx(others.T @ others, rel=1e-12)
+
+
 @pytest.mark.parametrize("states", [2, 3, 4, 5])
 def test_a_steady_filter_is_that_of_many_rows(states):
     rng = np.random.default_rng(states)
