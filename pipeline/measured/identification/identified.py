@@ -111,7 +111,7 @@ class Identification:
         depends on neither direction nor size, or if no device explains the logs.
     gravity : dict of str to Interval
         "torque": largest torque of gravity per unit of command [Nm]. "angle": recorded angle at which the device would
-        hang at rest [rad]. Empty without gravity.
+        hang at rest [rad]. Empty without gravity, and if the interval of its torque contains 0.
     covariance : float64, shape (P, P)
         Covariance of the parameters, in the order of `parameters`.
     folds : list of dict of str to float
@@ -227,6 +227,9 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         # only absorbs errors of the model
         unknown |= {name for name in parameters if name.startswith("mode.")}
         parts |= dict.fromkeys(parts.keys() & {*SENSED.values(), *LOAD_PARTS}, 0.0)
+    gravity = {} if misfit else _gravity(errors, units)
+    if "gravity" in parts and not gravity:
+        parts["gravity"] = 0.0
     why = reasons(unknown, choice, recordings, recorded, slow_rows=alone is not None, misfit=misfit)
     noise = float(np.sqrt(fit.solved.noise))
     folds = [] if len(recordings) < FEWEST else devices_without_folds(choice.segments, fit)
@@ -244,7 +247,7 @@ def described(recordings: list[Recording], choice: Choice) -> Identification:
         units,
         [each.name for each in recordings],
         {} if misfit else _drive(errors, units),
-        {} if misfit else _gravity(errors, units),
+        gravity,
         errors.covariance(names, units),
         [{name: ESTIMATED[name].quantity(units)(device.numbers) for name in names} for device in folds],
         where,
@@ -292,7 +295,7 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
 def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
     """Return the largest torque of gravity and the angle at which the device would hang at rest.
 
-    The torque is -(a sin q + b cos q) = -c sin(q - q_0), with c = hypot(a, b) and q_0 = atan2(-b, a).
+    The result is empty without gravity, and if the interval of the torque contains 0. The torque is -(a sin q + b cos q) = -c sin(q - q_0), with c = hypot(a, b) and q_0 = atan2(-b, a).
     """
     if GRAVITY[0] not in errors.numbers:
         return {}
@@ -306,7 +309,7 @@ def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
         return about + float(np.remainder(angle(n) - about + np.pi, 2 * np.pi)) - np.pi
 
     torque = errors.interval(lambda n: float(np.hypot(n[GRAVITY[0]], n[GRAVITY[1]])) / n["gain"] * units.command)
-    return {"torque": torque, "angle": errors.interval(near)}
+    return {"torque": torque, "angle": errors.interval(near)} if torque.low > 0 else {}
 
 
 def _misfit(replay: list[Replay], where: str, *, known: bool) -> str:
