@@ -20,6 +20,7 @@ def test_results_and_errors_come_back():
     assert error.value.row == 7
 
 
+@pytest.mark.sampled
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of a process are those of Linux")
 @pytest.mark.parametrize(
     ("function", "limits", "words"),

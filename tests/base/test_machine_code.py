@@ -152,6 +152,7 @@ print(peak() - before < before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="has no count of the memory of a process")
 def test_arrays_of_a_function_are_freed(printed, tmp_path):
     (tmp_path / "sums.py").write_text(RETURNS)
@@ -167,6 +168,7 @@ except TypeError as error:
 """
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("shape", "kind"), [("6", ""), ("(3, 2)", ", int"), ("(2, 3)", ", order='F'")])
 def test_an_array_of_another_form_is_refused(printed, shape, kind):
     assert printed(use=WRONG.format(shape=shape, kind=kind, plain="")).startswith("expected a C-contiguous array")

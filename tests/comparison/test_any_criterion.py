@@ -18,6 +18,7 @@ def outcome(falcon, one_process, made_once):
     return made_once("any-criterion", lambda _: falcon.compare(criteria=CRITERIA, report=folder / "any.html"))
 
 
+@pytest.mark.slow
 def test_measured_costs_are_those_of_the_samples(falcon, outcome):
     stages = falcon.stages("1")
     settle, energy = (stages.cost(name)[0] for name in CRITERIA)

@@ -58,6 +58,7 @@ def test_a_boundary_stands_for_the_delay_that_it_was_made_with(delay):
     assert found.whole.low < delay < found.whole.high
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_delay_in_95_of_100_noisy_boundaries():
     damping = np.linspace(5.0, 150.0, 10)
     true = linear_limits(Loop(mass=MASS, damping=DAMPING, sampling_period_s=T, delay_samples=3.4), damping)

@@ -266,6 +266,7 @@ def test_a_damaged_document_beside_the_report_is_written_anew(own, change):
     assert path.read_bytes() == sound
 
 
+@pytest.mark.slow
 def test_a_missing_report_is_written_again_without_computing_stages(own, monkeypatch):
     outcome = run(own)
     outcome.report.unlink()
@@ -275,6 +276,7 @@ def test_a_missing_report_is_written_again_without_computing_stages(own, monkeyp
     assert outcome.report.is_file()
 
 
+@pytest.mark.slow
 def test_a_damaged_stage_file_is_made_anew(own):
     expected = run(own).result
     path = stage_file(own / "processed", "lwr", "delay-2", "energy")
@@ -333,6 +335,7 @@ def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outco
     assert unknown_outcome.report.is_file()
 
 
+@pytest.mark.slow
 def test_stage_files_name_their_origin(own):
     from pipeline.records.table_files import read_metadata
 

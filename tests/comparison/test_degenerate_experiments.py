@@ -55,6 +55,7 @@ def test_no_wall_limit_with_friction_or_jitter(walls, device, tmp_path):
     assert result.answer.wall is None
 
 
+@pytest.mark.slow
 def test_an_experiment_without_a_wall_leaves_the_others_their_report(course, tmp_path):
     write_logs(tmp_path / "raw", course, experiment="walls")
     free = trials(*FREE, coulomb=0.3, steps=[1, -1, 2, -2, 1, -1])
@@ -117,6 +118,7 @@ def test_the_example_log_of_the_readme(tmp_path):
 # steps of both signs
 
 
+@pytest.mark.slow
 def test_as_many_negative_as_positive_steps(course, tmp_path):
     sides = {"both": course}
     mirrored = [
@@ -240,6 +242,7 @@ def test_names_in_any_script_give_no_warning_and_stay_text(name, tmp_path):
 # a hand on the device
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("grip", ["comfortable", "firm"])
 def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
@@ -260,6 +263,7 @@ def test_no_passive_wall_by_logs_with_a_hand_alone(grip, tmp_path):
 # two devices
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("coulomb", [0.0, 0.3])
 def test_two_devices_without_files_are_compared_by_their_masses(coulomb, tmp_path):

@@ -81,6 +81,7 @@ def test_theory_of_d1_and_d2_is_the_published_one(falcon_outcome):
         check_theory_row(row)
 
 
+@pytest.mark.slow
 def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
     rows = theory_rows(lwr_outcome)
     assert [r.table for r in rows].count("D.4") == 4

@@ -55,6 +55,7 @@ def in_python(entries: dict[str, Any]) -> Loop:
     return Loop(**{name: value for name, value in entries.items() if name != "loop"}, **entries["loop"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "seed"), [(20, 1), pytest.param(500, 2, marks=pytest.mark.slow)])
 def test_random_loops(ask, count, seed):
     rng = np.random.default_rng(seed)

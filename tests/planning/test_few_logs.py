@@ -315,6 +315,7 @@ def test_few_logs_expect_no_stiffer_wall_to_be_stable(tmp_path, count):
             assert wall.expected != "stable"
 
 
+@pytest.mark.slow
 def test_the_device_of_a_plan_is_that_of_identify(tmp_path):
     walls = [(1000.0, 10.0), (1500.0, 15.0, -4.0), (2000.0, 15.0), (800.0, 5.0, -4.0)]
     processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.1), walls, noisy=True)

@@ -26,6 +26,7 @@ def write(folder, way):
     return trials, radius
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("way", WAYS)
 def test_a_release_or_hit_is_found_by_the_draft_and_judged_by_its_motion(call, tmp_path, way):
     kind = "release" if "released" in way else "hit"

@@ -158,6 +158,7 @@ def of_examples(count: int, number: int, most: int = 12) -> Callable[[], None]:
     return seed(number)(chosen(given(experiments(most))(ends_in_a_report)))
 
 
+@pytest.mark.slow
 def test_any_experiment_ends_in_a_report_and_no_wall_is_unsafe() -> None:
     of_examples(30, SEED, most=4)()
 

@@ -149,6 +149,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     assert outputs["pipeline ingest lab/K100_B1.csv --profile lab.toml"].splitlines()[1].split() == ["1", "1", "0", "0"]
 
 
+@pytest.mark.slow
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
     from pipeline.intake.ingest import ingest
     from pipeline.store.samples import load_trials

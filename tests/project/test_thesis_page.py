@@ -84,6 +84,7 @@ def jump(criterion, low, high):
     return low
 
 
+@pytest.mark.slow
 def test_errata_of_theory_are_as_computed():
     table = PAGE.split("## Errata")[1]
     assert f"α = {jump('settle_2pct', 0.300, 0.308):.5f}" in table

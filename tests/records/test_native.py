@@ -30,6 +30,7 @@ time_s,command,position
 HEADER = NativeHeader("lwr", "delay-2", 3200.0, 18.0, 15.0, 0.001, motion="rotation")
 
 
+@pytest.mark.slow
 @given(
     device=NAMES,
     experiment=NAMES,

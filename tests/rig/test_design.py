@@ -57,6 +57,7 @@ def random_rig(random: np.random.Generator) -> Loop:
     return Loop(mass, 0.02 * mass / T * random.uniform(0, 1), T, d)
 
 
+@pytest.mark.slow
 @pytest.mark.sampled
 @pytest.mark.parametrize("seed", range(12))
 def test_a_change_reaches_the_wish_and_less_does_not(seed: int) -> None:

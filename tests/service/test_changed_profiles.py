@@ -65,6 +65,7 @@ def settings(tmp_path):
     return Settings(tmp_path / "processed", tmp_path / "reports", renew=False)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("send", [by_rest, by_page, by_push])
 def test_a_corrected_profile_reads_its_logs_again_after_a_restart(settings, tmp_path, send):
     logs, wrong, right = named_logs(), profile_text(unit="N/m"), profile_text(unit="N/mm")
@@ -121,6 +122,7 @@ def test_a_profile_of_which_only_remarks_changed_reads_nothing_again(settings):
         assert read_again(client) == []
 
 
+@pytest.mark.slow
 def test_a_profile_corrected_while_its_logs_wait_leaves_none_behind(settings):
     """The second upload comes before the first one is stored."""
     logs = named_logs(6)
@@ -134,6 +136,7 @@ def test_a_profile_corrected_while_its_logs_wait_leaves_none_behind(settings):
         assert all(k > 500 for k in stiffness(client))
 
 
+@pytest.mark.slow
 def test_a_renamed_folder_or_a_copy_reads_the_stored_log_again(settings, tmp_path):
     logs = [(name.removeprefix("K"), data) for name, data in named_logs(3)]
     fixed = profile_text().replace("name_pattern = 'K(", "#'").replace("[constants]", "[constants]\ndamping = 2")
@@ -179,6 +182,7 @@ def test_logs_that_were_moved_are_read_again_by_a_corrected_profile(tmp_path):
     assert (len(walls), min(walls) > 500) == (3, True)
 
 
+@pytest.mark.slow
 def test_logs_of_the_command_line_are_read_again_where_they_are(settings, tmp_path):
     raw = tmp_path / "raw"
     raw.mkdir()

@@ -37,6 +37,7 @@ CONTRADICTIONS = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", CONTRADICTIONS)
 def test_rest_refuses_a_contradiction_and_says_what_was_expected_and_found(empty, kind):
     text, obeyed, stated = CONTRADICTIONS[kind]
@@ -85,6 +86,7 @@ def test_a_confirmation_without_a_contradiction_leaves_the_profile_as_it_is(empt
     assert "confirmed" not in entries(empty)[0]
 
 
+@pytest.mark.slow
 def test_every_log_of_a_sample_counts(empty):
     logs = [(f"K{k}_B6.txt", wall_log(1e3 * k, 6.0).encode()) for k in (1.5, 2.5)]
     wrong = ("K2.0_B6.txt", wall_log(3000.0, 6.0).encode())
@@ -104,6 +106,7 @@ def sent(browser, **fields):
     return browser.ask("POST", "/profile", body, FORM)
 
 
+@pytest.mark.slow
 def test_the_form_keeps_nothing_until_the_contradiction_is_confirmed(empty):
     browser, sample, text = Browser(empty), draft(empty), profile_text(unit="N/m")
     fields = {"sample": sample, "profile": text, "name": "lab"}
@@ -123,6 +126,7 @@ def test_the_form_keeps_nothing_until_the_contradiction_is_confirmed(empty):
     assert entries(empty)[0]["confirmed"] == WORDS
 
 
+@pytest.mark.slow
 def test_the_form_keeps_a_profile_that_agrees_without_a_question(empty):
     browser, fields = Browser(empty), {"sample": draft(empty), "profile": profile_text(), "name": "lab"}
     assert 'name="confirmation"' not in sent(browser, **fields, act="try").content.decode()

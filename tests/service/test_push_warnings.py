@@ -63,6 +63,7 @@ def test_push_has_the_warnings_of_ingest_in_its_json(raw, tmp_path):
     assert plain(pushed["warnings"]) == plain(wanted["warnings"])
 
 
+@pytest.mark.slow
 def test_a_sheet_is_read_where_it_lies_and_never_by_the_server(tmp_path):
     """Its path would be that of any file of the server, so a profile that names one is refused there."""
     folder = tmp_path / "raw"

@@ -330,6 +330,7 @@ def test_a_full_disk_is_told_and_nothing_stays(empty, tmp_path, monkeypatch, ful
     assert [job for job in empty.get("jobs").content["items"] if job["kind"] == "upload"] == []
 
 
+@pytest.mark.slow
 def test_bombs_are_refused_beside_what_is_good(empty, logs):
     """They claim or unpack to gigabytes; the others of the same request are stored."""
     h5py = pytest.importorskip("h5py")

@@ -227,6 +227,7 @@ def test_a_broken_document_beside_the_page_is_named(desk, quick):
     assert str(path) in difference.found
 
 
+@pytest.mark.slow
 def test_a_changed_value_of_the_json_document_is_named(desk):
     path = desk.report.with_suffix(".json")
     document = json.loads(path.read_text(encoding="utf-8"))

@@ -148,6 +148,7 @@ def test_every_quantity_is_measured_by_this_package_and_others(report: AccuracyR
     assert {r.quantity for r in report.rungs} == set(QUANTITIES)
 
 
+@pytest.mark.slow
 def test_own_errors_are_as_small_as_promised(report: AccuracyReport) -> None:
     own = {r.quantity: r.error for r in accuracy.own_rungs(report)}
     limits = dict.fromkeys(QUANTITIES, 1e-10) | {"plant": 1e-14, "boundary": 1e-12, "spectral radius": 1e-12}

@@ -159,6 +159,7 @@ def test_an_unreadable_number_of_a_log_without_header_is_named_with_its_row(tmp_
         pipeline.identify([path])
 
 
+@pytest.mark.slow
 def test_identify_and_compare_give_equal_numbers_from_the_same_logs(noisy):
     """Whatever the order of the logs: both take the same rows of each, and rank them by walls and samples."""
     stored, _ = identification(noisy.stages("1"))
@@ -233,6 +234,7 @@ def test_a_refused_log_among_others_is_named_once(tmp_path):
     assert "found 'x'" in line
 
 
+@pytest.mark.slow
 def test_an_arm_swings_under_gravity(tmp_path):
     rig, logs = KINDS["arm under gravity"](4)
     for log in logs:

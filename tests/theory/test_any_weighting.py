@@ -40,6 +40,7 @@ def integral(gamma, delta, d, w, samples=900, fine=400):
     return continuous, discrete
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("gamma", "delta", "d"), LOOPS[:2])
 @pytest.mark.parametrize("w", [0.5, 1.7, 3.0])
 def test_energies_are_integrals_of_the_motion(gamma, delta, d, w):
@@ -62,6 +63,7 @@ def test_energies_are_continuous_in_the_exponent(gamma, delta, d, signal):
             assert 0.5 * (below[0] + above[0]) == pytest.approx(whole[f"energy_{signal}_w{w}{suffix}"][0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_optimum_of_any_weighting_lies_between_those_of_its_neighbours():
     loop = NormalisedLoop.ideal(0, 0, 1)
     alpha = [optimal_point(loop, f"energy_step_w{w}").alpha for w in ("0", "0.5", "1")]
@@ -73,6 +75,7 @@ def test_the_optimum_of_any_weighting_lies_between_those_of_its_neighbours():
     assert np.nanmin(grid["energy_step_w0.5"]) >= sampled.cost
 
 
+@pytest.mark.slow
 def test_the_cost_that_a_delay_allows_grows_with_a_real_power():
     assert reachable("energy_step_w0.5", 3.0).cost == pytest.approx(4**1.5 * scaling_factor("energy_step_w0.5"))
     best = optimal_point(NormalisedLoop.ideal(0, 0, 3.0), "energy_step_w0.5").cost

@@ -285,6 +285,7 @@ def test_a_mode_settles_soonest_far_below_its_limit() -> None:
     assert best.alpha < 0.05 * float(stiffness_limit(loop, best.beta)[0])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("delay", [0.5, 1, 2, 4])
 def test_no_simplex_finds_a_smaller_pole_radius_by_eigenvalues(delay):
     """The minimum is a corner where three poles meet, which a coarse search misses by 1e-4."""

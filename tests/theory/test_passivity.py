@@ -179,6 +179,7 @@ def test_sensing_beyond_a_mode_is_refused():
         required_damping(general_loop(0.0, 0.1, 1.0, **vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("cutoff", [0.05, 0.1, 0.3, 1.0, 5.0, 30.0])
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_behind_a_slow_filter_no_wall_is_called_passive_that_is_unstable(cutoff, order):

@@ -26,6 +26,7 @@ def errors_of(criterion: str, delays) -> list[tuple[float, float]]:
     return [(best.cost / optimal_cost(criterion, float(delay)) - 1, best.within) for delay, best in found]
 
 
+@pytest.mark.slow
 def test_reachable_energies_are_those_of_the_optima_at_40_delays():
     for error, within in errors_of("energy_step_w0", DELAYS):
         assert abs(error) < within

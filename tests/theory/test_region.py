@@ -341,6 +341,7 @@ def test_nothing_is_stable_outside_the_range_of_damping() -> None:
     assert stiffness_limit(loop, [-0.1, 5.0]).tolist() == [-math.inf, -math.inf]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("delta", "d"), [(0.02, 0), (0.02, 1), (0.5, 1.5)])
 def test_robust_limits_against_many_springs(delta: float, d: float) -> None:
     beta = delta * np.array([-0.5, 0.5, 0.9, 9.0])

@@ -78,6 +78,7 @@ SHIPPED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of", SHIPPED)
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
     """93 to 97 %, 4,000 trials each: chance moves a share by 0.35 % (standard error)."""

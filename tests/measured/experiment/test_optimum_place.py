@@ -28,6 +28,7 @@ def box_of(criterion, size):
     return near_optimum(near, alpha, beta)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["energy_step_w0", "energy_step_w2"])
 def test_walls_within_five_percent_are_those_of_a_dense_search(criterion):
     best = optimal_point(LOOP, criterion)

@@ -40,6 +40,7 @@ def values(found):
     return {name: each.value for name, each in found.parameters.items() if name not in found.unidentifiable}
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("rows", [350, 2000])
 @pytest.mark.parametrize(("friction", "direction"), [(4.4, 1), (0.0, -1)])
 def test_a_long_plateau_says_no_less_than_its_begin(rows, friction, direction):
@@ -78,6 +79,7 @@ def test_a_device_that_friction_fixes_hardly_moves_and_has_no_sign(counts, seed,
         identified([log])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("stiffness", "resolution"), [(37e3, 6e-6), (2e3, 1e-4)])
 def test_presliding_gives_reasons_and_no_numbers(stiffness, resolution):
     logs = []
@@ -92,6 +94,7 @@ def test_presliding_gives_reasons_and_no_numbers(stiffness, resolution):
     assert set(found.reasons) == found.unidentifiable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_rows_farther_apart_than_the_time_constant_give_the_speed_per_command(seed):
     rng = np.random.default_rng(seed)
@@ -134,6 +137,7 @@ def test_logs_of_few_rows_are_too_short(rows, count):
         identified(logs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "delay", "step", "seed"), [(0.3, 2.4, 4.0, 0), (0.1, 0.5, -2.0, 1), (0.3, 5.0, 4.0, 2)]
 )
@@ -207,6 +211,7 @@ def test_results_do_not_depend_on_how_much_is_computed_together(monkeypatch):
         assert apart[name].high == pytest.approx(each.high, rel=1e-4, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_last_climb_may_go_beyond_all_optima():
     rig = Rig(mass=2.0, damping=0.0, friction=0.5, period=0.005, delay=2.6, noise=1e-6)
     walls = [

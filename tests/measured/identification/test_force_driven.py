@@ -28,6 +28,7 @@ def apart(logs):
     return identified_by_force(logs)
 
 
+@pytest.mark.slow
 def test_drive_and_device_of_a_rig_with_gain_and_lag_are_identified_apart(apart):
     device, drive = apart.device.parameters, apart.drive
     assert contains(drive.gain, 0.8)
@@ -41,6 +42,7 @@ def test_drive_and_device_of_a_rig_with_gain_and_lag_are_identified_apart(apart)
     assert apart.device.unidentifiable == set()
 
 
+@pytest.mark.slow
 def test_per_unit_of_command_the_device_is_that_of_the_command_alone(logs, apart):
     alone = identified([replace(each, force=None) for each in logs]).parameters
     by_command = apart.by_command.parameters
@@ -68,6 +70,7 @@ def test_a_limit_of_the_command_is_found_where_there_is_one():
     assert contains(drive.lag_samples, 3.0)
 
 
+@pytest.mark.slow
 def test_noise_of_the_force_widens_the_intervals(apart):
     noisy = identified_by_force(ForceRig(force_noise=0.2).logs())
     width, other = (each.device.parameters["mass"].high - each.device.parameters["mass"].low for each in (apart, noisy))

@@ -44,6 +44,7 @@ def test_only_the_logs_that_begin_without_a_drive_are_cut(late):
     assert found.parameters["mass"].value == pytest.approx(MASS, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_device_that_friction_fixes_at_first_has_no_idle_start():
     logs = without_force(ForceRig(gain=1.0, lag=0.0, rows=900, friction=2.0, position_noise=1e-5).logs(3))
     first_motion = [int(np.argmax(np.abs(each.position - each.position[0]) > 1e-3)) for each in logs]
@@ -72,6 +73,7 @@ def breakaway(static, level, rows=900):
     return Recording(f"{level}", T * np.arange(rows), command, position, T)
 
 
+@pytest.mark.slow
 def test_static_friction_is_no_idle_start():
     logs = [breakaway(1.9, level) for level in (1.5, 1.7, 1.8)]
     assert all(np.ptp(each.position[:440]) < 1e-4 for each in logs)
@@ -118,6 +120,7 @@ def test_numbers_of_real_drives_that_are_switched_on_late_are_true():
         assert interval.low - reach <= value <= interval.high + reach, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_of_all_kinds_of_real_drives_only_those_switched_on_late_are_suspected(seed):
     suspected = {kind: any(map(suspected_rows, logs(seed)[1])) for kind, logs in KINDS.items()}

@@ -140,6 +140,7 @@ def test_where_a_log_begins_weighs_nothing():
     assert far.choice.fit.solved.weight == pytest.approx(near.choice.fit.solved.weight, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_lag_of_nothing_is_as_likely_as_none():
     rng = np.random.default_rng(4)
     logs = behind_walls(rng, {"mass": 0.6, "damping": 4.0}, {}, 12, quantum=5e-6)
@@ -276,6 +277,7 @@ def test_what_is_asked_for_was_not_recorded_already():
     assert holds(found.parameters, {"mass": 1.1e-4}) == []
 
 
+@pytest.mark.slow
 def test_a_bumped_trial_weighs_little():
     rng = np.random.default_rng(12)
     logs = moved(rng, steps(TEN))
@@ -339,6 +341,7 @@ def test_direction_of_motion_is_not_seen_at_rest():
     assert (seen.direction[40:] == 1).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "stiffest", "noise", "quantum"),
     [pytest.param(24, 380, 1e-5, 1e-12, marks=pytest.mark.slow), (31, 500, 0, 1e-4)],

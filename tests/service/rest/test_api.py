@@ -155,6 +155,7 @@ def test_what_is_not_there_is_a_problem(served, path):
     assert answer.content["title"] == "Not found"
 
 
+@pytest.mark.slow
 def test_an_experiment_is_as_in_compare(served, falcon_outcome):
     document = falcon_outcome.result.model_dump(mode="json")["experiments"][0]
     for part, name in (("estimates", "estimates"), ("boundary", "boundary"), ("optima", "optimum")):

@@ -201,6 +201,7 @@ def test_logs_of_several_periods_are_not_read_as_one(call, logs):
 # other commands, and drives
 
 
+@pytest.mark.slow
 def test_identify_takes_columns_of_a_drive_and_counts_per_volt(call, tmp_path):
     write_logs(tmp_path / "logs", force=1 / 2.3)
     options = ["--time", "t:ms", "--command", '"F soll, u":V', "--position", "s:mm"]
@@ -219,6 +220,7 @@ def test_identify_takes_columns_of_a_drive_and_counts_per_volt(call, tmp_path):
     assert number["mass"]["value"] == pytest.approx(2.3 * per_volt, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_drive_is_labelled_wherever_its_numbers_are_shown(call, tmp_path):
     write_logs(tmp_path / "logs", force=1 / 2.3)
     options = [word.replace("N/mm", "V/mm").replace("Ns/m", "Vs/m") for word in READ]
