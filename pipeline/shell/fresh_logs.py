@@ -133,10 +133,10 @@ def read_again(
             paths = {path: sha for (path, sha, own), there in zip(rows, here, strict=True) if there and own == profile}
             _read(store, experiment, paths, files[profile])
         gone = used.filter(pc.invert(pa.array(here, pa.bool_())))
-        if gone.num_rows and profiles is not None:
-            store.notes.append(
-                f"{counted(gone.num_rows, 'trial')}: stored samples were used, because the logs no longer exist"
-            )
+        lost = sum(not os.path.isfile(path) for path, _, _ in rows)
+        for count, why in ((lost, "logs no longer exist"), (gone.num_rows - lost, "profiles are not given")):
+            if count and profiles is not None:
+                store.notes.append(f"{counted(count, 'trial')}: stored samples were used, because the {why}")
         store.read += sum(here)
         store.kept += gone.num_rows
         _keep(store, device, experiment, processed, pa.concat_tables([gone, left_out]))
