@@ -167,6 +167,11 @@ def read_device(path: Path) -> Device:
                 len(place) > len(detail["loc"]) and place[: len(detail["loc"])] == detail["loc"] for place in places
             )
         ]
+        if {"format", "columns"} <= data.keys():
+            raise DeviceError(
+                f"{path}: this file is a profile of logs, not a device file. Give it to --profile. "
+                "`pipeline identify` writes a device file."
+            ) from error
         raise DeviceError(
             f"{path}: invalid device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
         ) from error
