@@ -941,12 +941,16 @@ class Profile(TextLayout, StepTime):
 
     @property
     def motion_kind(self) -> Kind:
-        """Type of motion of the device, as stated or otherwise from the unit of the position."""
+        """Type of motion of the device, as stated or otherwise from the unit of the position.
+
+        If the position has no unit yet, as in a draft, the unit of the command decides.
+        """
         if self.constants.motion is not None:
             return self.constants.motion
-        source = self.columns.position if self.columns else None
-        unit = find_unit((source.stands_for or source.unit or "") if source else "")
-        turns = unit is not None and unit.quantity in ("angle", "angular velocity")
+        position, command = (self.columns.position, self.columns.command) if self.columns else (None, None)
+        stated = (position.stands_for or position.unit) if position else None
+        unit = find_unit(stated or (command.unit if command else None) or "")
+        turns = unit is not None and unit.quantity in ("angle", "angular velocity", "torque")
         return "rotation" if turns else "translation"
 
     @property

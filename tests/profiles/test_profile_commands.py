@@ -72,7 +72,7 @@ def test_check_shows_values_in_si_and_where_they_come_from(call, lab):
     assert conditions["stiffness"] == (300, "N/m", "name_pattern")
     assert conditions["damping"] == (2, "Ns/m", "constants")
     assert conditions["grip"] == ("none", "", "default")
-    assert conditions["motion"] == ("translation", "", "default")
+    assert conditions["motion"] == ("translation", "", "columns.position.unit")
     columns = {c["column"]: (c["source"], c["unit"], c["first"], c["last"], c["unit_si"]) for c in trial["columns"]}
     assert columns["time"] == ("t", "ms", 0, 0.006, "s")
     assert columns["command"] == ("F", "N", 0, 8, "N")

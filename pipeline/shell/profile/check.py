@@ -126,6 +126,8 @@ def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> Iterat
     samples = {"displacement": float(np.ptp(log.position)), "duration_s": float(np.ptp(log.time))}
     for key, value in ({k: getattr(log.header, k) for k in CONDITIONS} | {"motion": motion} | samples).items():
         place = "samples" if key in samples else places.get(key, "default")
+        if key == "motion" and profile.format != "native":
+            place = "constants" if profile.constants.motion else "columns.position.unit"
         usual, fault = "", ""
         if key in PLAUSIBLE and not (drive_of(motion) and key in OF_WALL):  # ranges are unknown for units of a drive
             low, high = PLAUSIBLE[key]["rotation" if is_rotation(motion) else "translation"]
