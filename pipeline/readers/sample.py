@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import ProfileError, UsageError, refusal
-from pipeline.base.units import DRIVES, unit_in_heading
+from pipeline.base.units import DRIVES, find_unit, unit_in_heading
 from pipeline.profiles.profile_model import GROUPED, QUANTITIES, Format, Profile
 from pipeline.readers.file_columns import FileColumns, trial_groups
 from pipeline.readers.formats import format_of
@@ -54,7 +54,9 @@ class Sample(NamedTuple):
         """Return the last part of a column name without its unit, and the unit that the file states for the column."""
         allowed = (*QUANTITIES[role].values(), *_BESIDE.get(role, ()))
         plain, unit = unit_in_heading(self.title(name), allowed)
-        unit_in_file = unit or self.contents.units.get(name) or self.contents.hints.get(name, "")
+        # A unit line, or the answer to a question, replaces text in brackets that is not a known unit.
+        known = unit if find_unit(unit) else ""
+        unit_in_file = known or self.contents.units.get(name) or self.contents.hints.get(name) or unit
         # A column named "data" takes the name of its parent.
         plain = _OF_ANOTHER.sub("", plain) or plain
         return re.split(r"[./]", plain)[-1].strip().lower(), unit_in_file

@@ -64,6 +64,8 @@ class Folder:
         Whether the logs are native and need no profile.
     samples : tuple of Sample
         Opened selection of the logs.
+    other_layout : tuple of str
+        Names of the opened logs whose delimiter, decimal sign, encoding or columns differ from those of `samples`.
     """
 
     path: Path
@@ -73,6 +75,7 @@ class Folder:
     sheet: Path | None
     native: bool
     samples: tuple[Sample, ...]
+    other_layout: tuple[str, ...] = ()
 
     def rows(self) -> list[dict[str, str | int]]:
         """Return the files by kind, as rows of a table."""
@@ -142,7 +145,8 @@ def look_at(path: Path) -> Folder:
             others = tuple(file for file in files if file not in set(group))
             usual = Counter(map(_form, opened)).most_common(1)[0][0] if opened else None
             same = tuple(each for each in opened if _form(each) == usual)
-            return Folder(path, tuple(group), others, tuple(sorted(notices.ignored)), sheet, native, same)
+            unlike = tuple(each.name for each in opened if _form(each) != usual)
+            return Folder(path, tuple(group), others, tuple(sorted(notices.ignored)), sheet, native, same, unlike)
     raise UsageError(first or f"{path}: no log found. Give a folder with logs.")
 
 
@@ -218,9 +222,18 @@ def propose(folder: Folder) -> Proposal:
             found.setdefault("step_at", Answer("command edge", "the command jumps at the step"))
         for key in OF_WALL:
             if key not in without and not _is_mapped(found, key) and f"constants.{key}" not in found:
-                words = f"{key} of all walls [{_asked_unit(found, key)}]? Neither the files nor their commands show it"
-                found[f"constants.{key}"] = Answer(0, question=words)
+                found[f"constants.{key}"] = _question_of_all(key, _asked_unit(found, key), laws)
     return Proposal(folder, found)
+
+
+def _question_of_all(key: str, unit: str, laws: Mapping[str, WallLaw]) -> Answer:
+    """Return the question about a condition of all walls. The proposed value is the one that most commands show."""
+    values = Counter(value for law in laws.values() if (value := law.followed(key)))
+    words = f"{key} of all walls [{unit}]? "
+    if key != "step" or not values:
+        return Answer(0, question=f"{words}Neither the files nor their commands show it")
+    value, count = values.most_common(1)[0]
+    return Answer(value, question=f"{words}The commands of {count} of {len(laws)} logs show {value:g}")
 
 
 def with_units(proposal: Proposal, given: Mapping[str, Any]) -> Folder:

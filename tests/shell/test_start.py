@@ -71,6 +71,44 @@ def test_a_workbook_is_a_sheet_too(call, tmp_path):
     assert walls_of(tmp_path) == sorted(WALLS)
 
 
+def write_turned(folder, walls, *, semicolon=()):
+    """Logs of a motor in Nm, with angles in a unit that the heading states in German; K and B [SI] in the names."""
+    folder.mkdir()
+    for number, (k, b) in enumerate(walls):
+        samples = wall_rows(k, b, step=4.0).tolist()
+        rows = [f"{1e3 * t:.1f},{u:.9f},{np.degrees(x / 1e3):.9f}" for t, u, x in samples]
+        text = "\n".join(["t [ms],M [Nm],Winkel [Grad]", *rows, ""])
+        if number in semicolon:
+            text = text.replace(",", ";").replace(".", ",")
+        (folder / f"K{k:g}_B{b:g}.csv").write_text(text)
+
+
+TURNED = [(600.0, 3.0), (800.0, 4.0), (1000.0, 5.0), (1200.0, 6.0), (1500.0, 4.0)]
+
+
+def test_an_unknown_unit_in_a_heading_is_quoted_and_a_torque_moves_an_angle(call, tmp_path):
+    write_turned(tmp_path / "motor", TURNED)
+    status, _, err = call("start", "motor", "--yes", "--store-only")
+    assert status == 2
+    assert "columns.position.unit: the file states 'Grad', which is not a known unit. One of rad, mrad, " in err
+    assert "Enter accepts" not in err
+
+
+def test_logs_of_another_layout_are_named(call, tmp_path):
+    write_turned(tmp_path / "motor", TURNED, semicolon=(1, 3))
+    err = call("start", "motor", "--yes", "--store-only")[2]
+    assert "warning: 2 of 5 inspected logs have another layout, first K1200_B6.csv." in err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no pseudo-terminals")
+def test_a_unit_that_is_answered_settles_the_units_of_the_walls(tmp_path):
+    write_turned(tmp_path / "motor", TURNED)
+    status, shown, left = in_terminal(tmp_path, ["deg"], "motor", "--store-only")
+    assert (status, left) == (0, []), shown
+    rows = read_trials(tmp_path / "processed").to_pylist()
+    assert sorted((row["stiffness"], row["damping"], row["step"]) for row in rows) == [(k, b, 4.0) for k, b in TURNED]
+
+
 def test_what_is_open_is_listed_and_nothing_is_done(call, tmp_path):
     write(tmp_path / "bench", "Zeit;Kraft;Weg")
     status, out, err = call("start", "bench", "--yes")

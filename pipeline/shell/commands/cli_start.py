@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from glob import escape
@@ -28,6 +28,7 @@ from pipeline.shell.console import argument, option
 
 if TYPE_CHECKING:
     from pipeline.profiles.profile_model import Profile
+    from pipeline.shell.profile.roles import Answer
     from pipeline.shell.start import Folder, Proposal
 
 TABLES = (
@@ -98,7 +99,7 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
     from pipeline.shell.start import made_profile, propose, with_units
 
     proposal = propose(folder)
-    for line in _proposal_lines(proposal):
+    for line in _proposal_lines(proposal, asks):
         console.step(line)
     if proposal.open:
         if not asks:
@@ -109,10 +110,12 @@ def _reading_of(folder: Folder, asks: bool, *, opens: bool) -> Reading:
                 "name the columns with their units: `pipeline ingest --help`."
             )
         _draw(folder.logs[0], None, opens)
-        answers = {place: _ask(place, answer.question, answer.value) for place, answer in proposal.open.items()}
         # Units of numbers in names and sheets follow from those of the columns. Wrong units are detected below.
-        again = propose(with_units(proposal, answers)).answered(answers)
-        proposal = proposal.answered(answers) if again.open else again
+        of_columns = _asked({place: each for place, each in proposal.open.items() if place.startswith("columns.")})
+        again = propose(with_units(proposal, of_columns)).answered(of_columns)
+        # A wrong unit raises new questions. It is refused below, with its remedy, so that these are not asked.
+        settled = again if again.open.keys() <= proposal.open.keys() else proposal.answered(of_columns)
+        proposal = settled.answered(_asked(settled.open))
     profile, ignored = _agreeing(made_profile(proposal), folder, asks)
     target = _free_name(profile.name)
     evidence = [f"{place}: {answer.evidence}" for place, answer in proposal.answers.items() if answer.evidence]
@@ -183,7 +186,7 @@ def _free_name(name: str) -> Path:
     return next(path for number in numbers if not (path := Path(f"{name}{number}.toml")).exists())
 
 
-def _proposal_lines(proposal: Proposal) -> Iterator[str]:
+def _proposal_lines(proposal: Proposal, asks: bool) -> Iterator[str]:
     """Yield the known keys with their evidence, then the number of open questions."""
     rows = []
     for place, answer in sorted(proposal.answers.items(), key=lambda item: TABLES.index(item[0].partition(".")[0])):
@@ -192,8 +195,23 @@ def _proposal_lines(proposal: Proposal) -> Iterator[str]:
             shown = value if len(value) <= LONGEST_VALUE else f"{value[: LONGEST_VALUE - 3]}..."
             rows.append({"key": place, "value": shown, "shown by": answer.evidence})
     yield from ("", *console.table(rows, ("key", "value", "shown by")), "")
-    if proposal.open:
+    folder = proposal.folder
+    if folder.other_layout:
+        opened = len(folder.samples) + len(folder.other_layout)
+        yield (
+            f"warning: {len(folder.other_layout)} of {counted(opened, 'inspected log')} have another layout, first "
+            f"{folder.other_layout[0]}. Only logs like {folder.samples[0].name} will be stored. Move the logs of each "
+            "layout (columns, delimiter, decimal sign, encoding) to a separate folder, and start each folder. Folders "
+            "of one name, such as a/bench and b/bench, are one device."
+        )
+        yield ""
+    if proposal.open and asks:
         yield f"{counted(len(proposal.open), 'open question')}. Enter accepts the proposal in brackets."
+
+
+def _asked(questions: Mapping[str, Answer]) -> dict[str, Any]:
+    """Return the answers of the user to questions, by place."""
+    return {place: _ask(place, question.question, question.value) for place, question in questions.items()}
 
 
 def _ask(place: str, question: str, proposed: Any) -> Any:

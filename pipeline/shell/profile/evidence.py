@@ -282,7 +282,7 @@ def _columns(sample: Sample, law: WallLaw | None, laws: int) -> Answers:
         name = str(answer.value)
         column = int(name) if by_position and name.isdecimal() else name
         found[f"{place}.name"] = Answer(column, answer.evidence, answer.question)
-        unit = _unit(sample, role, name, law)
+        unit = _unit(sample, role, name, law, found)
         others = {stated_unit(sample, role, column) for column in sample.numbers} - {""}
         if answer.question and len(others) > 1 and not unit.question:
             unit = Answer(unit.value, question=f"the file states {unit.value!r} for {name!r}. Is this right?")
@@ -302,8 +302,11 @@ def _logs(count: int) -> str:
     return "the log" if count == 1 else f"{count} logs"
 
 
-def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
-    """Return the unit of a column from the file or its numbers. Otherwise, return the question."""
+def _unit(sample: Sample, role: str, name: str, law: WallLaw | None, found: Answers) -> Answer:
+    """Return the unit of a column from the file or its numbers. Otherwise, return the question.
+
+    ``found`` contains the answers for the columns before this one. A position moved by a torque is an angle.
+    """
     stated = stated_unit(sample, role, name)
     if stated:
         return Answer(stated, f"the file states {stated!r}")
@@ -322,9 +325,19 @@ def _unit(sample: Sample, role: str, name: str, law: WallLaw | None) -> Answer:
     if role == "position" and (unit := _unit_of_file(sample)) is not None:
         return unit
     quantities = {*QUANTITIES[role].values(), *(DRIVES if role == "command" else ())}
+    if role == "position" and (of_command := found.get("columns.command.unit")) is not None:
+        of_force = dict(zip(QUANTITIES["command"].values(), QUANTITIES["position"].values(), strict=True))
+        moved = of_force.get(getattr(find_unit(str(of_command.value)), "quantity", ""))
+        if moved is not None and not of_command.question:
+            quantities = {moved}
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities and symbol != "count"]
     more = " For counts, also give counts_per_unit." * (role == "position")
-    return Answer(units[0], question=f"the file does not state it. One of {', '.join(known)}.{more}")
+    heading = sample.unit(name, role)[1]
+    why = f"the file states {heading!r}, which is not a known unit" if heading else "the file does not state it"
+    return Answer(
+        next((unit for unit in units if unit in known), known[0]),
+        question=f"{why}. One of {', '.join(known)}.{more}",
+    )
 
 
 def _unit_by_rate(sample: Sample, time: str) -> Answer | None:
