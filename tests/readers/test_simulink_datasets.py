@@ -147,7 +147,7 @@ def test_a_dataset_asks_one_unit_and_is_read(tmp_path, version):
     path = save(tmp_path / "a.mat", version, logsout=dataset(*elements))
     text = draft_profile(path)
     assert text.count("# QUESTION") == 1
-    text = re.sub(r'# QUESTION: columns\.position\.unit: .*\n# unit = "m"', 'unit = "rad"', text)
+    text = re.sub(r'# QUESTION: columns\.position\.unit: .*\n# unit = "rad"', 'unit = "rad"', text)
     (tmp_path / "lab.toml").write_text(text)
     (sample,) = check_samples(read_profile(tmp_path / "lab.toml"), [path])
     found = {column["column"]: column for column in sample["trials"][0]["columns"]}
