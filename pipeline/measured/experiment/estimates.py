@@ -68,7 +68,7 @@ def by_model(of: Experiment, name: str) -> Estimate:
     within = float(np.median(e))
     excess = (np.median(np.abs(v - estimate.value)) / NORMAL_QUARTILE) ** 2 - within**2
     spread = float(np.sqrt(max(excess, 0.0)))
-    trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion)
+    trend = find_trends(v, np.hypot(e, spread), {"stiffness": K, "damping": B}, unit, motion=of.motion, shared=e)
     reach = 0.5 * ((estimate.high or 0.0) - (estimate.low or 0.0))
     # A relative threshold fails near a value of 0. There, a drift within the error of one trial is small.
     least = max(MATTERS * abs(estimate.value), within if abs(estimate.value) <= reach else 0.0)

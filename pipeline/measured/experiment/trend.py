@@ -39,7 +39,13 @@ Axis = Literal["stiffness", "damping"]
 
 
 def find_trends(
-    v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, motion: Motion = "translation"
+    v: Floats,
+    sigma: Floats,
+    conditions: dict[Axis, Floats],
+    unit: str,
+    *,
+    motion: Motion = "translation",
+    shared: Floats | None = None,
 ) -> tuple[Trend, ...]:
     """Return the slopes of the trials' values over stiffness and damping from a joint fit.
 
@@ -52,6 +58,8 @@ def find_trends(
     unit : str
     motion : Motion
         Kind of motion, which determines the units.
+    shared : float64, shape (n,), optional
+        Errors of the trials that may have the same sign in all of them, such as the rounding of a common rest position.
 
     Returns
     -------
@@ -63,7 +71,8 @@ def find_trends(
     -----
     The fit is weighted least squares in which the influence of a residual is limited to `HUBER` standard deviations.
     The interval is based on the residuals instead of ``sigma``, so that it is valid even if the errors of the trials
-    are wrong. The false-positive rate is 5 % for each of the two slopes.
+    are wrong. It includes the slope of one standard error of all trials at once: if errors grow with the stiffness, a
+    shared error imitates a drift. The false-positive rate is 5 % for each of the two slopes.
 
     Source: Huber 1981, Robust Statistics; MacKinnon and White 1985 (HC3).
     """
@@ -97,7 +106,10 @@ def find_trends(
     draw = np.einsum("in,ij,jn->n", x, inverse, x) * answers
     score = x * (w * (v - slopes @ x) / np.maximum(1 - draw, _LEAST_FREE))
     covariance = inverse @ (score @ score.T) @ inverse
-    reach = np.hypot(float(student_95(len(v) - len(x))) * np.sqrt(np.diag(covariance)), ROUNDING * np.abs(v).max())
+    variance = np.diag(covariance)
+    if shared is not None:
+        variance = variance + (inverse @ (x * answers) @ shared) ** 2
+    reach = np.hypot(float(student_95(len(v) - len(x))) * np.sqrt(variance), ROUNDING * np.abs(v).max())
     found = []
     for name, slope, r in zip(varied, slopes[1:], reach[1:], strict=True):
         scale = float(np.ptp(conditions[name]))

@@ -37,6 +37,17 @@ def test_trials_that_are_far_off_pull_no_trend():
     assert abs(off.slope - quiet.slope) < 0.5 * (quiet.high - quiet.low)
 
 
+def test_an_error_that_all_trials_share_and_that_grows_with_the_wall_is_no_drift():
+    error = 0.002 + 4e-6 * K
+    axes = {"stiffness": K, "damping": B}
+    scatter = 0.001 * np.random.default_rng(3).standard_normal(len(K))
+    for factor, drifts in ((1.0, False), (-1.0, False), (4.0, True)):
+        alone, _ = find_trends(0.6 + factor * error + scatter, error, axes, "kg")
+        found, _ = find_trends(0.6 + factor * error + scatter, error, axes, "kg", shared=error)
+        assert alone.significant
+        assert found.significant == drifts
+
+
 @pytest.mark.parametrize(("trials", "told"), [(FEWEST_FOR_TREND - 1, 0), (FEWEST_FOR_TREND, 1)])
 def test_few_trials_show_no_trend(trials, told):
     assert FEWEST_FOR_TREND == 8
