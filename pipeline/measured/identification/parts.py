@@ -426,7 +426,7 @@ def _judged(logs: Logs, segments: Segments, name: str, part: Part, fits: tuple[F
     decision: Decision = "left out" if gain <= required else "at a limit"
     if gain > required and "limit" in part.numbers and not exceeds_noise(segments, other.device.numbers["limit"]):
         decision = "command noise"
-    elif gain > required and _is_inside(other.device, part):
+    elif gain > required and _is_inside(segments, other.device, part):
         decision = "accepted" if _predicts(logs, segments, name, fits) else "free runs"
     return TriedPart(decision, gain, required)
 
@@ -462,11 +462,14 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
     return (found if gain >= part.threshold else None), TriedPart("gain", gain, part.threshold)
 
 
-def _is_inside(device: Device, part: Part) -> bool:
+def _is_inside(segments: Segments, device: Device, part: Part) -> bool:
     """Return whether all numbers of a part are inside their search limits. A force limit that is never reached is not.
 
-    The share of damping in the spring is not tested, since readings at the load hardly show it.
+    The share of damping in the spring is not tested, since readings at the load hardly show it. Half a period of a mode
+    must fit into the longest segment, because a slower vibration looks like a slow force.
     """
+    if "mode_frequency" in part.numbers and device.numbers["mode_frequency"] * segments.rows.max() < np.pi:
+        return False
     limits = {name: LIMITS[name] for name in part.numbers if name in LIMITS and name != "spring_damping_fraction"}
     values = {name: device.numbers[name] for name in limits}
     return all(limits[name][0] < value < limits[name][1] or value == 0 for name, value in values.items())
