@@ -295,7 +295,8 @@ def _drive(errors: Errors, units: LogUnits) -> dict[str, Interval]:
 def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
     """Return the largest torque of gravity and the angle at which the device would hang at rest.
 
-    The result is empty without gravity, and if the interval of the torque contains 0. The torque is -(a sin q + b cos q) = -c sin(q - q_0), with c = hypot(a, b) and q_0 = atan2(-b, a).
+    The result is empty without gravity, and if the interval of the torque contains 0. The torque is
+    -(a sin q + b cos q) = -c sin(q - q_0), with c = hypot(a, b) and q_0 = atan2(-b, a).
     """
     if GRAVITY[0] not in errors.numbers:
         return {}
