@@ -152,7 +152,7 @@ def _followed_in_motion(log: Log, stated: dict[str, float]) -> FollowedGains | N
 class WallGains(NamedTuple):
     """Stiffness, damping and step that explain a command, in the units of its columns and in seconds.
 
-    A gain without a visible contribution to the command is 0.
+    A gain whose contribution is always small, compared with the largest command so far, is 0.
     """
 
     stiffness: float
@@ -210,7 +210,10 @@ def _fitted(terms: Floats, command: Floats) -> tuple[WallGains, Floats] | None:
     values, error, left = _fit(terms[:, free], command[free])
     if left > EXACT * _size(command):
         return None
-    visible = np.abs(terms[:, free]).max(axis=1) * np.abs(values) > SHARE * np.abs(command).max()
+    # the step of an unstable wall is visible before the motion has grown
+    parts, before = np.abs(values[:, None] * terms[:, free]), np.maximum.accumulate(np.abs(command[free]))
+    sure = np.abs(values) > SURE * error
+    visible = (parts.max(axis=1) > SHARE * before[-1]) | (sure & (parts > SHARE * before).any(axis=1))
     return WallGains(*map(float, np.where(visible, values, 0.0))), error
 
 

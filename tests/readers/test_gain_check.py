@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.readers.gain_check import followed_gains, gain_mismatch
+from pipeline.readers.gain_check import followed_gains, gain_mismatch, wall_gains
 from pipeline.readers.log import Log
 from pipeline.records.native import NativeHeader
 from pipeline.shell.cli import application
@@ -163,3 +163,17 @@ def test_the_wall_of_an_unstable_trial_is_known_by_its_step_before_it_grows(name
     found = followed_gains(Log(wrong, time, command, position))
     assert found is not None
     assert found.found == {name: pytest.approx(stated[name], rel=1e-6)}
+
+
+@pytest.mark.parametrize("growth", [5.0, 20.0, 35.0])
+def test_a_step_is_found_in_a_motion_that_grows_far_beyond_it(growth):
+    """The motion of an unstable wall is its own exponential; the command of a wall law follows from it."""
+    time = np.arange(400) * 1e-3
+    late = np.maximum(time - 0.03, 0.0)
+    position = np.round(1e-3 * np.expm1(growth * late) * np.sin(90.0 * late), 5)
+    velocity = np.append(0.0, np.diff(position)) / 1e-3
+    command = 0.05 * (time >= 0.03) - 8.0 * position - 0.01 * velocity
+    found = wall_gains(time, command, position)
+    assert found == pytest.approx((8.0, 0.01, 0.05), rel=1e-6)
+    released = wall_gains(time, command - 0.05 * (time >= 0.03), position)
+    assert released == pytest.approx((8.0, 0.01, 0.0), rel=1e-6)
