@@ -118,7 +118,7 @@ def identification_page(document: JsonObject, evidence: Evidence) -> SectionedPa
         f"Identification from {counted(document['trials'], 'log')}",
         f"{document['rows']} rows, sampling period {document['sampling_period_s']:g} s, {_kind(motion)}.",
         list(_answers(document, found)),
-        [*idle_sentences(document), *_warnings(document["findings"])],
+        [*sentences_on_unused(document), *idle_sentences(document), *_warnings(document["findings"])],
         sections,
         evidence.simulated,
     )
@@ -204,6 +204,17 @@ def _answers(document: JsonObject, found: Identification) -> Sequence[tuple[str,
         ("Prediction", prediction),
         ("Errors", found.departure or "No dependence on direction, command, place or time is reported."),
         ("Walls", walls),
+    ]
+
+
+def sentences_on_unused(document: JsonObject) -> list[str]:
+    """Return one sentence for each reason why logs are not used, with the first three of them."""
+    reasons: dict[str, list[str]] = {}
+    for each in document["logs_left_out"]:
+        reasons.setdefault(each["reason"], []).append(each["log"])
+    return [
+        f"{counted(len(logs), 'log')} left out ({', '.join(logs[:3])}{', ...' if len(logs) > 3 else ''}): {reason}"
+        for reason, logs in reasons.items()
     ]
 
 

@@ -33,10 +33,10 @@ from pipeline.measured.identification.identified import Identification, identifi
 from pipeline.measured.identification.idle_start import IdleStart, identified_while_driven
 from pipeline.measured.identification.intervals import Interval
 from pipeline.measured.identification.measured_drive import MeasuredDrive, unknown_drive
-from pipeline.measured.identification.recordings import Recording
+from pipeline.measured.identification.recordings import SHORTEST, Recording
 from pipeline.measured.identification.replay import follows
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stage_device import usable_recordings
+from pipeline.measured.stages.stage_device import unusable_trials, usable_recordings
 from pipeline.measured.student import NORMAL_95
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
@@ -264,9 +264,12 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
     if len(motions) > 1:
         raise ParameterError("some logs record a translation, others a rotation. Give the logs of one device.")
     check_findings(read)
-    usable = ((name, log) for name, log in read if not any(each.leaves_out for each in log.findings))
-    trials = [measured_trial(name, log) for name, log in usable]
+    faulty = {name: each.sentence for name, log in read for each in log.findings if each.leaves_out}
+    trials = [measured_trial(name, log) for name, log in read if name not in faulty]
     recordings = usable_recordings(trials)
+    used = {each.name for each in recordings}
+    short = dict.fromkeys((name for name, _ in read if name not in used), f"A log needs {SHORTEST} rows that can be used.")
+    unused = short | faulty | unusable_trials(trials)
     if motions == {"rotation"} and not any(any(each.wall) for each in recordings):
         # gravity acts on an arm in free motion; behind a wall, it hardly moves
         recordings = [replace(each, turns=True) for each in recordings]
@@ -281,6 +284,7 @@ def _identified(read_logs: _Read, wall: WallSampling) -> IdentifiedDevice:
         reason = f"{str(error).rstrip('.')}." if findings else str(error)
         raise ParameterError(" ".join([reason, *findings])) from error
     document = _document(found, recordings, motions.pop(), wall_filter(trials), wall)
+    document["logs_left_out"] = [{"log": name, "reason": reason} for name, reason in sorted(unused.items())]
     simulated = any(log.header.simulated for _, log in read)
     return IdentifiedDevice(document | read_logs.document, Evidence(found.device, recordings, simulated))
 

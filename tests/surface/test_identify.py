@@ -61,6 +61,16 @@ def test_of_wall_trials_a_free_run_is_said_to_drift(staircase, found, tmp_path):
     assert "drift" not in found.document["loop"]["reason"]
 
 
+def test_logs_that_are_not_used_are_named_with_their_reason(staircase, tmp_path):
+    head, names, rows = staircase.read_text().partition("time_s,command,position\n")
+    (tmp_path / "wall.csv").write_text(f"{head}# stiffness: 500\n{names}{rows[: len(rows) // 2]}\n")
+    document = pipeline.identify([staircase, tmp_path / "wall.csv"]).document
+    (unused,) = document["logs_left_out"]
+    assert Path(unused["log"]).name == "free.csv"
+    assert "without a wall" in unused["reason"]
+    assert any(line.startswith("1 log left out") and "free.csv" in line for line in identified_lines(document))
+
+
 def test_the_walls_are_those_of_the_linear_loop(found):
     truth = pipeline.Loop(MASS, DAMPING, T, DELAY).boundary().attrs["stiffness_max"]
     top = found.document["boundary"]["stiffness_max"]

@@ -299,16 +299,24 @@ def usable_recordings(trials: Sequence[MeasuredTrial]) -> list[Recording]:
     `identification` would use the same trials. The command need not obey the wall in the header, because it drives the
     device in any case.
     """
-    walls = any(each.trial.stiffness > 0 for each in trials)
-    usable = [
-        each
-        for each in trials
-        if not any(finding.leaves_out for finding in each.findings)
-        and (not walls or each.trial.stiffness > 0)
-        and (not walls or WITHOUT.isdisjoint(departure.code for departure in each.law.departures))
-    ]
-    found = [recording(each) for each in usable]
+    unusable = unusable_trials(trials)
+    found = [recording(each) for each in trials if each.logged.trial_id not in unusable]
     return [each for each in found if len(each.time) >= SHORTEST] or found
+
+
+def unusable_trials(trials: Sequence[MeasuredTrial]) -> dict[str, str]:
+    """Return why trials of logs that are not stored are not used for a device, by trial."""
+    walls, reasons = any(each.trial.stiffness > 0 for each in trials), dict[str, str]()
+    for each in trials:
+        fault = next((finding.sentence for finding in each.findings if finding.leaves_out), "")
+        if not fault and walls and not each.trial.stiffness > 0:
+            fault = "Logs without a wall are not used together with logs that have one."
+        if not fault and walls:
+            departures = (departure for departure in each.law.departures if departure.code in WITHOUT)
+            fault = next((departure.evidence for departure in departures), "")
+        if fault:
+            reasons[each.logged.trial_id] = fault
+    return reasons
 
 
 def _complete(trial: Trial, rows: slice) -> slice:

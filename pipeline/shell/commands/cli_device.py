@@ -164,11 +164,12 @@ def _with_interval(number: JsonObject) -> str:
 def identified_lines(document: JsonObject) -> Iterator[str]:
     """Yield the result of an identification as lines: parameters, inseparable combinations, replay, limits."""
     from pipeline.device.parameters import unit_of
-    from pipeline.surface.identification_page import COMBINATIONS, idle_sentences
+    from pipeline.surface.identification_page import COMBINATIONS, idle_sentences, sentences_on_unused
     from pipeline.surface.identify import DRIFT
 
     fit, limits = document["replay"]["fit_percent"], document["boundary"]
     yield f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s"
+    yield from sentences_on_unused(document)
     yield from ("", *console.table(document["parameters"], ("name", "value", "low", "high", "unit")), "")
     for reason in dict.fromkeys(row["reason"] for row in document["parameters"] if row["reason"]):
         names = [row["name"] for row in document["parameters"] if row["reason"] == reason]
