@@ -13,9 +13,10 @@ import numpy as np
 from pipeline.base.errors import DeviceError, ParameterError, UsageError
 from pipeline.device.loop import Loop
 from pipeline.device.parameters import Motion
+from pipeline.device.parts import VelocityFilter
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.measured.experiment.boundary import spread_over_plane
-from pipeline.measured.experiment.identified_loop import IdentifiedLoop, loop_from_row, nominal_loop
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop, loop_from_row, nominal_loop
 from pipeline.measured.identification.final_fit import fit_parts
 from pipeline.measured.identification.identifiability import Recorded
 from pipeline.measured.identification.identified import check_recordings, described
@@ -24,7 +25,13 @@ from pipeline.measured.identification.parts import choose_parts as look_at_once
 from pipeline.measured.identification.recordings import Recording
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.stages.measured_trial import MeasuredTrial
-from pipeline.measured.stages.stage_device import device_row, recording, recording_findings, usable_recordings
+from pipeline.measured.stages.stage_device import (
+    chosen_by_row,
+    device_row,
+    recording,
+    recording_findings,
+    usable_recordings,
+)
 from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.measured.student import NORMAL_95
 from pipeline.measured.wall_command.wall_law import wall_law
@@ -263,7 +270,10 @@ def open_campaign(
     fitted = fitted if fitted.any() else ~unsafe
     places = spread_over_plane(K, B, fitted, TRIALS)
     spread = load_trials(processed, trials.take(places))
-    known = learn(spread, int(fitted.sum()), known, look)
+    if stages.is_stored("device"):
+        known = _compared(stages, spread, int(fitted.sum())) or known
+    else:
+        known = learn(spread, int(fitted.sum()), known, look)
     found = known.device if known else None
     unknown = ""
     if found is None:
@@ -476,14 +486,32 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
         return LearntDevice(chosen, None, looked)
     row = device_row(found, Recorded.of(recordings).remedy(), float(np.abs(trials.step).max(initial=0.0)))
     device = loop_from_row(asdict(row), float(np.median(trials.sampling_period_s)))
-    # A filter is most visible at the largest damping.
-    most = spread[int(np.argmax(spread.damping))]
     velocity = known.device.velocity if known is not None and known.device is not None else None
-    if velocity is None:
-        shown = wall_law(most, find_response(most)).filter
-        velocity = None if shown is None else shown.declared
+    velocity = _velocity_filter(spread) if velocity is None else velocity
     device = replace(device, velocity=velocity, directions=Recorded.of(recordings).directions)
     return LearntDevice(chosen, device, looked)
+
+
+def _compared(stages: ExperimentStages, spread: Trials, count: int) -> LearntDevice | None:
+    """Return the device that a comparison has identified from the same trials, or None if it has no mass or delay.
+
+    A plan then expects the limits that the report of this comparison states.
+    """
+    (row,) = stages.table("parts").to_pylist()
+    device = stages.once(identified_loop)
+    if row["reason"] or device is None or "delay_samples" in device.unidentifiable:
+        return None
+    directions = Recorded.of(_recordings(spread)).directions
+    return LearntDevice(
+        chosen_by_row(row), replace(device, velocity=_velocity_filter(spread), directions=directions), count
+    )
+
+
+def _velocity_filter(trials: Trials) -> VelocityFilter | None:
+    """Return the velocity filter that the trial with the largest damping shows best, or None if it shows none."""
+    most = trials[int(np.argmax(trials.damping))]
+    shown = wall_law(most, find_response(most)).filter
+    return None if shown is None else shown.declared
 
 
 def unusable(recordings: list[Recording]) -> str:

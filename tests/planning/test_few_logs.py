@@ -15,13 +15,15 @@ from scipy.linalg import expm
 
 from pipeline.base.errors import PipelineError
 from pipeline.intake.ingest import ingest
-from pipeline.measured.experiment.identified_loop import IdentifiedLoop
+from pipeline.measured.experiment.identified_loop import IdentifiedLoop, identified_loop
 from pipeline.measured.identification.estimated import ESTIMATED
+from pipeline.measured.stages.stage_tables import ExperimentStages
 from pipeline.planning.campaign import Campaign, PlanOptions, open_campaign
 from pipeline.planning.loop_limits import linear_limits, lowest_limits
 from pipeline.planning.next_wall import Bracket, Forecast, PlanGoal, TriedWalls, bracket, plan_state, stiffest_stable
 from pipeline.planning.planner import plan, plan_of, rounded_down
 from pipeline.records.native import NativeHeader, format_header
+from pipeline.store.storage import list_experiments
 from pipeline.surface.identify import identify
 
 T = 1e-3
@@ -326,6 +328,23 @@ def test_the_device_of_a_plan_is_that_of_identify(tmp_path):
         unit = T if stated["unit"] == "s" else 1.0
         ends = np.array([stated["value"], stated["low"], stated["high"]]) / unit
         np.testing.assert_allclose([each.value, each.low, each.high], ends, rtol=1e-9, err_msg=name)
+
+
+def test_the_device_of_a_plan_is_that_of_the_last_comparison_of_the_same_logs(tmp_path):
+    walls = [(1000.0, 10.0), (1500.0, 15.0, -4.0), (2000.0, 15.0), (800.0, 5.0, -4.0)]
+    processed = store(tmp_path, Body(0.5, 3.0, 2.4, 0.1), walls, noisy=True)
+    (experiment,) = list_experiments(processed, "dev")
+    stages = ExperimentStages.stored(processed, "dev", experiment)
+    compared = identified_loop(stages)
+
+    def look(_):
+        raise AssertionError("a comparison has chosen the parts")
+
+    planned = open_campaign("dev", processed, None, PlanOptions(), look=look).found
+    assert planned.values == compared.values
+    np.testing.assert_array_equal(planned.covariance, compared.covariance)
+    with pytest.raises(AssertionError, match="chosen"):
+        open_campaign("dev", store(tmp_path / "alone", Body(0.5, 3.0, 2.4, 0.1), walls), None, PlanOptions(), look=look)
 
 
 def walls_at(*trials):
