@@ -343,6 +343,7 @@ def test_the_device_of_a_plan_is_that_of_the_last_comparison_of_the_same_logs(tm
     planned = open_campaign("dev", processed, None, PlanOptions(), look=look).found
     assert planned.values == compared.values
     np.testing.assert_array_equal(planned.covariance, compared.covariance)
+    (tmp_path / "alone").mkdir()
     with pytest.raises(AssertionError, match="chosen"):
         open_campaign("dev", store(tmp_path / "alone", Body(0.5, 3.0, 2.4, 0.1), walls), None, PlanOptions(), look=look)
 
