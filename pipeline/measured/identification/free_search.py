@@ -174,9 +174,12 @@ def required_gain(part: str) -> float:
 
 
 def _is_required(gain: float, fit: Fit) -> bool:
-    """Return whether a gain of log-likelihood suffices for a mode, and its numbers are inside their limits."""
+    """Return whether a gain of log-likelihood suffices for a mode, and its numbers are inside their limits.
+
+    The damping ratio may be at its lower limit. At the upper one, the mode does not vibrate, and replaces a delay.
+    """
     part, numbers = PARTS[SENSED[_side(fit)]], fit.device.numbers
-    if gain < required_gain(SENSED[_side(fit)]):
+    if gain < required_gain(SENSED[_side(fit)]) or numbers["mode_damping_ratio"] >= LIMITS["mode_damping_ratio"][1]:
         return False
     return all(LIMITS[name][0] < numbers[name] < LIMITS[name][1] for name in ("gain", *part.numbers[::2]))
 
