@@ -59,17 +59,19 @@ DAMPINGS = 12
 TRIALS = 16
 """Number of logs to which a device is fitted.
 
-A parameter that is accurate to 1 % from one log is accurate to 0.3 % from this number. The user waits for the fit.
+A parameter that is accurate to 1 % from one log is accurate to 0.3 % from this number. More logs would take longer to
+fit, and the user waits for the result.
 """
 
 FEW = 3
-"""Threshold for the number of logs. Below it, a device with friction is not identified reliably. Another delay may
-explain the logs."""
+"""Threshold for the number of logs. Below it, a device with friction is not identified reliably, because a different
+delay may explain the logs equally well."""
 
 UNSURE = 0.5
-"""Threshold for the share of the most likely device's largest limit. Below it, the device counts as unknown.
+"""Threshold for the lowest limit that is consistent with the logs, relative to the limit of the most likely device.
 
-The smallest of the largest limits of all devices consistent with the logs is compared with it.
+Both are compared at the damping where the most likely device has its largest limit. Below the threshold, the device
+counts as unknown.
 """
 
 RANGE = 1.5
@@ -86,7 +88,7 @@ SAME = 0.002
 usual accuracy."""
 
 AS_SET = 0.25
-"""Share of the spacing of dampings by which the set damping may differ from the requested one."""
+"""Largest difference between the set and the requested damping, relative to the spacing of the requested dampings."""
 
 START_ERROR = 0.1
 """Error of limits that are predicted from the parameters of a device file, relative to the largest limit."""
@@ -106,7 +108,8 @@ RANGE_NEEDED = (
 
 @dataclass(frozen=True, eq=False)
 class LearntDevice:
-    """The device identified from logs (None without a mass), and the number of logs when its parts were selected."""
+    """Parts of the device, the device identified from logs (None if mass or delay is not identifiable), and the number
+    of logs when the parts were selected."""
 
     chosen: ChosenParts
     device: IdentifiedLoop | None
@@ -125,7 +128,7 @@ class PlanOptions:
     count : int
         Number of walls in a batch.
     dampings : tuple of float
-        B at which limits are wanted [Ns/m, Nms/rad]. By default, `DAMPINGS` of them cover the range.
+        B at which limits are wanted [Ns/m, Nms/rad]. By default, `DAMPINGS` dampings cover the range.
     largest_stiffness, largest_damping, largest_force, travel : float
         Bounds of K [N/m, Nm/rad], of B [Ns/m, Nms/rad], of the command [N, Nm], and of the distance of the start from
         the centre [m, rad].
@@ -182,13 +185,12 @@ def plan_options(
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Trials of an experiment so far, and its starting point, which is the experiment of the device file if there is
-    one.
+    """Trials of an experiment so far, and the starting point of its plan: the experiment in the device file, if any.
 
     ``found`` is the device identified from its logs, with ``learnt`` as input for the next plan. Without a device,
-    ``unknown`` is the reason. ``undecided`` has the reason of each trial with an undecided verdict. ``free`` is the
-    number of trials without a wall (K <= 0). ``walls`` are K and B of all trials, ``answers`` the walls that the rig
-    set on request.
+    ``unknown`` is the reason. ``undecided`` contains the reason for each undecided verdict. ``free`` is the number of
+    trials without a wall (K <= 0). ``walls`` are K and B of all trials. ``answers`` are the requested walls with the
+    walls that the rig set.
     """
 
     name: str
@@ -210,7 +212,8 @@ class Campaign:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the logs identify a device, and either exclude friction or show enough of it."""
+        """Whether the logs identify a device reliably. A device that may have friction requires at least `FEW` logs,
+        with motion in both directions."""
         if self.found is None:
             return False
         return not self.found.may_have_friction or (not self.few and self.found.directions > 1)
@@ -230,14 +233,14 @@ def open_campaign(
     known: LearntDevice | None = None,
     look: Look = look_at_once,
 ) -> Campaign:
-    """Return the stored trials of an experiment. The errors are those of `plan`.
+    """Return the stored trials of an experiment and the device identified from them. The errors are those of `plan`.
 
     Parameters
     ----------
     name, processed, experiment, options
         As for `plan`.
     known : LearntDevice, optional
-        Device identified from fewer logs.
+        Device that was identified earlier from fewer logs.
     look : callable
         Function that selects the parts of the device.
     """
@@ -254,7 +257,7 @@ def open_campaign(
         tried = TriedWalls(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
         return Campaign(name, chosen, tried, device, of_file, *about, device.motion)
-    trials = in_order(read_trials(processed, name, chosen))  # these rows have the order of the stages
+    trials = in_order(read_trials(processed, name, chosen))  # the stages have the same order of rows
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     force = None
     if options.largest_force < inf:
@@ -265,7 +268,7 @@ def open_campaign(
     unsafe = np.array([any(each.is_unsafe for each in some) for some in findings], dtype=np.bool_)
     if reason := unsafe_reason(findings):
         raise ParameterError(f"device {name!r}, experiment {chosen!r}: {reason}")
-    # A device without a wall may reach a stop. Such logs are used only if there are no others.
+    # Without a wall, the device may reach an end stop. Logs without a wall are used only if no trial has a wall.
     fitted = ~unsafe & ((K > 0) | (not (K > 0).any()))
     fitted = fitted if fitted.any() else ~unsafe
     places = spread_over_plane(K, B, fitted, TRIALS)
@@ -291,9 +294,9 @@ def campaign_of(
     options: PlanOptions,
     force: Floats | None = None,
 ) -> Campaign:
-    """Return the trials of an experiment by their verdicts, without an identified device.
+    """Return the trials of an experiment with their verdicts, without identifying the device.
 
-    ``force`` is the largest absolute command of each trial [N, Nm], if needed.
+    ``force`` is the largest absolute command of each trial [N, Nm]. It is needed only if the command is bounded.
     """
     trials = stages.trials
     columns = [stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")]
@@ -330,11 +333,10 @@ def _experiment(name: str, requested: str | None, stored: Sequence[str], device:
 
 
 def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ...]:
-    """Return the dampings at which limits are wanted. They are the stated dampings, or otherwise evenly spaced or tried
-    ones.
+    """Return the dampings at which limits are wanted: the stated ones, or otherwise evenly spaced or tried dampings.
 
-    Evenly spaced dampings are moved to a nearby damping that was tried or is a step of the device file. If the rig
-    replaced a damping by another one, it is also replaced here.
+    Each evenly spaced damping is moved to a nearby damping that was tried, or that is on the grid of the device file.
+    A damping that the rig replaced is replaced here in the same way.
     """
     tried = np.unique(campaign.tried.damping)
     of_file = campaign.of_file
@@ -358,7 +360,10 @@ def wanted_dampings(campaign: Campaign, options: PlanOptions) -> tuple[float, ..
     wanted = _as_answered(wanted, campaign.answers)
     wanted = wanted[wanted <= options.largest_damping]
     if not len(wanted):
-        raise UsageError(f"device {campaign.name!r}: no damping remains. Give some (--dampings 0,20,40).")
+        raise UsageError(
+            f"device {campaign.name!r}: no wanted damping is within the bound of B. State smaller dampings "
+            "(--dampings 0,20,40), or a larger bound."
+        )
     return tuple(wanted.tolist())
 
 
@@ -374,7 +379,7 @@ def damping_range(loop: Loop) -> Floats:
 def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
     """Return the wanted dampings.
 
-    If the rig may have set a nearby tried damping instead, it replaces the wanted one.
+    A wanted damping is replaced by the nearest tried damping if the rig may have set the tried damping instead.
     """
     if not len(tried) or len(wanted) < 2:
         return wanted
@@ -383,7 +388,8 @@ def settable_dampings(wanted: Floats, tried: Floats) -> Floats:
 
 
 def _as_answered(wanted: Floats, answers: Sequence[AnsweredWall]) -> Floats:
-    """Return the wanted dampings. A damping that the rig set instead replaces one if it is near or was set twice."""
+    """Return the wanted dampings. If the rig set a different damping instead that is near, or set it twice, it is
+    used."""
     near = 0.5 * float(np.diff(wanted).min()) if len(wanted) > 1 else AS_SET * float(wanted.max(initial=0.0))
     result = wanted.copy()
     for place, damping in enumerate(wanted.tolist()):
@@ -402,9 +408,10 @@ def snapped(tried: TriedWalls, dampings: Sequence[float]) -> TriedWalls:
 
 
 def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | None:
-    """Return the limits for the step, as predicted by the device from the logs or otherwise by the device file.
+    """Predict the limits for the step from the device identified from the logs, or otherwise from the device file.
 
-    The result is None without either, or if the limits of the devices consistent with the logs differ too much.
+    The result is None if neither device is available, or if the limits of the devices consistent with the logs differ
+    too much.
     """
     wall = np.array(dampings)
     if campaign.found is not None:
@@ -417,7 +424,7 @@ def forecast_of(campaign: Campaign, dampings: Sequence[float]) -> Forecast | Non
     if not largest > 0:
         raise DeviceError(f"device {campaign.name!r}: according to its file, no wall is stable; {RANGE_NEEDED}.")
     error = np.full(len(limit), START_ERROR * largest)
-    # The first wall is already a fraction of the limit.
+    # Without trials, no margin is needed, because the first wall is only a fraction of the limit.
     low = np.maximum(limit - NORMAL_95 * error, 0.0) if len(campaign.tried) else limit
     return Forecast(limit, error, low=low, scale=largest)
 
@@ -431,7 +438,7 @@ def _by_logs(campaign: Campaign, device: IdentifiedLoop, wall: Floats) -> Foreca
     trial = StepTrial(campaign.step, round(campaign.trial_s / campaign.sampling_period_s))
     limit, reach = limits_of(device, wall, trial)
     linear, linear_reach = limits_of(device, wall)
-    # The step of future trials is unknown until a trial has a step.
+    # The step of future trials is unknown until there is a trial with a wall.
     known = np.isfinite(limit) & (len(campaign.tried) > 0 or not campaign.free)
     limit, reach = np.where(known, limit, linear), np.where(known, reach, linear_reach)
     lowest, best = lowest_limits(device, wall), int(np.argmax(linear))
@@ -458,10 +465,10 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
     Parameters
     ----------
     trials : Trials
-        Trials with K > 0 or, if there are none, trials without a wall. They are all such trials, or `TRIALS` of them
-        spread over the walls.
+        Trials with K > 0 or, if there are none, trials without a wall. All stored trials of this kind are given, or
+        `TRIALS` of them that are spread over the walls.
     count : int
-        Number of such trials that are stored.
+        Number of stored trials of this kind.
     known : LearntDevice or None
     look : callable
         Function that is called if the parts of the device are unknown, or were selected from at most a third of the
@@ -480,7 +487,7 @@ def learn(trials: Trials, count: int, known: LearntDevice | None, look: Look) ->
             return None
         found = described(recordings, fit_parts(recordings, chosen))
     except (ParameterError, np.linalg.LinAlgError):
-        # A device that cannot be fitted is discarded.
+        # If the fit fails, the device known so far is kept.
         return known
     if found.unidentifiable & {"mass", "delay_samples"}:
         return LearntDevice(chosen, None, looked)

@@ -23,21 +23,21 @@ LENGTHS = np.array([0.12, 0.08])
 """Correlation lengths of the logarithm of a cost along B and K, relative to the ranges of B and K."""
 
 HIGHEST = 0.95
-"""Threshold for the stiffness as a fraction of the limit. Above it, responses are too slow to be simulated or to be
-good."""
+"""Threshold for the stiffness as a fraction of the limit. Above it, costs are not computed, because the responses are
+slow and their costs high."""
 
 DAMPINGS, SHARES = 36, np.linspace(0.03, 0.9, 32)
-"""Grid over the stable region, given by the number of dampings and the fractions of the limit at each damping."""
+"""Grid over the stable region: the number of dampings, and the fractions of the limit at each damping."""
 
 ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
-"""Refinement around the lowest grid points, given by relative positions and by pairs of range (in grid spacings) and
-number of points.
+"""Refinement around the lowest grid points: relative positions, and pairs of a range (in grid spacings) and a number of
+points.
 
 The shortest settling times lie in a narrow valley next to a jump, which a grid finds only by chance.
 """
 
 LONGEST = 1000
-"""Number of samples after which a response that still moves has no cost."""
+"""Number of simulated samples. A response that still moves after them has no cost."""
 
 FIRST, FIRST_ELSE = 6, 15
 """Smallest number of measured costs at which a search may end.
@@ -50,13 +50,14 @@ ROUGH, WRONG = 0.03, 0.15
 
 The first applies if the device has the measured limits, and the second if it does not.
 
-A settling time jumps if a further swing leaves the band. A common offset of all costs may be as large.
+Costs scatter because a settling time jumps if a further swing leaves the band. A common offset of all costs may be as
+large as the second number.
 """
 
 FINALISTS, NEIGHBOUR_OFFSETS = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
 """Number of most promising walls, and offsets of their neighbours that are checked.
 
-Device and rig may be wrong by these offsets.
+The identified device and the gains that the rig sets may be wrong by these offsets.
 """
 
 NO_COST = 1.0
@@ -112,7 +113,7 @@ class CostTarget:
 
     @property
     def least_size(self) -> float:
-        """Smallest standard deviation of costs from predicted costs."""
+        """Smallest standard deviation of the logarithm of a cost from its prediction."""
         return ROUGH if self.by is not None and self.holds else WRONG
 
     def highest_at(self, damping: Floats) -> Floats:
@@ -136,13 +137,14 @@ class Search:
     walls : tuple of (float, float, float)
         Walls to try next, each with K [N/m, Nm/rad], B [Ns/m, Nms/rad] and the expected cost.
     done : bool
-        Whether the search is done, because no wall is expected to improve on the best trial by more than the accuracy.
+        Whether no wall is expected to improve on the best trial by more than the accuracy, so that the search ends.
     best : int or None
         Index of the best trial.
     least : float
         Smallest expected cost of all walls.
     region : (float, float, float, float) or None
-        Smallest and largest K and B of walls within the accuracy of this cost. None without a device.
+        Smallest and largest K, then smallest and largest B, of walls whose expected cost is within the accuracy of
+        ``least``. None without a device.
     """
 
     walls: tuple[tuple[float, float, float], ...]
@@ -166,13 +168,13 @@ def search_walls(
         Largest relative excess of the best tried cost over the best possible cost.
     count : int
     unset : float64, shape (n, 2), optional
-        K and B of walls that the rig replaced by others. They are not requested again.
+        K and B of requested walls in place of which the rig set different walls. They are not requested again.
 
     Notes
     -----
-    The logarithm of measured over predicted costs is a Gaussian process with lengths `LENGTHS`. The wall with the
-    largest expected improvement is tried (Jones 1998). Within a batch, each chosen wall counts as tried with its
-    expected cost.
+    The logarithm of measured over predicted costs is a Gaussian process with the correlation lengths `LENGTHS`. The
+    wall with the largest expected improvement is tried (Jones 1998). Within a batch, each chosen wall counts as tried
+    with its expected cost.
     """
     K, B, ahead = _candidates(target)
     seen, value = _observations(tried, target)
@@ -207,7 +209,7 @@ def search_walls(
 
 
 def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
-    """Return the trial of the lowest cost. Of equal trials, it is the one with the lowest predicted cost."""
+    """Return the index of the trial with the lowest cost. Among equal costs, the lowest predicted cost decides."""
     if not np.isfinite(cost).any():
         return None
     alike = np.flatnonzero(cost == np.nanmin(cost))
@@ -218,7 +220,7 @@ def _best(tried: TriedWalls, cost: Floats, target: CostTarget) -> int | None:
 def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
     """Return K, B and the logarithm of the predicted cost of candidate walls.
 
-    They form a grid that is denser around its optimum.
+    The walls form a grid that is denser around the lowest predicted costs.
     """
     dampings = target.dampings
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
@@ -241,7 +243,8 @@ def _candidates(target: CostTarget) -> tuple[Floats, Floats, Floats]:
 
 
 def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats]:
-    """Return B and K of the trials, and the difference of the logarithms of measured and predicted costs."""
+    """Return B and K of the trials, and the difference between the logarithms of the measured and the predicted
+    cost."""
     K, B = tried.stiffness, tried.damping
     inside = SHARES[-1] * target.highest_at(B) > K
     predicted = np.full(len(K), np.nan)
@@ -254,13 +257,17 @@ def _observations(tried: TriedWalls, target: CostTarget) -> tuple[Floats, Floats
 
 
 def _neighbour_rise(K: Floats, B: Floats, ahead: Floats, target: CostTarget) -> Floats:
-    """Return the predicted increase of the log cost around walls, because the best walls are next to a jump."""
+    """Return the mean increase of the predicted log cost at the neighbours of walls.
+
+    It matters because the best walls are next to a jump of the cost.
+    """
     off = [target.predicted(K * (1 + k), B * (1 + b)) - ahead for k, b in NEIGHBOUR_OFFSETS]
     return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
 
 
 def _gain(record: float, mean: Floats, spread: Floats) -> Floats:
-    """Return the expected improvement of the smallest log cost. Without any cost, return the optimistic log cost."""
+    """Return the expected improvement of the smallest log cost. Without any cost, return the negative lower bound of
+    the log cost."""
     if not np.isfinite(record):
         return np.asarray(spread - mean)
     z = (record - mean) / spread

@@ -19,11 +19,11 @@ from pipeline.theory.boundary import boundary, stabilises, stiffness_limit
 LONGEST = 2000
 """Number of samples of a simulated log.
 
-A wall whose motion neither grows nor decays within them is at the limit, within the resolution of a log.
+If the motion neither grows nor decays within these samples, the wall is at the limit, within the resolution of a log.
 """
 
 BEYOND = 1.5
-"""Search range of a limit for the step above the linear limit, relative to the largest linear limit.
+"""Range above the linear limit in which the limit for a step is searched for, relative to the largest linear limit.
 
 Friction of a tenth of the step doubles a limit.
 """
@@ -33,18 +33,19 @@ WALLS, ROUNDS = 17, 3
 largest limit."""
 
 DIGITS = 9
-"""Significant digits of simulated walls. They are far more accurate than a limit."""
+"""Significant digits of simulated walls. The rounding error is far below the accuracy of a limit."""
 
 DIRECTIONS = 24
-"""Number of random directions, in addition to the axes, in which a range of devices is searched for its lowest
-limit."""
+"""Number of random directions, in addition to the axes, in which the range of consistent devices is searched for the
+lowest limit."""
 
 NARROW = 0.2
 """Threshold for the relative half width of a limit's interval. Below it, the limit counts as linear in the
 parameters."""
 
 OUTLINE = 60
-"""Number of points of an outline that locates the damping of the stiffest wall. The limit is flat there."""
+"""Number of points of the boundary on which the stiffest wall is located. Few are enough, because the limit is flat
+there."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ def damping_of_stiffest(loop: Loop) -> float:
 
 
 def simulate_behind(loop: Loop, K: Floats, B: Floats, trial: StepTrial, repetition: int = 0) -> Trials:
-    """Simulate trials of a loop with walls, without noise and travel limit. Each repetition has another jitter."""
+    """Simulate trials of a loop with walls, without noise and travel limit. Each repetition has different jitter."""
     delays = delays_of(loop.delay_samples, trial.jitter)
     noiseless = replace(loop, sensor=Sensor(quantum=trial.quantum), jitter_samples=delays)
     return simulate(Setup(noiseless, trial.step, min(trial.rows, LONGEST), edge_row=1), K, B, repetition=repetition)
@@ -117,14 +118,15 @@ def step_limits(loop: Loop, damping: Floats, trial: StepTrial, softest: Floats) 
         B [Ns/m, Nms/rad].
     trial : StepTrial
     softest : float64, shape (n,)
-        Softest walls of the search [N/m, Nm/rad]. Very soft walls move so far that friction is negligible.
+        Softest walls of the search [N/m, Nm/rad]. Behind very soft walls, the device moves so far that friction is
+        negligible.
 
     Returns
     -------
     limits, open : float64, shape (n,)
-        Centre and half width of the range of stiffness in which logs leave the verdict undecided [N/m, Nm/rad]. Both
-        are NaN if no wall is unstable up to the linear limit plus `BEYOND` times the largest linear limit, or if the
-        softest wall is unstable. Friction can only raise a limit. Jitter may raise or lower a limit.
+        Centre and half width of the range of stiffness in which logs leave the verdict undecided [N/m, Nm/rad]. The
+        centre is NaN if no wall is unstable up to the linear limit plus `BEYOND` times the largest linear limit, or if
+        the softest wall is unstable. Friction can only raise a limit. Jitter may raise or lower a limit.
     """
     if not len(damping):
         return np.empty(0), np.empty(0)
@@ -178,7 +180,8 @@ def _brackets(loop: Loop, K: Floats, damping: Floats, trial: StepTrial) -> tuple
 def _rounded(stiffness: Floats) -> Floats:
     """Round stiffnesses to `DIGITS` digits.
 
-    The random numbers of a simulated log depend on the digits of its wall, and rounding errors must not change them.
+    The random numbers of a simulated log depend on the digits of its wall. Rounding prevents floating-point errors from
+    changing these numbers.
     """
     unit = 10.0 ** (np.floor(np.log10(np.maximum(np.abs(stiffness), 1e-300))) + 1 - DIGITS)
     return np.asarray(np.round(stiffness / unit) * unit)
@@ -214,9 +217,10 @@ def limits_of(
 ) -> tuple[Floats, Floats]:
     """Return the limits at dampings B, and their 95 % uncertainty, both (n,) [N/m, Nm/rad].
 
-    The limits are those of the linear loop. For a nonlinear device they are limits for its step (`step_limits`), and
-    the uncertainty includes a fraction of the increase due to friction. Sensor resolution alone does not shift a limit,
-    because the oscillation that it sustains ends below the limit.
+    The limits are those of the linear loop. With friction or jitter, they are the limits for the step of the trial
+    (`step_limits`). The uncertainty then includes the increase due to friction, times the relative half width of the
+    friction estimate. Sensor resolution alone does not shift a limit, because the oscillation that it sustains ends
+    below the limit.
     """
     loop = device.loop
     limit = linear_limits(loop, damping)

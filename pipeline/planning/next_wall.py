@@ -17,23 +17,23 @@ from pipeline.planning.requests import RigRange
 from pipeline.records.trials import Booleans, Floats
 
 VOTES = 3
-"""Number of trials of a wall after which contradictions are not due to chance and the majority decides.
+"""Number of trials of a wall after which contradicting verdicts are not attributed to chance, and the majority decides.
 
-The same number limits undecided trials at a damping and repeated trials for a cost. It is also the number of times that
-a rig must set an end of a bracket instead of a wall inside, before it counts as unable to set a wall inside.
+The same number limits undecided trials at a damping and repeated trials for a cost. A rig that sets an end of a bracket
+this often, instead of a wall inside, counts as unable to set a wall inside.
 """
 
 MISFIT = 0.007
-"""Assumed error of predicted limits, relative to the largest limit, before any is measured.
+"""Smallest error of predicted limits, relative to the largest limit. It is assumed before a limit is measured.
 
-Verdicts do not detect growth below the noise.
+The error is not zero, because verdicts do not detect growth below the noise.
 """
 
 SMOOTH = 0.15
 """Correlation length of the model error over damping, relative to the range of dampings."""
 
 DOUBT = 0.08
-"""Probability that the forecast is wrong, so that the limit lies anywhere in its bracket."""
+"""Probability that the forecast is wrong, so that the limit may lie anywhere in its bracket."""
 
 PRICE = 6.0
 """Number of stable trials that cost as much as an unstable one, if the rig is to be protected."""
@@ -41,14 +41,14 @@ PRICE = 6.0
 SAFE, BOLD = 1.5, 0.3
 """Factors for protection of the rig.
 
-The first is the margin of a wall below the expected limit in standard errors. The second is the fraction of this limit
-below which no wall is tried, because it would give no information. It also limits the stiffest first wall.
+The first is the margin of a wall below the expected limit, in standard errors. The second is a fraction of this limit:
+softer walls are not tried, because they would give no information. This fraction also limits the first wall.
 """
 
 WEAK = 0.08
-"""Threshold for the logarithmic change of the amplitude over a log. Below it, a second verdict is requested.
+"""Threshold for the logarithmic change of the amplitude over a log.
 
-Noise and friction may cause such a change.
+Below it, a second verdict is requested, because noise and friction may cause such a change.
 """
 
 CLOSE = 1.8
@@ -59,7 +59,8 @@ exactly.
 """
 
 START = 0.5
-"""Stiffest first wall, relative to the limit that a device file predicts. A file may state half the true delay."""
+"""Stiffest first wall, relative to the limit that a device file predicts. A smaller delay raises the limit, and a file
+may state half the true delay."""
 
 BOLDER, GENTLER = 2.0, 1.3
 """Stiffest wall to try, relative to the stiffest stable wall.
@@ -74,7 +75,7 @@ SOFT = 0.1
 """Stiffness, relative to the stiffest stable wall, that counts as stable at any damping."""
 
 SOFTEST = 1e-3
-"""Stiffness, relative to the largest limit, that is tried if a file predicts no stable wall."""
+"""Stiffness, relative to the largest limit, that is tried if a device file predicts no stable wall at a damping."""
 
 HIGHER = 1.3
 """Largest stiffness in the search for a limit, relative to the largest known limit."""
@@ -111,7 +112,9 @@ class TriedWalls:
                 object.__setattr__(self, name, np.full(len(self.stiffness), np.nan))
         lengths = {len(column) for column in vars(self).values()}
         if len(lengths) > 1:
-            raise ParameterError(f"trials with columns of {sorted(lengths)} rows: expected one value each per trial.")
+            raise ParameterError(
+                f"columns of trials have {sorted(lengths)} rows: expected one value per trial in each column."
+            )
 
     def __len__(self) -> int:
         return len(self.stiffness)
@@ -147,7 +150,7 @@ class Bracket:
 
     @property
     def bottom(self) -> float:
-        """Lower end, or 0 if no wall was stable. Without stiffness there is no wall."""
+        """Lower end, or 0 if no wall was stable, because K = 0 is no wall."""
         return 0.0 if self.low is None else self.low
 
     @property
@@ -239,8 +242,8 @@ class PlanGoal:
     few : bool
         Whether the logs are so few that all possibly unstable walls are avoided.
     foresees : bool
-        Whether the device may predict stability of walls stiffer than all stable ones. It may not with few logs, or
-        with logs without a verdict, which cannot contradict it.
+        Whether predictions of the device for walls stiffer than all stable walls are trusted. They are not if there are
+        few logs, or if no log has a verdict that could contradict the device.
     """
 
     dampings: tuple[float, ...]
@@ -261,8 +264,8 @@ class PlanGoal:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Forecast of the limit at each damping before it is measured, as value and standard error [N/m, Nm/rad], shape
-    (n,) each.
+    """Forecast of the limit at each damping before it is measured: value and standard error [N/m, Nm/rad], shape (n,)
+    each.
 
     A limit that cannot be predicted is NaN. ``misfit`` is the error at measured limits, relative to the largest limit.
     ``low`` is the lowest limit of all devices consistent with the logs. By default, it equals the limit. ``scale`` is
@@ -299,8 +302,8 @@ class NextTrial:
 class DampingState:
     """State of a damping, with its limit by verdicts and forecast, and the wall to try (None if the damping is done).
 
-    ``estimate`` is None if it is unknown. ``split`` is None if a wall is tried again. ``most`` is the stiffest wall
-    that may be tried now.
+    ``estimate`` is the estimated limit, or None if it is unknown. ``split`` is None if a wall is tried again. ``most``
+    is the stiffest wall that may be tried now.
     """
 
     damping: float
@@ -334,7 +337,7 @@ class PlanState:
 def plan_state(
     tried: TriedWalls, goal: PlanGoal, by: Forecast | None = None, trial_s: float = inf, rig: RigRange | None = None
 ) -> PlanState:
-    """Return the state of each damping, which contains its limit and the wall to try next.
+    """Determine the limit and the wall to try next at each damping.
 
     Parameters
     ----------
@@ -342,12 +345,12 @@ def plan_state(
         Trials with K > 0 at any damping.
     goal : PlanGoal
     by : Forecast, optional
-        Limits predicted by the device from the logs, or otherwise by its file. Without a forecast, verdicts are
-        bisected.
+        Limits predicted from the device identified from the logs, or otherwise from its file. Without a forecast, the
+        range between verdicts is bisected.
     trial_s : float
         Duration of a log after its step [s].
     rig : RigRange, optional
-        Walls that the rig sets in place of requested walls. By default, it sets the requested walls.
+        Walls that the rig sets in place of requested walls. By default, the rig sets walls as requested.
     """
     rows = [tried.select(tried.damping == b) for b in goal.dampings]
     found = [bracket(own.stiffness, own.verdict) for own in rows]
@@ -387,7 +390,8 @@ def plan_state(
 
 
 def _as_set(column: DampingState, rig: RigRange, goal: PlanGoal) -> DampingState:
-    """Return the state with a wall that the rig can set, or without a wall if none is inside the bracket."""
+    """Return the state with a wall that the rig can set, or without a wall if the rig can set none inside the
+    bracket."""
     of = column.bracket
     if column.note == "limit of the tests" and (goal.highest == rig.highest or 0 < goal.lowest == rig.lowest):
         return replace(column, note="step of the rig")
@@ -408,8 +412,8 @@ def stiffest_stable(tried: TriedWalls, damping: float) -> float:
     The result follows from the tried walls at all dampings. A stable wall counts as stable with more damping. With less
     damping, its stiffness is reduced in proportion, because the stable region is convex next to K = B = 0. At any
     damping, a wall with `SOFT` times the stiffness of the stiffest stable wall counts as stable. Stable walls above an
-    unstable wall are ignored. Without a stable wall, half of the softest wall counts, or a quarter if it is unstable.
-    The result is infinite without trials.
+    unstable wall are ignored. Without a stable wall, half the stiffness of the softest wall is returned, or a quarter
+    if this wall is unstable. The result is infinite without trials.
 
     Examples
     --------
@@ -438,8 +442,8 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
     """Return a forecast that is corrected by its errors so far.
 
     ``ends`` (n, 2) contains the bracket at each damping. At dampings with a closed bracket, the errors of the forecast
-    are interpolated over damping by a Gaussian process (kriging). Its standard deviation is the misfit, and its length
-    is `SMOOTH` of the range.
+    are interpolated over damping by a Gaussian process (kriging). Its standard deviation combines the misfit with the
+    error of the forecast, and its correlation length is `SMOOTH` times the range of dampings.
     """
     low, high = ends.T
     largest = max(float(by.limit.max()), float(low.max())) or 1.0  # any value is valid if all are zero
@@ -461,8 +465,11 @@ def corrected(by: Forecast, ends: Floats, dampings: Floats) -> Forecast:
 
 
 def _largest(limit: Floats, ends: Floats, least: float) -> float:
-    """Return the largest limit of tried dampings, slightly more if forecast at others, and at least the smallest
-    sought."""
+    """Return the largest expected limit.
+
+    A forecast at an untested damping counts only up to `HIGHER` times the largest limit at tested dampings. The result
+    is at least ``least``.
+    """
     low, high = ends.T
     expected = np.clip(np.where(np.isnan(limit), 0.5 * (low + np.where(np.isinf(high), low, high)), limit), low, high)
     tested = (low > 0) & np.isfinite(high)
@@ -520,7 +527,7 @@ def _wall_to_try(
             return DampingState(damping, of, None, note="undecided")
         return _longer(damping, of, inside)
     if often and of.low is None and len(inside) < 2 * VOTES:
-        # Undecided walls are near the limit. Verdicts farther away bracket it.
+        # Undecided walls are near the limit. Walls farther away are tried, because their verdicts bracket it.
         softer = APART * float(inside.stiffness.min())
         stiffer = blind and not goal.gentle and len(inside) == 2 * VOTES - 1
         lowest = task.low if task.low > goal.lowest else inf
@@ -581,9 +588,9 @@ def _wall_to_try(
 def _most(of: Bracket, task: PlanTask, inside: TriedWalls, *, repeated: bool = False) -> float:
     """Return the stiffest wall that may be tried now, or at most the bracket's lower end if none may be tried.
 
-    It does not exceed the lowest limit consistent with the logs until one of three conditions is true. A wall near this
-    limit was stable, or such a wall was undecided inside the bracket, or ``repeated`` shows that the rig sets no wall
-    there. Then only a stiffer wall can close the bracket.
+    The wall does not exceed the lowest limit consistent with the logs until one of three conditions is true. A wall
+    near this limit was stable, or such a wall was undecided inside the bracket, or ``repeated`` shows that the rig sets
+    no wall there. Then only a stiffer wall can close the bracket.
     """
     goal = task.goal
     most = goal.bold * task.stable
@@ -602,7 +609,8 @@ def _longer(damping: float, of: Bracket, inside: TriedWalls) -> DampingState:
 
 
 def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> DampingState:
-    """Return a wall in the largest gap between tried walls, up to the stiffest stable one, to identify the device."""
+    """Return the state that requests a wall in the largest gap between the tried walls up to the stiffest stable wall.
+    Its log helps to identify the device."""
     ends = np.unique(np.append(0.0, own.stiffness[own.stiffness <= of.bottom]))
     widest = int(np.argmax(np.diff(ends)))
     wall = 0.5 * float(ends[widest] + ends[widest + 1])
@@ -610,7 +618,7 @@ def _softer(damping: float, of: Bracket, own: TriedWalls, value: float) -> Dampi
 
 
 def doubtful_ends(own: TriedWalls, of: Bracket, trial_s: float, *, gentle: bool) -> tuple[float, ...]:
-    """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
+    """Return the ends of a bracket that were tried only once, and whose amplitude hardly changed over the log.
 
     A second trial of the wall must confirm the verdict. If the rig is to be protected, no unstable wall is tried twice,
     because judging a stable wall as unstable is safe.
@@ -637,7 +645,8 @@ def answers(
     everywhere : float64, shape (n,)
         Stiffness of the walls tried at all dampings [N/m, Nm/rad].
     gentle : bool
-        Whether walls stay below a limit, so that a rig that rounds them down sets a wall softer than its stiffest one.
+        Whether requested walls stay below the limit. A rig that rounds down may then repeat an end of the bracket that
+        is not its stiffest wall.
 
     Returns
     -------
@@ -750,7 +759,7 @@ def best_split(edges: Floats, chance: Floats, width: float, price: float = 1.0, 
         place[i, j], cost[i, j] = k, options[np.arange(len(i)), best]
         trials[i, j] = trials[i, k] + trials[k, j] + total[j] - total[i]
     allowed = np.flatnonzero(edges[1:n] <= most) + 1
-    if not len(allowed):  # there are only two edges, too far apart, or no wall is permitted
+    if not len(allowed):  # there is no edge between the two ends, or no such edge is permitted
         return None
     first = min(int(place[0, n]), int(allowed[-1]))
     needed = trials[0, first] + trials[first, n] + total[n]

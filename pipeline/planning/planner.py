@@ -30,12 +30,12 @@ from pipeline.records.findings import Record, UndecidedCode, undecided_code
 NOTES = {
     "undecided": "verdicts are undecided next to the limit: record longer logs there",
     "limit of the tests": "the bounds permit no further wall",
-    "step of the rig": "the rig sets no wall between low and high, but one of these each time",
-    "stiffest of the rig": "the rig sets no wall above low, but this wall each time",
-    "softest of the rig": "the rig sets no wall below high, but this wall each time",
+    "step of the rig": "the rig sets no wall between low and high: it answered each request there by one of the two",
+    "stiffest of the rig": "the rig sets no wall above low: it answered each stiffer request by this wall",
+    "softest of the rig": "the rig sets no wall below high: it answered each softer request by this wall",
     "no stable wall": "the identified device has no stable wall there",
-    "from below": "estimated from neighbouring stable walls and the identified device",
-    "longer": "no verdict yet: record longer logs, or larger steps",
+    "from below": "the limit is estimated from neighbouring stable walls and the identified device",
+    "longer": "there is no verdict yet: record longer logs, or larger steps",
 }
 """Reasons why a damping is done or has no estimate."""
 
@@ -49,7 +49,7 @@ REMEDIES: dict[UndecidedCode, str] = {
 """Recommended recordings, by the code of the reason for a missing verdict."""
 
 BOTH_DIRECTIONS = (
-    "friction cannot be separated from the device by {}, so the next wall is at most twice as stiff as stable walls. "
+    "friction cannot be identified from {}, so the next wall is at most twice as stiff as the stiffest stable wall. "
     "Record {}"
 )
 
@@ -81,8 +81,9 @@ class PlannedLimit(Record):
     """Limit of stability at a damping [N/m, Nm/rad].
 
     ``low`` and ``high`` are the stiffest stable and the softest unstable wall according to verdicts, or None if there
-    is none. ``estimate`` lies between them. It is None without a stable or unstable trial there, or if verdicts do not
-    bracket the limit. ``note`` is a remark on this damping.
+    is none. ``estimate`` lies between them. It is None if no trial at this damping is stable or unstable. It is also
+    None if only one end is known, no device predicts the limit, and a wall remains to be tried. ``note`` is a remark on
+    this damping.
     """
 
     damping: float
@@ -93,7 +94,8 @@ class PlannedLimit(Record):
 
 
 class BestWall(Record):
-    """Best trial so far by a criterion, the lowest cost predicted by the loop of all logs, and the region around it.
+    """Best trial so far by a criterion, the lowest cost predicted by the loop identified from all logs, and the region
+    around it.
 
     ``region`` contains the walls whose predicted cost is within the wanted accuracy of the lowest cost: smallest and
     largest stiffness, then smallest and largest damping. It is None if no loop predicts the cost.
@@ -110,8 +112,8 @@ class BestWall(Record):
 class Plan(Record):
     """A plan: the next walls, whether the campaign is done, the limits so far, and the numbers of trials.
 
-    ``remarks`` are sentences on the basis of the plan. ``left_out`` names parts of the device file that its limits do
-    not include, as long as the plan uses these limits.
+    ``remarks`` are sentences on the basis of the plan. As long as the plan uses the limits of the device file,
+    ``left_out`` names the parts of the file that these limits do not include.
     """
 
     next: tuple[PlannedWall, ...]
@@ -150,7 +152,7 @@ def plan(
     *,
     remembered: bool = False,
 ) -> Plan:
-    """Return which walls to try next.
+    """Return the plan with the walls to try next.
 
     Parameters
     ----------
@@ -187,8 +189,8 @@ def remember(answer: Plan, campaign: Campaign, processed: Path) -> None:
 
 
 OF_THE_STEP = (
-    "these limits are valid for steps of {:g} {}: if friction is the reason, larger steps are unstable at softer walls "
-    "(`pipeline compare` gives the stiffness)"
+    "these limits are valid for steps of {:g} {}: if friction raises the limits, larger steps are unstable at softer "
+    "walls (`pipeline compare` states their stiffness)"
 )
 
 
@@ -233,7 +235,7 @@ def _left_out(campaign: Campaign) -> tuple[str, ...]:
 
 
 def _limit(column: DampingState, *, blind: bool) -> PlannedLimit:
-    """Return the current limit. ``blind``: no device predicts it, so that both ends are required."""
+    """Return the current limit. If ``blind``, no device predicts the limit, so both ends are required."""
     ends, estimate = column.bracket, column.estimate
     verdicts = (ends.low is not None) + (ends.high is not None)
     if column.note != "no stable wall" and (verdicts == 0 or (verdicts == 1 and blind and column.wall is not None)):
@@ -279,17 +281,22 @@ def aim_of(
 
 
 def _remarks(campaign: Campaign, found: PlanState, goal: PlanGoal) -> tuple[str, ...]:
-    """Return remarks on the basis of the plan, namely on contradictions and on whether a loop explains the logs."""
+    """Return remarks on the basis of the plan: contradictions, missing data, deviations from the device, and
+    friction."""
     remarks = [
-        f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit is used"
+        f"stable walls lie above unstable walls at B = {c.damping:g}, although each was tried three times: "
+        "the lowest limit is used"
         for c in found.columns
         if c.bracket.lasting
     ]
     remarks += _missing(campaign, goal)
     misfit, loop = found.forecast.misfit, campaign.found.loop if campaign.found is not None else None
     if len(campaign.tried) and not misfit <= goal.accuracy:
-        off = f"limits deviate from the identified device by {misfit:.0%} of the largest limit"
-        remarks.append(f"{off if misfit < inf else 'no device is identified'}, so each damping is finished by verdicts")
+        off = f"measured limits deviate from those of the identified device by {misfit:.0%} of the largest limit"
+        remarks.append(
+            f"{off if misfit < inf else 'no device is identified'}, so the limit at each damping is bracketed by "
+            "stable and unstable trials, without relying on the model"
+        )
     if loop is not None and loop.friction:
         remarks.append(OF_THE_STEP.format(campaign.step, unit_of("force", campaign.motion)))
     return tuple(remarks)
@@ -317,7 +324,7 @@ def _missing(campaign: Campaign, goal: PlanGoal) -> list[str]:
 
 
 def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
-    """Return the last wall that the rig set in place of a requested one, and the effect on the next walls."""
+    """Return remarks on the last wall that the rig set in place of a requested wall, and on the effect on the plan."""
     off = [answer for answer in campaign.answers if answer.stiffness_off or answer.damping_off]
     if not off:
         return []
@@ -335,7 +342,9 @@ def _answered(campaign: Campaign, rig: RigRange | None) -> list[str]:
     steps = sorted({grid.step for grid in rig.grids})
     if steps and rig.several:
         least = f"multiples of {steps[0]:g} {K}"
-        remarks.append(f"the rig sets {least}" + (", or of more" if len(steps) > 1 else "") + "; so are the next walls")
+        remarks.append(
+            f"the rig sets {least}" + (", or of a larger step" if len(steps) > 1 else "") + "; so are the next walls"
+        )
     if rig.factor != 1:
         remarks.append(f"the rig sets {rig.factor:g} times the requested K; next walls are divided by this factor")
     if rig.highest < inf:
@@ -379,7 +388,7 @@ def _next(
     if rig is not None:
         wall = rig.repeated(column.wall) if column.split is None else column.wall
         if not any(grid.holds(wall) for grid in rig.grids):
-            # A rig may set walls between these digits.
+            # The rig may set walls between the more coarsely rounded values.
             wall = rounded_down(wall, 0.01 * goal.accuracy * found.largest)
     else:
         wall = column.wall if column.split is None else rounded_down(column.wall, goal.accuracy * found.largest)
@@ -397,7 +406,10 @@ def _next(
             why = f"logs contradict each other at {at}: equal numbers of stable and unstable trials at {even} {K}; "
             why += "repeat these walls first"
         else:
-            why = f"logs contradict each other at {at}: stable above unstable between {min(bracket.again):g} and "
+            why = (
+                f"logs contradict each other at {at}: stable walls lie above unstable walls between "
+                f"{min(bracket.again):g} and "
+            )
             why += f"{max(bracket.again):g} {K}; repeat these walls first"
         return PlannedWall(stiffness=wall, damping=column.damping, expected="undecided", why=why)
     if column.note == "longer":
@@ -426,13 +438,13 @@ def _next(
         is_predicted = goal.foresees and found.forecast.misfit <= MOST_MISFIT and wall <= sure
         expected = "stable" if is_predicted else "undecided"
     if column.note == "softer":
-        basis = "too few logs for a stiffer wall"
+        basis = "there are too few logs to try a stiffer wall"
         expected = "stable"
     elif goal.bold < inf and found.forecast.misfit == inf:
-        basis = "no device is identified: " + (
-            f"at most {goal.bold:g} times the stiffest stable wall"
+        basis = "no device is identified, so K " + (
+            f"is at most {goal.bold:g} times that of the stiffest stable wall"
             if bracket.low is not None
-            else "near the tried walls"
+            else "stays near the tried walls"
         )
     is_low = wall < min(column.estimate or 0, sure) and found.forecast.misfit <= goal.accuracy
     if goal.gentle and goal.foresees and is_low:
@@ -473,7 +485,7 @@ def _walls_of(
         damping = rounded(B, 0.02 * goal.dampings[-1])
         if rig is not None:
             stiffness = rig.wall(stiffness, 0.0, inf, goal.highest) or stiffness
-        why = f"{so_far}; expected here {cost:.4g}, lowest expected {search.least:.4g}"
+        why = f"{so_far}; expected cost here {cost:.4g}, lowest expected cost {search.least:.4g}"
         if search.region is None:
             why = f"{so_far}; no device predicts costs"
         # Neighbours may round to the same wall.

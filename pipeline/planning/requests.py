@@ -28,7 +28,7 @@ OFF = 1e-4
 """Relative tolerance within which a wall equals the requested one."""
 
 FARTHEST = 3.0
-"""Largest ratio of requested and set stiffness if there are more trials than requests."""
+"""Largest ratio between the stiffnesses of a request and its answer, if there are more trials than requests."""
 
 EXACT = 1e-6
 """Tolerance, relative to the largest stiffness, within which a stiffness is a multiple of another."""
@@ -37,17 +37,17 @@ MOST_PARTS = 40
 """Largest integer by which the common divisor of all stiffnesses is divided to obtain a possible step of a rig."""
 
 SCALE = 0.005
-"""Tolerance of ratios within which a rig scales by a constant factor."""
+"""Relative range of the ratios of set to requested stiffness within which the rig counts as scaling by a constant
+factor."""
 
 MIN_ANSWERS = 2
 """Smallest number of answered walls that show how a rig sets its gains.
 
-It is also the number of times that a rig may set an end of a bracket in place of a wall inside, without a step that
-explains this, before the search ends.
+The search ends if a rig sets an end of a bracket this often in place of a wall inside, and no step explains this.
 """
 
 STIFFER = 1.3
-"""Factor of the next request relative to former ones, if the rig set its stiffest wall for stiffer requests."""
+"""Largest factor between the next request and earlier requests that the rig answered by its stiffest wall."""
 
 COARSE = 1 / 3
 """Threshold for the step, relative to the stiffest set wall. Above it, this wall counts as the end of the rig's
@@ -64,12 +64,12 @@ class AnsweredWall(Record):
 
     @property
     def stiffness_off(self) -> bool:
-        """Whether the rig set another stiffness."""
+        """Whether the rig set a stiffness other than the requested one."""
         return abs(self.got[0] - self.asked[0]) > OFF * self.asked[0]
 
     @property
     def damping_off(self) -> bool:
-        """Whether the rig set another damping."""
+        """Whether the rig set a damping other than the requested one."""
         return abs(self.got[1] - self.asked[1]) > OFF * max(self.asked[1], self.got[1])
 
 
@@ -81,7 +81,8 @@ class Requests(Record):
     answers: tuple[AnsweredWall, ...] = ()
 
     def answered(self, tried: Iterable[Wall]) -> tuple[AnsweredWall, ...]:
-        """Return all answers, including those of later trials. Each trial answers the nearest requested wall."""
+        """Return all answers, including those by trials after the last plan. Each trial answers the nearest requested
+        wall."""
         new = Counter(tried)
         new.subtract({(K, B): count for K, B, count in self.trials})
         came, left = sorted((+new).elements()), list(self.walls)
@@ -98,7 +99,8 @@ class Requests(Record):
 
 
 def _apart(asked: Wall, got: Wall, far: float) -> float:
-    """Return the distance between a tried and a requested wall, or infinity if it does not answer the request."""
+    """Return the distance between a tried and a requested wall, or infinity if the trial does not answer the
+    request."""
     low, high = sorted((asked[0], got[0]))
     if not high <= far * low and far < inf:
         return inf
@@ -134,8 +136,7 @@ def store_requests(
 
 @dataclass(frozen=True)
 class GainGrid:
-    """Stiffnesses that a rig sets, given by the step [N/m, Nm/rad] of which they are multiples and by the kind of
-    rounding."""
+    """Grid of the stiffnesses that a rig sets: multiples of a step [N/m, Nm/rad], with the rounding of requests."""
 
     step: float
     rounding: Literal["nearest", "down", "up"]
@@ -201,7 +202,7 @@ class RigRange:
         wanted : float
             Most informative stiffness.
         low, high : float
-            Ends of the bracket. They are 0 and infinity if there is no wall.
+            Ends of the bracket. They are 0 and infinity where no wall bounds the bracket.
         most : float
             Stiffest permitted wall. If the rig sets no softer wall inside, a stable wall is repeated once.
         """
@@ -212,7 +213,7 @@ class RigRange:
         if not self.grids or not self.several:
             return self._between(wanted, low, high)
         top, most = min(high, self.highest * (1 + 2 * EXACT)), most * (1 + 2 * EXACT)
-        # A request that was answered by the end of the range would be answered in the same way again.
+        # The rig would answer again by the end of its range any request that it answered in this way before.
         ends = [float(self.asked[self.got == self.highest].min())] if low * (1 + EXACT) < self.highest < high else []
         if not ends and all(grid.nearest(wanted, low, top) is None for grid in self.grids):
             return None
@@ -228,7 +229,8 @@ class RigRange:
         return float(asked[-1]) if len(asked) and not self.grids else wall / self.factor
 
     def _between(self, wanted: float, low: float, high: float) -> float | None:
-        """Return a stiffness between requests that were answered by the ends of a bracket or beyond."""
+        """Return a stiffness between the requests that the rig answered by the ends of a bracket or by walls beyond
+        them."""
         repeats = self._repeats(low, high)
         below = float(self.asked[self.got <= low * (1 + EXACT)].max(initial=0.0))
         above = float(self.asked[self.got >= high * (1 - EXACT)].min(initial=inf))
