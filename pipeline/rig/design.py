@@ -1,6 +1,7 @@
-"""Determine whether a rig can render a required wall, and the smallest changes of the rig with which it can.
+"""Determine whether a rig can render a required wall, and find the smallest changes that make it possible.
 
-A rig is a device with its control loop. The size of a change is ln of the ratio of the new and the old value.
+A rig is a device with its control loop. The size of a change is the logarithm of the ratio of the larger to the smaller
+of the two values.
 """
 
 from __future__ import annotations
@@ -30,34 +31,35 @@ _SHOWN = 6
 """Largest number of changes in the summary. The JSON document contains all changes."""
 
 _EDGE = 5
-"""Number of evaluations on the way to a change that makes the rig invalid, such as a cut-off above half the sampling
-rate."""
+"""Number of evaluations between the last valid rig and a change that makes the rig invalid, such as a cut-off above
+half the sampling rate."""
 
 _TOP_LOOKS = 8
 """Largest number of evaluations in the search for a maximum between three points, of which the middle point is the
 best."""
 
 _GOLDEN = 0.5 * (3 - math.sqrt(5))
-"""Share of the larger part of an interval at which the search for a maximum divides it (golden section)."""
+"""Fraction at which a golden-section search divides the larger part of an interval."""
 
 _HALVINGS = 9
-"""Number of times that the interval between two points is halved. The resulting change is accurate to 1e-3 in ln."""
+"""Number of bisections of the interval between two points. The resulting change is accurate to 1e-3 in its logarithm
+(0.1 %)."""
 
 _NUDGE = 0.02
-"""Change in ln that shows in which direction a quantity increases the margin."""
+"""Trial change of the logarithm of a quantity. It shows in which direction the quantity increases the margin."""
 
 _WORTH = 0.95
 """Largest size of a pair of changes, relative to the smaller single change, for which the pair is reported."""
 
 _PAIRED = 4
-"""Number of quantities that are combined in pairs. They are the quantities that increase the margin most."""
+"""Number of quantities that are combined in pairs. These quantities increase the margin most."""
 
 _CLIMBED = 3
-"""Number of pairs of quantities for which a hill climb starts. They are the pairs with the largest margin at the best
-point of a coarse grid."""
+"""Number of pairs of quantities for which hill climbing starts. These pairs have the largest margins at the best point
+of a coarse grid."""
 
 _UPHILL = 40
-"""Largest number of rigs that a hill climb evaluates."""
+"""Largest number of rigs that one run of hill climbing evaluates."""
 
 _DIFFERENCE = 1e-4
 """Relative step of a numerical derivative. Limits are accurate to 1e-9, and sensitivities therefore to about 1e-7."""
@@ -76,7 +78,7 @@ class Change:
 
 @dataclass(frozen=True)
 class DesignAnswer:
-    """Result of `design` with sensitivities as rows instead of a data frame, which needs pandas."""
+    """Result of `design` with sensitivities as rows instead of a data frame, so that pandas is not needed."""
 
     wish: DesignTarget
     reached: bool
@@ -89,13 +91,13 @@ class DesignAnswer:
     motion: Motion = "translation"
 
     def __str__(self) -> str:
-        """Return a summary in lines of text, which state whether the rig suffices, the wall, and the changes."""
+        """Return a summary in lines of text: whether the rig meets the requirements, the wall, and the changes."""
         k, wanted, reached = unit_of("stiffness", self.motion), self.wish.stiffness, self.reached
         lines = [] if wanted is None else [f"Wanted: K = {wanted:.5g} {k}."]
-        largest = f" Largest K for this wish: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
+        largest = f" Largest K that can be reached: {self.stiffness_reached:.5g} {k}." if self.stiffness_reached else ""
         lines.append(f"Reached: {'yes' if reached else 'no'}." + (largest if wanted is not None else ""))
         lines.append(f"{'Wall' if reached else 'Nearest wall'}: {_text(self.wall, self.motion)}")
-        lines += ["", "Changes that reach it, smallest first:"] if self.changes else []
+        lines += ["", "Changes that meet the requirements, smallest first:"] if self.changes else []
         for change in self.changes[:_SHOWN]:
             after = change.after.items()
             parts = (f"{name} {change.before[name]:.4g} -> {new:.4g} {change.units[name]}" for name, new in after)
@@ -104,14 +106,15 @@ class DesignAnswer:
             lines.append(f"  ({len(self.changes) - _SHOWN} more: --json)")
         if any("sampling_period_s" in change.after for change in self.changes[:_SHOWN]):
             lines.append(
-                "  (The delay keeps its number of samples, so a shorter sampling period also shortens it in seconds."
+                "  (The delay keeps its number of samples, so a shorter sampling period also shortens the delay."
             )
             lines.append(
-                "  If it is fixed in seconds, write a device file with `identify --period`, or keep sampling_period_s.)"
+                "  If the delay is fixed in seconds, write a device file with `identify --period`, or keep "
+                "sampling_period_s.)"
             )
         lines += [f"  {name} alone: {why}" for name, why in self.out_of_reach.items()]
         if not reached and not self.changes:
-            lines.append("No single change reaches it, and no pair of changes was found that does.")
+            lines.append("No single change meets the requirements, and no pair of changes that meets them was found.")
         return "\n".join(lines)
 
     def document(self) -> JsonObject:
@@ -142,14 +145,14 @@ class Design(DesignAnswer):
         is the admissible K that is closest to the required K.
     changes : tuple of Change
         Single and paired changes that meet the requirements, in order of size. The size is the Euclidean norm of the
-        changes in ln.
+        logarithmic changes.
     out_of_reach : dict
         Quantities whose change alone is not sufficient, with the range that was searched. Pairs are searched along
-        lines. If no change is found, they are also searched by a hill climb from the best point of a coarse grid. A
-        solution may be missed.
+        lines. If no change is found, pairs are also searched by hill climbing from the best point of a coarse grid. The
+        search may miss a solution.
     sensitivities : pandas.DataFrame
         For each ``quantity`` its ``value`` and ``unit``, the largest stable stiffness ``stiffness_max`` and the
-        derivative ``stiffness_max_per_unit``. Two columns state percent per percent of the quantity:
+        derivative ``stiffness_max_per_unit``. Two columns state the change in percent per percent of the quantity:
         ``stiffness_max_percent``, and ``settling_percent`` for the settling time of ``wall``.
     left_out : tuple of str
         Parts of the rig that theory does not include.
@@ -174,12 +177,12 @@ def design(
     tolerance: float = 0.0,
     keep: Sequence[str] = (),
 ) -> Design:
-    """Determine whether a rig renders a required wall, and find the smallest changes of the rig with which it does.
+    """Determine whether a rig can render a required wall. If not, find the smallest changes that make it possible.
 
     Parameters
     ----------
     loop : Loop
-        Rig, whose ``operator`` is a hand on the device.
+        Rig. The ``operator`` of the loop, if any, is a hand on the device.
     stiffness, settling_s, overshoot, margin, tolerance
         Requirements, as in `DesignTarget`.
     keep : sequence of str
@@ -204,7 +207,8 @@ def design(
 
 
 def answer(loop: Loop, wish: DesignTarget, keep: Sequence[str] = ()) -> DesignAnswer:
-    """Return the result of `design` with sensitivities as rows. It needs neither pandas nor scipy."""
+    """Return the result of `design` with sensitivities as rows. Pandas is not needed, and scipy only for hill
+    climbing."""
     stiffness = wish.stiffness
     quantities = present(loop, tuple(keep))
     best = best_wall(loop, wish)
@@ -243,7 +247,7 @@ def _text(wall: dict[str, float | None], motion: Motion) -> str:
 
 
 def _wall(loop: Loop, best: RigWall) -> dict[str, float | None]:
-    """Compute the properties of a wall, which is the one closest to the requirements."""
+    """Compute the properties of the wall that is closest to the requirements."""
     K, B = best.stiffness, best.damping
     limit = float(loop.linear_limits(np.array([B]))[0])
     costs = costs_of(loop, [[K, B]], "settle_2pct", "overshoot").values()
@@ -291,7 +295,7 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
             else:
                 trail.append((middle, found))
         if over < 0 and len(trail) > 1 and trail[-1][1] > max(trail[-2][1], over):
-            # because margins jump, they may become positive and negative again between two points
+            # because the margin jumps, it may become positive and then negative again between two points
             top = _top(room, trail[-2][0], trail[-1], behind)
             if top[1] >= 0:
                 trail.pop()
@@ -305,7 +309,10 @@ def _turn(room: Callable[[float], float], at_0: float, looks: Sequence[float]) -
 def _top(
     room: Callable[[float], float], before: float, best: tuple[float, float], behind: float
 ) -> tuple[float, float]:
-    """Return the best point between two ends and its margin, by golden sections. Stop if the margin is not negative."""
+    """Search for the best point between two ends by golden-section search. Return this point and its margin.
+
+    The search stops as soon as a margin is not negative.
+    """
     x, highest = best
     for _ in range(_TOP_LOOKS):
         ahead = abs(behind - x) > abs(x - before)
@@ -324,8 +331,7 @@ def _top(
 def _narrowed(
     room: Callable[[float], float], outside: tuple[float, float], inside: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the ends of a narrow interval around the zero of a margin. The margin is negative at the point
-    ``outside``.
+    """Return the ends of a narrow interval around the zero of a margin, which is negative at the point ``outside``.
 
     The interval is narrowed by regula falsi (Illinois). Every third step is a bisection because margins may jump.
     """
@@ -349,9 +355,8 @@ def _room_of(
 ) -> float:
     """Return the margin after a change of quantities by the factors exp(x).
 
-    It is not maximised if all requirements are met.
-
-    The margin of an invalid rig is -inf. With ``roughly``, return its `decay`, which compares distant points.
+    The search for the largest margin ends as soon as a wall meets all requirements. The margin of an invalid rig is
+    -inf. With ``roughly``, return the `decay` of the rig, by which distant points are compared.
     """
     try:
         for quantity, change in zip(quantities, x, strict=True):
@@ -364,9 +369,10 @@ def _room_of(
 def _changes(
     loop: Loop, wish: DesignTarget, quantities: Sequence[Quantity], best: RigWall
 ) -> tuple[list[Change], dict[str, str]]:
-    """Find the single and paired changes that meet the requirements, and the quantities that alone are not sufficient.
+    """Find the single and paired changes that meet the requirements, and the quantities whose change alone is not
+    sufficient.
 
-    If there is no such change, also search pairs of quantities far from the rig.
+    If there is no such change, also search for changes of pairs far from the values of the rig.
     """
     found: list[Change] = []
     out_of_reach, helps = {}, {}
@@ -384,7 +390,7 @@ def _changes(
             ends = ((quantity.read(loop) or 0.0) + quantity.scale(loop) * (f - 1) for f in quantity.factors)
             low, high = (f"{end:.3g}" for end in ends)
             out_of_reach[quantity.name] = (
-                f"not reached anywhere between {low} and {high} {quantity.unit(loop)}".rstrip()
+                f"the requirements are not met anywhere between {low} and {high} {quantity.unit(loop)}".rstrip()
             )
     most = sorted(helps, key=lambda quantity: -abs(helps[quantity]))[:_PAIRED]
     for pair in combinations(most, 2):
@@ -407,7 +413,7 @@ def _changes(
 
 
 def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> tuple[float, list[float]]:
-    """Return the margin and the changes at the best point of a coarse grid, at which the motion decays fastest."""
+    """Return the margin and the changes at the point of a coarse grid at which the motion decays fastest."""
     share = (np.arange(2, _LOOKS + 1, 2) / _LOOKS) ** 2
     axes = ([float(x) for factor in quantity.factors for x in math.log(factor) * share] for quantity in pair)
     best = max(product(*axes), key=lambda x: _room_of(loop, wish, pair, x, roughly=True))
@@ -415,7 +421,8 @@ def _best_of_grid(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity]) -> t
 
 
 def _uphill(loop: Loop, wish: DesignTarget, pair: Sequence[Quantity], start: list[float]) -> list[float] | None:
-    """Search by a hill climb for changes of a pair that meet the requirements. Return None if there are none."""
+    """Search for changes of two quantities that meet the requirements, by hill climbing. Return None if none is
+    found."""
     from scipy.optimize import minimize
 
     def short(x: Sequence[float]) -> float:

@@ -1,5 +1,4 @@
-"""Compute guidelines for a rig, which are the effects of delay, sampling, damping, mass and a hand on the stiffest
-wall.
+"""Compute guidelines for a rig: the effects of delay, sampling, damping, mass and a hand on the stiffest wall.
 
 Source: Hulin 2017, secs. 3.3 and 3.6, Table 3.2.
 """
@@ -29,7 +28,7 @@ USUAL_ARM = "Tsuji et al."
 
 @dataclass(frozen=True)
 class Influence:
-    """Value of a parameter of a hand [SI units], and the change of the largest stable K that it causes in percent."""
+    """Value of a parameter of a hand [SI units], and the resulting change of the largest stable K in percent."""
 
     name: str
     value: float
@@ -78,22 +77,22 @@ class Guidelines:
         """Return the guidelines of sec. 3.6 with the numbers of this rig."""
         lines = []
         if self.delay_percent is not None:
-            lines.append(f"A sample less of delay changes the largest stable K by {_signed(self.delay_percent)}.")
+            lines.append(f"One sample less delay changes the largest stable K by {_signed(self.delay_percent)}.")
         lines.append(
-            f"Sampling twice as fast with the same delay in time changes it by {_signed(self.sampling_percent)}: it "
-            "pays where sampling, and not the delay, is the larger part."
+            f"Sampling twice as fast with the same delay in seconds changes it by {_signed(self.sampling_percent)}: "
+            "faster sampling is worthwhile if sampling contributes more than the delay."
         )
         lines.append(
-            f"Without its own damping it would change by {_signed(self.damping_percent)}: damping of the device is "
-            f"{'no way to stability' if abs(self.damping_percent) < 20 else 'a part of its stability'}."
+            f"Without damping of the device, it would change by {_signed(self.damping_percent)}: this damping "
+            f"{'contributes little' if abs(self.damping_percent) < 20 else 'contributes'} to stability."
         )
         if self.hand:
             parts = ", ".join(f"{each.name} {each.value:g} {_signed(each.percent)}" for each in self.hand)
-            lines.append(f"A hand ({self.arm}), one number at a time: {parts}.")
+            lines.append(f"Effects of a hand ({self.arm}), one parameter at a time: {parts}.")
         outside = [name for name, inside in self.within.items() if not inside]
         values = f"gamma = {self.gamma:.3g}, delta = {self.delta:.3g}"
         lines.append(
-            f"With it, {values} {'lie in' if not outside else 'lie outside'} the ranges of (3.17)"
+            f"In total, {values} {'lie in' if not outside else 'lie outside'} the ranges of (3.17)"
             + ("." if not outside else f" ({', '.join(f'{name} at most {RANGES[name]:g}' for name in outside)}).")
         )
         return lines

@@ -16,7 +16,7 @@ from pipeline.rig.wish import stiffness_max
 from pipeline.surface.physical_loop import Loop
 
 _PLACES, _REACH = 15, np.log(4.0)
-"""Number of points along each axis, and ln of the factor by which the axis extends to either side."""
+"""Number of points along each axis, and logarithm of the factor by which the axis extends to either side."""
 
 
 def picture(loop: Loop, answer: DesignAnswer, over: Sequence[str], path: Path) -> None:
@@ -58,7 +58,7 @@ def picture(loop: Loop, answer: DesignAnswer, over: Sequence[str], path: Path) -
             wanted *= answer.wish.margin
             if np.nanmin(stiffest) < wanted < np.nanmax(stiffest):
                 axes.contour(x, y, stiffest, levels=[wanted], colors="tab:red", linewidths=2.5)
-            axes.plot([], [], color="tab:red", linewidth=2.5, label=f"{wanted:g} {unit} stable, ringing or not")
+            axes.plot([], [], color="tab:red", linewidth=2.5, label=f"limit of {wanted:g} {unit} (stability only)")
         # all rigs that meet the further requirements have nearly the same limit
         if (answer.changes or answer.reached) and wanted is not None:
             limits = [change.wall["stiffness_limit"] or np.nan for change in answer.changes]
@@ -68,11 +68,15 @@ def picture(loop: Loop, answer: DesignAnswer, over: Sequence[str], path: Path) -
             beyond = float(np.median(limits))
             if np.nanmin(stiffest) < beyond < np.nanmax(stiffest) and beyond > 1.02 * wanted:
                 axes.contour(x, y, stiffest, levels=[beyond], colors="tab:red", linewidths=1.5, linestyles="dashed")
-                axes.plot([], [], color="tab:red", linewidth=1.5, linestyle="dashed", label="about the whole wish")
-        axes.plot(_value(loop, across, 0.0), _value(loop, up, 0.0), "o", color="black", label="the rig as it is")
+                axes.plot(
+                    [], [], color="tab:red", linewidth=1.5, linestyle="dashed", label="all requirements (approximately)"
+                )
+        axes.plot(_value(loop, across, 0.0), _value(loop, up, 0.0), "o", color="black", label="unchanged rig")
         for i, change in enumerate(c for c in answer.changes if set(c.after) <= {across.name, up.name}):
             place = [change.after.get(q.name, _value(loop, q, 0.0)) for q in (across, up)]
-            axes.plot(*place, "x", color="tab:red", markersize=9, label="" if i else "changes that reach the wish")
+            axes.plot(
+                *place, "x", color="tab:red", markersize=9, label="" if i else "changes that meet the requirements"
+            )
         axes.set(xscale="log", yscale="log", xlabel=_label(loop, across), ylabel=_label(loop, up))
         axes.set(xlim=(x.min(), x.max()), ylim=(y.min(), y.max()))
         axes.set_title(f"Largest stable stiffness [{unit}]", loc="left", fontsize=11)

@@ -26,7 +26,8 @@ _ANGLES = 4000
 class Condition:
     """Published condition with its source, guarantee and assumptions, and with its largest K for each damping B.
 
-    The function ``stiffness`` receives the loop, the largest K by the friction of the device (NaN if unknown), and B.
+    The function ``stiffness`` receives the loop, the largest K that friction and sensor resolution of the device permit
+    (NaN if unknown), and B.
     """
 
     name: str
@@ -42,8 +43,10 @@ def _late(loop: Loop) -> float:
 
 
 def _passive_damping(loop: Loop) -> float:
-    """Return the damping of the device per unit of command, or nan if the position is sensed at the load of a mode,
-    because no wall is passive then."""
+    """Return the damping of the device per unit of command.
+
+    The result is nan if the position is sensed at the load of a mode, because no wall is passive then.
+    """
     return np.nan if loop.mode and loop.mode.sensor == "load" else loop.passive_damping
 
 
@@ -79,7 +82,7 @@ def _hulin(loop: Loop, _: float, B: Floats) -> Floats:
         ideal = NormalisedLoop.ideal(0.0, damping / unit.damping, d)
         return passive_stiffness(ideal, ideal.delta, B / unit.damping) * unit.stiffness
     angle = np.linspace(0, np.pi / (d + 1), _ANGLES + 1)[1:]
-    # (4.6), whose sums of cosines are products: b >= K T sin((d + 1/2) w)/(2 sin(w/2)) - B cos((d + 1) w)
+    # (4.6), with its sums of cosines written as products: b >= K T sin((d + 1/2) w)/(2 sin(w/2)) - B cos((d + 1) w)
     room = np.append(1 / (d + 0.5), 2 * np.sin(angle / 2) / np.sin((d + 0.5) * angle)) / loop.sampling_period_s
     left = damping + np.outer(B, np.cos((d + 1) * np.append(0.0, angle)))
     return np.asarray((left * room).min(axis=1))
@@ -139,7 +142,7 @@ CONDITIONS = (
 
 
 def _without(loop: Loop) -> str:
-    """List the parts of a loop that no published condition includes, as a supplement to the assumptions."""
+    """Return a text that names the parts of a loop that no published condition includes, to follow the assumptions."""
     present = {
         "velocity filter": loop.velocity is not None,
         "actuator lag": loop.actuator_lag_s > 0,

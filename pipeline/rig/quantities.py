@@ -16,10 +16,10 @@ _SMALL = 1e-2
 
 @dataclass(frozen=True)
 class Quantity:
-    """Quantity with name, label, smallest and largest factor of a change, and name in `PARAMETERS`.
+    """Changeable quantity with name, label, smallest and largest factor of a change, and name in `PARAMETERS`.
 
-    A logarithmic change of x changes p to p + s (e^x - 1). The scale s is p unless p is 0. For p = 0 it is ``zero`` in
-    m/T, and ``zero`` is 0 if the value cannot be changed from 0. ``change`` returns a rig with a new value. By default
+    A logarithmic change of x changes p to p + s (e^x - 1). The scale s is p unless p is 0. For p = 0, it is ``zero``
+    times m/T. If ``zero`` is 0, a value of 0 cannot be changed. ``change`` returns a rig with a new value. By default,
     only the parameter itself changes.
     """
 
@@ -35,7 +35,8 @@ class Quantity:
         return PARAMETERS[self.parameter or self.name].unit(loop.motion)
 
     def read(self, loop: Loop) -> float | None:
-        """Return the value of the quantity for a rig, or None if the rig lacks its part."""
+        """Return the value of the quantity for a rig, or None if the rig does not have the part to which the quantity
+        belongs."""
         return loop.value(self.parameter or self.name)
 
     def write(self, loop: Loop, value: float) -> Loop:
@@ -45,11 +46,11 @@ class Quantity:
         return loop.replace({self.parameter or self.name: value})
 
     def scale(self, loop: Loop) -> float:
-        """Return the scale s of a change, which is 0 if the rig lacks the quantity."""
+        """Return the scale s of a change, or 0 if the rig does not have the quantity."""
         return (self.read(loop) or 0.0) or self.zero * loop.mass / loop.sampling_period_s
 
     def changed(self, loop: Loop, x: float) -> Loop:
-        """Return the rig after a change x of the quantity, which is ln of the ratio of the new and the old value.
+        """Return the rig after a logarithmic change x of the quantity.
 
         Raises
         ------

@@ -34,18 +34,19 @@ _ASIDE, _BESIDE = 2.0, 97
 """Largest factor of the damping in the search for the fastest wall, and number of walls in this search."""
 
 _SOFTEST, _SOFTER = 1e-3, 16
-"""Smallest relative stiffness of the softer walls that are examined for a wall, and number of these walls."""
+"""Smallest stiffness of the softer walls that are checked for a wall, relative to this wall, and number of softer
+walls."""
 
 _NARROW = 1e-6
-"""Amount by which the margin of a wall above an unstable interval is negative, if no softer wall examined lies in the
+"""Negative of the margin of a wall above an unstable interval, if none of the checked softer walls lies in the
 interval."""
 
 _BISECTIONS = 40
 """Number of bisections for the frequency at which a damping becomes unstable. The relative error is then 1e-12."""
 
 _NOTHING = -10.0
-"""Smallest margin of a stable wall, used if its settling time is too long to be computed. The negative value is the
-margin without a bound."""
+"""Smallest margin of a stable wall, used if its settling time is too long to be computed. The largest margin is minus
+this value."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,10 @@ def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWal
 
     If ``enough`` is true, the search ends as soon as a wall meets the requirements.
 
-    The margin of a wall is the smallest of three numbers. They are -ln of the spectral radius (at ``margin`` times the
-    stiffness), ln of the ratio of the allowed settling time to the actual one, and the allowed overshoot minus the
-    actual one. A wall counts as stable only if all softer walls with its damping are also stable, because a device in
-    contact passes through them.
+    The margin of a wall is the smallest of three numbers: the negative logarithm of the spectral radius (at ``margin``
+    times the stiffness), the logarithm of the ratio of the allowed to the actual settling time, and the allowed minus
+    the actual overshoot. A wall counts as stable only if all softer walls with its damping are also stable, because a
+    device that comes into contact passes through the softer walls.
     """
     rigs = _corners(loop, wish.tolerance)
     K, B = _first_look(loop, wish)
@@ -127,7 +128,7 @@ def best_wall(loop: Loop, wish: DesignTarget, *, enough: bool = False) -> RigWal
 
 
 def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
-    """Find the fastest wall with the stiffness of the best wall. Only walls near it that meet the requirements are
+    """Find the fastest wall with the stiffness of the best wall. Only nearby walls that meet the requirements are
     considered."""
     B = best.damping * np.geomspace(1 / _ASIDE, _ASIDE, _BESIDE)
     walls = np.column_stack([np.full(len(B), best.stiffness), B])
@@ -139,7 +140,7 @@ def quickest(loop: Loop, wish: DesignTarget, best: RigWall) -> RigWall:
 
 
 def costs_of(loop: Loop, walls: object, *criteria: str) -> dict[str, Floats]:
-    """Compute the costs of walls, which are rows of stiffness and damping. A missing cost is NaN."""
+    """Compute the costs of walls, given as rows of stiffness and damping. A missing cost is NaN."""
     case = Case(loop.normalised_loop, loop.units)
     return costs_of_walls(case, np.asarray(walls, dtype=np.float64), criteria).costs
 
@@ -173,9 +174,10 @@ def _first_look(loop: Loop, wish: DesignTarget) -> tuple[Floats, Floats]:
 
 
 def _largest_damping(loop: Loop) -> float:
-    """Estimate the largest stable B of a device with lag, which is |(m s + b)(tau s + 1)| at a phase of -pi.
+    """Estimate the largest stable B of a device with lag.
 
-    With a delay of d + 1/2 samples, the phase condition is atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
+    The result is |(m s + b)(tau s + 1)| at the frequency w with a phase of -pi. With a delay of d + 1/2 samples, this
+    frequency follows from atan(w m/b) + atan(w tau) + w (d + 1/2) T = pi.
     """
     device, lag = loop.apparent(), loop.actuator_lag_s
     m, b, delay = device.mass, device.damping, (0.5 + loop.delay_samples) * loop.sampling_period_s
@@ -230,8 +232,8 @@ def _room(rigs: Sequence[Loop], wish: DesignTarget, walls: Floats, above: float)
 
 
 def _softer(loop: NormalisedLoop, alpha: Floats, beta: Floats, left: Floats) -> Floats:
-    """Compute -ln of the spectral radius for each wall, shape (n,). If softer walls are unstable, the smallest value
-    over the wall and the softer walls is used."""
+    """Compute the negative logarithm of the spectral radius for each wall, shape (n,). If softer walls are unstable,
+    the smallest value over the wall and the softer walls is used."""
     if first_branch(loop) is not None:  # all softer walls are stable
         return left
     share = np.geomspace(_SOFTEST, 1.0, _SOFTER, endpoint=False)
@@ -254,7 +256,7 @@ def _spare(rig: Loop, wish: DesignTarget, alpha: Floats, beta: Floats, above: fl
     )
     spare = np.full(len(alpha), np.inf)
     if wish.settling_s is not None:
-        # a response whose simulation was stopped settles too late
+        # if the simulation was stopped early, the response settles too late
         settled = np.nan_to_num(found["settle_2pct"], nan=math.inf) * rig.sampling_period_s
         spare = np.maximum(math.log(wish.settling_s) - np.log(settled), _NOTHING)
     if wish.overshoot is not None:

@@ -258,7 +258,7 @@ def test_an_open_bracket_has_all_walls_in_it():
 
 
 def test_columns_must_fit():
-    with pytest.raises(ParameterError, match="one value each"):
+    with pytest.raises(ParameterError, match="one value per trial"):
         TriedWalls(np.ones(2), np.ones(3), np.array(["stable"] * 2), np.ones(2))
 
 
