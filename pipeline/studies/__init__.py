@@ -1,1 +1,1 @@
-"""Studies of the package, namely recomputed tables of the thesis, and error versus run time of its methods."""
+"""Studies of the package: recomputed tables of the thesis, and error versus run time of the package's methods."""

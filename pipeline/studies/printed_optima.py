@@ -1,4 +1,4 @@
-"""Recompute the rows of theory in Tables D.1 to D.6, and the deviations of the printed measurements from theory.
+"""Recompute the theoretical rows of Tables D.1 to D.6, and the deviations of the printed measurements from theory.
 
 No logs are needed. The marks are those of `pipeline.studies.thesis_tables`.
 
@@ -45,7 +45,8 @@ class PrintedOptimum:
     printed : dict
         All printed numbers of the row: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost (overshoot in %).
     deviation_percent : float or None
-        For a measurement, the deviation of its printed cost from that of discrete theory. None if theory's cost is 0.
+        For a measurement, the deviation of its printed cost from that of discrete theory. None if the theoretical cost
+        is 0.
     """
 
     table: str
@@ -116,7 +117,7 @@ def _entry(name: str, text: str, computed: float, erratum: str | None) -> Entry:
 
 
 def optima_lines(table: str, rows: Sequence[PrintedOptimum], align: Callable[..., list[str]]) -> list[str]:
-    """Return a table as aligned lines, then the reason for each number that needs one, then an empty line."""
+    """Return a table as aligned lines, followed by the reasons for marked numbers and an empty line."""
     names = [name for name in DECIMALS if any(name in row.printed for row in rows)]
     columns = ["criterion", "condition", "d", *(c for n in names for c in (n, f"{n} printed")), "deviation %"]
     lines = [f"Table {table}", *align([_cells(row, names) for row in rows], columns)]

@@ -1,8 +1,8 @@
 """Recomputed Tables B.1 to B.4, C.1 to C.3 and 5.1, next to the printed numbers.
 
-Every printed number has one mark. ``equal``: the computed number rounds to it. ``within``: it differs within one of
-three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be reproduced, and the reason is
-stored with the printed number. ``unexplained``: none of these applies. Computed numbers depend only on the parameters
+Every printed number has one mark. ``equal``: the computed number rounds to it. ``within``: the difference is within one
+of three tolerances, which is named (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: the printed number cannot be reproduced,
+and the reason is stored with it. ``unexplained``: none of these applies. Computed numbers depend only on the parameters
 of the loop and the criterion. Nothing is tuned to the printed numbers.
 
 Source: Hulin 2017, Table 5.1, appendices B and C.
@@ -31,17 +31,18 @@ Mark = Literal["equal", "within", "erratum", "unexplained"]
 MARKS: tuple[Mark, ...] = ("equal", "within", "erratum", "unexplained")
 
 ROUNDING = "rounding"
-"""Within one unit of the last printed digit. Half of it is rounding, the other half the error of the printed result."""
+"""The difference is at most one unit of the last printed digit: half a unit due to rounding, and half a unit due to the
+error of the printed result."""
 
 FLAT = "flat optimum"
-"""One of the points that round to the printed point has the optimal cost, to the printed digits of the cost."""
+"""Some point that rounds to the printed one has the optimal cost, within the printed precision."""
 
 LIMIT = "limit"
-"""The optimum is a limit on alpha = -gamma, and the printed cost is that of a point whose alpha rounds to -gamma."""
+"""The optimum is only approached, at alpha = -gamma. The printed cost is that of a point whose alpha rounds to
+-gamma."""
 
 _SLACK = 1e-6
-"""Tolerance, as a fraction of a unit, for differences of half a unit. Rounding of the decimal fraction may increase
-them."""
+"""Tolerance, as a fraction of a unit, for differences of half a unit, because rounding errors may increase them."""
 
 _BOX = 11
 """Number of points along each axis of the box of points that round to the printed point."""
@@ -59,7 +60,7 @@ SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexpla
 LEGEND = "~ within one unit of the last printed digit, or as stated below; ! erratum; ? unexplained"
 
 _MORE = 2
-"""Number of digits of a computed number in addition to the printed digits, which shows how it rounds."""
+"""Number of digits of a computed number in addition to the printed digits, so that the reader sees how it rounds."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Entry:
     tolerance : str or None
         For ``within``: `ROUNDING`, `FLAT` or `LIMIT`.
     reason : str or None
-        Reason of an erratum, or finding for `FLAT` and `LIMIT`.
+        Reason for an erratum, or finding for `FLAT` and `LIMIT`.
     """
 
     name: str
@@ -168,7 +169,7 @@ def mark_of(computed: float, printed: PrintedNumber) -> tuple[Mark, str | None]:
 
 
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
-    """Return a finding if a point that rounds to the printed point has the optimal cost to the printed digits.
+    """Return a finding if some point that rounds to the printed one has the optimal cost, within the printed precision.
 
     Otherwise, return None.
     """
@@ -185,11 +186,11 @@ def _flatness(point: PublishedPoint, optimal: float) -> str | None:
     least = float(cost(np.repeat(alpha, _BOX), np.tile(beta, _BOX), np.inf).min())
     if abs(least - optimal) > 0.5 * printed["cost"].unit:
         return None
-    return f"the cost of a point that rounds to the printed point is {least:.7g}, the optimal cost is {optimal:.7g}"
+    return f"some point that rounds to the printed one has the cost {least:.7g}; the optimal cost is {optimal:.7g}"
 
 
 def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, float], factor: float) -> str | None:
-    """Return a text with the cost next to the line alpha = -gamma, if the printed cost lies between it and the limit.
+    """Return a text with the costs on and next to the line alpha = -gamma, if the printed cost lies between them.
 
     ``factor`` converts costs to the printed number. It is 1 for a cost.
     """
@@ -202,12 +203,15 @@ def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, f
     near = float(energy_costs(loop, np.array([_NEAR - loop.gamma]), at, "impulse")[point.criterion][0]) / factor
     if not limit - 0.5 * printed.unit <= printed.value <= near + 0.5 * printed.unit:
         return None
-    return f"{limit:.7g} on the line alpha = -gamma, {near:.7g} at a distance of {_NEAR:g}, which alpha does not show"
+    return (
+        f"the value is {limit:.7g} on the line alpha = -gamma, and {near:.7g} at a distance of {_NEAR:g}, which the "
+        "printed digits of alpha do not show"
+    )
 
 
 def recomputed_tables(tables: Sequence[str] = THEORY_TABLES) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
-    """Yield recomputed tables in the requested order. Each has a name, the number of rows, and an iterator over
-    finished rows.
+    """Yield the recomputed tables in the requested order, each as its name, its number of rows, and an iterator over
+    its rows.
 
     Raises
     ------
@@ -283,7 +287,7 @@ def document(rows: Sequence[TheoryRow]) -> JsonObject:
         "marks": list(MARKS),
         "tolerances": {
             ROUNDING: "within one unit of the last printed digit",
-            FLAT: "a point that rounds to the printed point has the optimal cost to the printed digits",
+            FLAT: "some point that rounds to the printed one has the optimal cost, within the printed precision",
             LIMIT: "the printed cost is that of a point whose alpha rounds to the limit alpha = -gamma",
         },
         "count": dict(count_marks(rows)),

@@ -163,7 +163,7 @@ def test_more_work_gives_smaller_errors(report: AccuracyReport) -> None:
         assert None not in errors
         assert errors == sorted(errors, reverse=True)
         assert len(errors) >= 2
-    longer = [r.error for r in report.rungs if r.method == "longer delay for filter and lag"]
+    longer = [r.error for r in report.rungs if r.method == "filter and lag as additional delay"]
     assert longer[0] is not None
     assert longer[0] > 0.1  # no substitute
 

@@ -19,7 +19,7 @@ from pipeline.theory.boundary import is_inside
 from pipeline.theory.poles import is_stable
 
 QUICK_DELAY = 64
-"""Largest delay of a quick run. The largest delays take longest."""
+"""Largest delay of a quick run, because larger delays take most of the time."""
 
 MARGINS = range(1, 15)
 """Relative distances 10^-k from the boundary."""
@@ -95,7 +95,8 @@ def _plant_error(of: Callable[[float, float], tuple[float, float]], row: Point) 
 
 
 def _radius_sweep(name: str, method: str, of: Callable[..., Any], path: Sequence[Point]) -> Sweep:
-    """Return errors of the spectral radius, and wrong verdicts. This package does not judge stability by the radius."""
+    """Return errors of the spectral radius, and wrong verdicts. The verdicts of this package are those of `is_stable`,
+    which does not use the radius."""
     walls = [(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]])) for row in path]
     found = [_attempt(lambda *wall: float(of(*wall)[0]), *wall) for wall in walls]
     stable = [radius is not None and radius < 1 for radius in found]

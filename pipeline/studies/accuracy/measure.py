@@ -24,8 +24,8 @@ FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
 """Exceptions of a method that cannot compute a number. Any other exception is a defect."""
 
 _SHORT = 2e-3
-"""Threshold for the run time [s]. Below it, a single run is too short for the clock. Then, the run is repeated in the
-timed loop."""
+"""Threshold for the run time [s]. Below it, a single run is too short for the clock, so that several runs are timed
+together."""
 
 _T = TypeVar("_T")
 Values = dict[str, Floats]
@@ -36,7 +36,7 @@ Summary = Callable[[Floats], tuple[float | None, float | None]]
 
 
 def largest(error: Floats) -> tuple[float | None, None]:
-    """Return the largest absolute error. A missing number counts as 1."""
+    """Return the largest absolute error. A missing number counts as an error of 1."""
     return float(np.where(np.isfinite(error), np.abs(error), 1.0).max()), None
 
 
@@ -122,7 +122,8 @@ class Table:
     trials: int = 1
 
     def rungs(self, quick: bool, budget: float) -> Iterator[Rung]:
-        """Yield error and time of each row, setting and quantity. Each run is repeated for ``budget`` seconds."""
+        """Yield the error and the time for each row, setting and quantity. Each run is repeated for ``budget``
+        seconds."""
         for row in self.rows:
             for setting, run in row.runs(quick):
                 begin, errors = time.perf_counter(), {}
@@ -155,7 +156,7 @@ def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[st
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
     """Return the result of a call, and the shortest time [s] of repeated calls after a first call without timing.
 
-    No repetition starts after ``budget`` seconds. A longer call is timed by its first run.
+    No repetition starts after ``budget`` seconds. If the first call takes longer, its time is returned.
     """
     begin = time.perf_counter()
     result = run()

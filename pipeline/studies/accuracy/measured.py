@@ -1,8 +1,8 @@
 """Estimates and costs from logs. Each method is a row of a table and is compared with the simulated truth.
 
 The logs are those of the Falcon's experiment 1 without jitter, at random stable pairs (K, B). Errors are medians over
-trials for estimates, and means for costs. They are relative to the true value. Exceptions are errors of delays, in
-samples, and errors of overshoot, as a fraction of the final displacement.
+trials for estimates, and means for costs. Errors are relative to the true value, except for the errors of delays, in
+samples, and of overshoot, as a fraction of the final displacement.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pipeline.theory.poles import spectral_radius
 DELAY, DELAYS = 4.0, (4.1, 4.3, 4.5, 4.7, 4.9)
 """Delay [samples], and delays of the trials whose delay is estimated.
 
-The delay of a real controller is not an integer.
+The delays of the trials are fractional, because the delay of a real controller is not an integer.
 """
 
 USUAL_ROWS, ROWS = 400, (60, 100, 200, 400, 1000)
@@ -54,7 +54,8 @@ SENSOR = Sensor(quantum=2e-6, noise=0.5e-6)
 """Sensor of the shipped Falcon [m]. With other resolutions, the noise is also a quarter of the resolution."""
 
 SLOWEST, SLOWEST_COST = 0.999, 0.985
-"""Largest spectral radius of a trial, and of a trial with costs. 0.3 % of the motion remains at the end of a trial."""
+"""Largest spectral radius of a trial, and of a trial with costs. With the second radius, 0.3 % of the motion remains at
+the end of a usual trial."""
 
 LONGEST = 20000
 """Number of samples within which the exact responses settle. A radius of `SLOWEST_COST` needs 1,000."""
@@ -65,9 +66,9 @@ MODEL, SETTLE, LARGEST, COMPLETE = RECOMMENDED = (
     "likelihood of all trials",
     "band about x₀ + F₀/K",
     "largest reading",
-    "bias off, tail added",
+    "bias removed, tail added",
 )
-"""Methods that comparisons prefer. The figure highlights them."""
+"""Methods that `pipeline compare` prefers. The figure highlights them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +212,8 @@ def _costs(
     settings: tuple[Any, ...],
     given: Callable[[Any], Logs],
 ) -> Table:
-    """Return the table of all costs over settings. ``given`` makes their trials. Mass and delay are known."""
+    """Return the table of all costs over settings. ``given`` simulates the trials of a setting. Mass and delay are
+    assumed to be known."""
     energies, weight, shared = tuple(COSTS)[2:], truth()[0].loop.mass, cache(given)
 
     def settling(of: Logs) -> list[Floats]:
@@ -260,7 +262,7 @@ def reading_errors(of: Logs) -> list[ReadingError]:
 
 
 def whole_sum(of: Logs, weight: float) -> list[Floats]:
-    """Return the discrete energy costs summed to the end of the log, by weight, as in a simple script.
+    """Return the discrete energy cost for each weight, summed to the end of the log as in a simple script.
 
     The sum is k^w [(K/F_0)^2 (x_k - x_inf)^2 + K m/F_0^2 ((x_k - x_{k-1})/T)^2], with k from the command edge plus the
     delay.

@@ -1,4 +1,4 @@
-"""Common methods for limits, responses, costs and optima, with which `pipeline accuracy` compares this package.
+"""Common methods for limits, responses, costs and optima. `pipeline accuracy` compares this package with them.
 
 They are written as a careful user of numpy, scipy or python-control would write them, and vectorised if possible. They
 share no code with the exact methods of theory. Loops have an integer delay.
@@ -23,13 +23,15 @@ from scipy.signal import cont2discrete, dlsim
 from pipeline.records.trials import Floats
 
 _NODES = 24
-"""Number of Gauss points in a sample for the energy. It is exact up to rounding for the plants of the ladder."""
+"""Number of Gauss points in a sample for the energy. The quadrature is exact up to rounding for the plants of the
+study."""
 
 _GRID = 11
-"""Number of grid points per axis and round of an iterated gridding. The next round covers two cells around the best."""
+"""Number of grid points per axis and round of an iterated gridding. The next round covers two cells on each side of the
+best point."""
 
 BAND = 0.02
-"""Settling band of the ladder and of the reference values."""
+"""Settling band of the compared methods and of the reference values."""
 
 Points = Callable[[Floats, Floats], Floats]
 """Function that returns a number for each point (alpha, beta)."""
@@ -111,7 +113,7 @@ def held(delay: int) -> tuple[int, int]:
 def step_state(delay: int) -> Floats:
     """Return the state at the step, shape (delay + 3,).
 
-    The device is at rest, and all positions are one unit below the final one.
+    The device is at rest, and all positions are one unit below the final position.
     """
     start = np.full(delay + 3, -1.0)
     start[1] = 0.0
@@ -227,7 +229,8 @@ def _forms(case: Case) -> list[tuple[Floats, Floats]]:
 
 
 def truncated_energy(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
-    """Return the energy costs of a step summed over a fixed number of samples, exact within each, shape (3, n)."""
+    """Return the energy costs of a step, summed over a fixed number of samples and exact within each sample, shape (3,
+    n)."""
     states, stiffness, moments = response(case, alpha, beta, samples), alpha + case.gamma, []
     for place, speed in _forms(case):
         both = [np.einsum("kin,ij,kjn->kn", states, form, states, optimize=True) for form in (place, speed)]
@@ -301,7 +304,8 @@ def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Float
 
 
 def grid_optimum(cost: Points, high: tuple[float, float], tolerance: float) -> tuple[float, float]:
-    """Return the best point of increasingly fine grids, each two cells to either side of the best point so far.
+    """Return the best point of increasingly fine grids. Each grid covers two cells on each side of the best point so
+    far.
 
     Source: Hulin 2017, sec. 5.1.2 (gridding with thresholds as in 3.4).
     """

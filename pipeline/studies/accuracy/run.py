@@ -1,4 +1,4 @@
-"""Measure all methods, with tables, extreme cases, omitted methods, and their page."""
+"""Measure error and run time of all methods, also in extreme cases, and make the page with the results."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ def measure(
     say : callable
         Function that is called with the name of each part when it starts.
     theory, measured : bool
-        Whether to measure the methods of theory, and those for logs. The other part of the report stays empty.
+        Whether to measure the methods of theory, and the methods for logs. A part that is not measured stays empty in
+        the report.
     """
     key, machine = accuracy.key(), accuracy.machine()
     begun, begin = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"), time.perf_counter()
@@ -122,8 +123,8 @@ def render(report: AccuracyReport) -> str:
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
-    """Return a row for each quantity, with error and time of this package and of the fastest other method within
-    `WRONG`."""
+    """Return a row for each quantity, with the error and the time of this package, and of the fastest other method
+    whose error is at most `WRONG`."""
     rows = []
     for quantity, rungs in grouped(report.rungs, "quantity").items():
         ours = next((r for r in rungs if r.method == OURS), None)
@@ -142,7 +143,8 @@ def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
 
 
 def picture(rungs: Sequence[Rung], identifier: str) -> str:
-    """Return a plot of error (abscissa) and run time as ``<svg>``. Quantities have panels, and methods have lines."""
+    """Return a plot of error (abscissa) and run time as ``<svg>``. Each quantity has a panel, and each method a
+    line."""
     import matplotlib  # this import takes half a second, and other commands do not need it
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator
@@ -179,7 +181,7 @@ def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:
         rows = [
             {
                 "method": s.method,
-                "starts": "right to the end" if s.starts is None else f"wrong from {s.starts:.3g} on",
+                "starts": "correct on the whole path" if s.starts is None else f"wrong from {s.starts:.3g} on",
                 "fine": s.starts is None,
                 "worst": error_text(s.worst),
                 "verdicts": "" if s.wrong_verdicts is None else f"{s.wrong_verdicts} of {len(s.x)}",

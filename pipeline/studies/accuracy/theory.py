@@ -1,8 +1,8 @@
 """Provide reference values for limits, responses, costs and optima of loops, and a table with a row for each method.
 
-The truth is given by reference values that are shipped with the package (docs/make_reference.py). An error is the
-largest one over all reference points. Errors are relative, except for overshoot, which already is relative to the final
-displacement. A missing result counts as an error of 1.
+The truth is given by reference values that are shipped with the package (docs/make_reference.py). The error of a method
+is the largest error over all reference points. Errors are relative, except for overshoot, which is already relative to
+the final displacement. A missing result counts as an error of 1.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def normalised_loop(entry: JsonObject) -> NormalisedLoop:
 
 
 def unknown(loop: NormalisedLoop) -> NormalisedLoop:
-    """Return a loop without cached results of earlier calls. Its damping is larger by a few rounding errors."""
+    """Return a loop without cached results of earlier calls. The damping is increased by a few rounding errors."""
     return loop.with_delta(loop.delta + next(_repetition) * 2.0**-57)
 
 
@@ -121,7 +121,7 @@ RADII: dict[str, _Method] = {
 
 
 def installed_radii() -> dict[str, _Method]:
-    """Return the methods for the spectral radius that need no optional library, or one that is installed."""
+    """Return the methods for the spectral radius that need no optional library, or whose library is installed."""
     return {name: method for name, method in RADII.items() if name != PEER or find_spec("control")}
 
 
@@ -278,8 +278,8 @@ def _map(case: Case, loop: NormalisedLoop, known: JsonObject) -> Table:
 
 
 def _with_parts() -> Iterator[Table]:
-    """Yield the table of a loop with filter, lag, mode and fractional delay, and tables of loops at which methods
-    fail."""
+    """Yield the tables of a loop with filter, lag, mode and fractional delay, and the table of loops for which common
+    methods fail."""
     known, hard = reference()["device"], reference()["hard"]
     shape, (edge, radius) = normalised_loop(known["loop"]), GENERAL
     beta, wall = np.array(known["limit_beta"]), (np.array(known["alpha"]), np.array(known["beta"]))
@@ -293,7 +293,7 @@ def _with_parts() -> Iterator[Table]:
         {edge: np.array(known["limit_alpha"])},
         (
             Row(
-                "longer delay for filter and lag",
+                "filter and lag as additional delay",
                 lambda: {edge: stiffness_limit(NormalisedLoop.ideal(0.0, shape.delta, late), beta)},
             ),
             Row("eigenvalues and bisection", bisection, _TOLERANCE, (1e-2, 1e-6, 1e-10), 2),
