@@ -30,8 +30,8 @@ from pipeline.device.parts import (
 )
 
 LIGHTEST_LOAD, LEAST_LOSS = 1e-6, 1e-9
-"""Load of a mode relative to the total mass, and damping ratio of the mode. If both are smaller, double precision
-cannot separate the crossings of the unit circle that the mode causes."""
+"""Thresholds for the load of a mode relative to the total mass, and for the damping ratio of the mode. If both values
+are smaller, double precision cannot separate the crossings of the unit circle that the mode causes."""
 
 PARTS: dict[str, Any] = {
     "velocity": VelocityFilter,
@@ -147,7 +147,7 @@ class Loop:
         if mode is not None and mode.mass < LIGHTEST_LOAD * self.mass and mode.damping_ratio < LEAST_LOSS:
             mistakes.append(
                 f"loop.mode.mass: found {mode.mass:g}, below {LIGHTEST_LOAD:g} of the mass of both sides, with a "
-                f"damping_ratio below {LEAST_LOSS:g}: too light for its effect to be computed; leave the mode out"
+                f"damping_ratio below {LEAST_LOSS:g}: the load is too light for its effect to be computed; omit the mode"
             )
         if mode is not None and mode.load_damping > self.damping:
             mistakes.append(
@@ -172,7 +172,8 @@ class Loop:
         return mistakes
 
     def value(self, name: str) -> float | None:
-        """Return a number by its name in `PARAMETERS`, or None if the loop lacks its part.
+        """Return the value of a parameter of `PARAMETERS`, or None if the loop does not have the part to which the
+        parameter belongs.
 
         Raises
         ------
@@ -188,7 +189,7 @@ class Loop:
         return None if value is None else float(value)
 
     def replace(self, values: Mapping[str, float | None]) -> Self:
-        """Return a loop with changed values, by their names in `PARAMETERS`. Parts that the loop lacks are added.
+        """Return a loop with changed values, keyed by their names in `PARAMETERS`. Missing parts are added.
 
         A new delay is constant, so that `jitter_samples` is cleared.
 
@@ -201,7 +202,7 @@ class Loop:
         for name, value in values.items():
             parameter = _parameter(name)
             if name == "jitter_samples":
-                raise ParameterError("jitter_samples is a set of delays; expected dataclasses.replace to change it.")
+                raise ParameterError("jitter_samples is a set of delays; use dataclasses.replace to change it.")
             if not parameter.part:
                 changes[name] = value
                 continue
@@ -237,7 +238,8 @@ class Loop:
         return tuple(name for name, present in names.items() if present)
 
     def with_damping(self, value: float) -> Self:
-        """Return the loop with another damping of the device [Ns/m, Nms/rad]. The load of a mode keeps its share."""
+        """Return the loop with the damping of the device set to ``value`` [Ns/m, Nms/rad]. The load of a mode keeps its
+        share."""
         changes: dict[str, float | None] = {"damping": value}
         if self.mode and self.damping > 0:
             changes["mode.load_damping"] = min(self.load_damping / self.damping, 1.0) * value
@@ -246,7 +248,8 @@ class Loop:
     def with_operator(self) -> Loop:
         """Return the loop with its operator as part of the device.
 
-        The operator moves with the motor. It lowers the frequency of a vibration mode, whose spring is unchanged.
+        The operator moves with the motor. The added mass lowers the frequency of a vibration mode, because the spring
+        of the mode is unchanged.
         """
         operator, mode = self.operator, self.mode
         if operator is None:
@@ -274,7 +277,7 @@ class Loop:
         """
         if self.operator is None and self.force_gain == 1:
             return self
-        # a limit of the command is already per unit of command
+        # the force limit applies to the command, so it is not divided by the gain
         return self.with_operator()._in_units(self.force_gain, 1.0, force_gain=1.0, force_limit=self.force_limit)
 
     def normalised(self) -> Loop:
@@ -287,7 +290,7 @@ class Loop:
         return device._in_units(device.mass, self.sampling_period_s)
 
     def _in_units(self, mass: float, time: float, **others: float | None) -> Loop:
-        """Divide all parameters by their units, which are formed of a mass and a time."""
+        """Normalise all parameters with units derived from a mass and a time."""
         changes: dict[str, Any] = {}
         for name, parameter in PARAMETERS.items():
             value, unit = self.value(name), parameter.normalising_unit(mass, time)

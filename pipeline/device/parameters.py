@@ -25,8 +25,9 @@ Motion = Literal[
     "translation in %",
     "rotation in %",
 ]
-"""Type of motion of a device. If commands are not forces or torques but those of a drive with unknown gain, it includes
-their unit. It determines the units of all parameters, which are then per volt, ampere, count or percent."""
+"""Type of motion of a device. If commands are not forces or torques but signals of a drive with unknown gain, the type
+includes the unit of the commands. The type determines the units of all parameters, which are then per volt, ampere,
+count or percent."""
 
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 
@@ -68,7 +69,7 @@ UNITS: dict[Dimension, tuple[str, str]] = {
 """SI units of each dimension for translation and rotation."""
 
 _PER_COMMAND: dict[str, str] = {"mass": "s^2/{}", "damping": "s/{}", "stiffness": "/{}", "force": ""}
-"""Suffix to the unit of a command that gives the unit of each dimension that contains a force."""
+"""Suffix that turns the unit of a command into the unit of each dimension that contains a force."""
 
 
 def unit_of(dimension: Dimension, motion: Motion) -> str:
@@ -164,7 +165,7 @@ class Parameter:
         return self.unit_name or unit_of(self.dimension, motion)
 
     def normalising_unit(self, mass: float, time: float) -> float:
-        """Return mass^a time^b for the dimension of the parameter. It is the divisor for units of mass and time.
+        """Return the divisor mass^a time^b that normalises the parameter to units of mass and time.
 
         >>> PARAMETERS["stiffness"].normalising_unit(0.5, 1e-3)
         500000.0
@@ -244,7 +245,7 @@ def _rows() -> tuple[Parameter, ...]:
             "m_l",
             "mass",
             "load mass",
-            "mass of the load, which is a part of the moving mass",
+            "mass of the load, a part of the moving mass",
             positive=True,
         ),
         Parameter("mode.load_damping", "b_l", "damping", "load damping", "part of the damping that acts on the load"),
@@ -253,7 +254,7 @@ def _rows() -> tuple[Parameter, ...]:
             "m_h",
             "mass",
             "operator mass",
-            "mass of the operator, who is rigidly attached to the motor",
+            "mass of the operator's hand or arm, which is rigidly attached to the motor",
             positive=True,
         ),
         Parameter("operator.damping", "b_h", "damping", "operator damping", "damping of the operator"),
@@ -289,4 +290,4 @@ PARAMETERS: dict[str, Parameter] = {parameter.name: parameter for parameter in _
 """All parameters of a loop by name, in the order of files, tables and covariances."""
 
 ESTIMATE_PARAMETERS = {"friction": "friction.coulomb", "device_stiffness": "stiffness"}
-"""Parameters of the names in ``estimates`` of a comparison's document that differ from the names here."""
+"""`PARAMETERS` name for each key of ``estimates`` in the comparison document, where the two differ."""

@@ -65,7 +65,7 @@ class Coefficients(Part):
         radius = max(abs(roots(self.a)), default=0.0)
         if radius >= 1:
             raise ValueError(
-                f"expected a stable filter, found a pole at distance {radius:.6g} from 0; it must be below 1"
+                f"expected a stable filter, found a pole at distance {radius:.6g} from 0; the distance must be below 1"
             )
         return self
 
@@ -74,7 +74,7 @@ class Kalman(Part):
     """Steady-state Kalman filter of positions, with white sensor noise and a white acceleration, constant in a sample.
 
     ``acceleration`` [m/s^2, rad/s^2] and ``noise`` [m, rad] are standard deviations. A sensor resolution q counts as
-    noise of standard deviation q/sqrt(12). Only the tracking index matters, which is T^2 times their ratio.
+    noise of standard deviation q/sqrt(12). Only T^2 times their ratio, the tracking index, matters.
 
     Source: Kalata 1984, "The tracking index", IEEE Trans. Aerospace and Electronic Systems 20 (2).
     """
@@ -95,7 +95,8 @@ class Kalman(Part):
 
 
 class AdaptiveWindow(Part):
-    """First-order adaptive window (FOAW). The velocity is the slope over the longest window with samples near a line.
+    """First-order adaptive window (FOAW). The velocity is the slope over the longest window whose samples are near a
+    line.
 
     ``bound`` [m, rad] is the largest distance of a sample from the line through the ends of the window. It is the error
     bound of the sensor, such as its resolution. ``longest`` is the largest window [samples].
@@ -143,7 +144,7 @@ class Mode(Part):
 
 
 class Operator(Part):
-    """Hand or arm, rigidly attached to the motor side. Mass, damping and stiffness are added to the device's."""
+    """Hand or arm, rigidly attached to the motor side. Mass, damping and stiffness are added to those of the device."""
 
     mass: Positive
     damping: NonNegative = 0.0
@@ -165,7 +166,8 @@ class Friction(Part):
 
 
 class Sensor(Part):
-    """Position sensor, with its quantisation step and the standard deviation of white noise before it [m, rad]."""
+    """Position sensor, with its quantisation step and the standard deviation of white noise before quantisation [m,
+    rad]."""
 
     quantum: NonNegative = 0.0
     noise: NonNegative = 0.0
@@ -182,7 +184,7 @@ class LoopTable(Part):
     friction: Friction | None = None
 
     def over(self, lower: LoopTable) -> LoopTable:
-        """Return this table, completed by the entries of ``lower``."""
+        """Return this table, with missing entries taken from ``lower``."""
         return LoopTable(**{**named(lower), **named(self)})
 
 
@@ -244,7 +246,7 @@ class SimulationParts(Part):
     later_steps: tuple[LaterStep, ...] = ()
 
     def over(self, lower: SimulationParts) -> SimulationParts:
-        """Return this table, completed by the entries of ``lower``."""
+        """Return this table, with missing entries taken from ``lower``."""
         return SimulationParts(**{**named(lower), **named(self)})
 
     def mistakes(self, duration_s: float, force_limit: float | None) -> list[str]:

@@ -23,7 +23,7 @@ from pipeline.records.models import STATED, Device, Experiment
 _FORMER_FILTER = (
     "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
     '{ kind = "butterworth", order = 1, cutoff_hz = ... }, with cutoff_hz = 1/(2 pi velocity_filter_s); '
-    "leave [controller] out, and without a filter [loop] too"
+    "leave out [controller], and also [loop] if there is no filter"
 )
 SAMPLES, SAMPLES_OF_REST = 1000, 20
 """Default duration of a simulated trial, and default duration of the rest before its step [samples]."""
@@ -80,8 +80,8 @@ def device_file(name: str) -> Path | None:
 def declared_spring(device: Device | None, experiment: str) -> float:
     """Return the stiffness k of the device's spring as given in its file, per unit of command [N/m, Nm/rad].
 
-    The spring shifts the final position to x_0 + F_0/(K + k). The stiffness k includes that of the operator. It is 0 if
-    the device is unknown or its file does not contain the experiment.
+    The spring shifts the final position to x_0 + F_0/(K + k). The stiffness k includes that of the operator. The result
+    is 0 if the device is unknown or its file does not contain the experiment.
     """
     entry = next((e for e in device.experiments if e.name == experiment), None) if device else None
     return 0.0 if device is None or entry is None else device.loop_for(entry).apparent().stiffness
@@ -99,7 +99,7 @@ def load_device(name: str) -> Device:
     if name in devices:
         return devices[name]
     meant = "".join(f" Did you mean {near}?" for near in get_close_matches(name.lower(), devices, 1))
-    unknown = f"device {name!r} is not known; known are {', '.join(devices)}.{meant}"
+    unknown = f"device {name!r} is not known; known devices are {', '.join(devices)}.{meant}"
     own = user_device_folder()
     if own is not None and (file := own / f"{name}.toml").is_file():
         # a copied file still contains the name of the original device

@@ -1,4 +1,4 @@
-"""Published values as printed, with known errata. They are tables of the thesis and models of the human arm.
+"""Published values as printed, with known errata: tables of the thesis and models of the human arm.
 
 The files in ``schemas/published`` ship with the package. This module reads them and computes no values of theory.
 Source: Hulin 2017, Tables 3.2, 5.1, appendices B to D.

@@ -73,7 +73,7 @@ def test_delay_in_samples_contains_the_added_delay() -> None:
 
 
 def test_an_unknown_device_or_experiment_lists_the_known_ones() -> None:
-    with pytest.raises(DeviceError, match=r"'omega' is not known; known are falcon, falcon-real, lwr"):
+    with pytest.raises(DeviceError, match=r"'omega' is not known; known devices are falcon, falcon-real, lwr"):
         load_device("omega")
     with pytest.raises(DeviceError, match=r"no experiment '8'; it has 1, 2, 3, 4, 5, 6, 7"):
         find_experiment(load_device("falcon"), "8")

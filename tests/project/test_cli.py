@@ -454,7 +454,7 @@ def test_theory_map(call, tmp_path):
 @pytest.mark.parametrize(
     ("command", "status", "message"),
     [
-        ("simulate hammer", 1, "device 'hammer' is not known; known are falcon, falcon-real, lwr"),
+        ("simulate hammer", 1, "device 'hammer' is not known; known devices are falcon, falcon-real, lwr"),
         ("simulate none.toml", 1, "none.toml: device file cannot be read"),
         ("simulate falcon -e 9", 1, "no experiment '9'"),
         ("simulate falcon --coarsen 0", 1, "coarsen = 0"),
