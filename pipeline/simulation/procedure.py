@@ -25,7 +25,7 @@ FINE_STEPS = 5
 
 WAVE = 12
 """Number of trials that are simulated in advance for each damping. A smaller number requires more runs of the
-simulator, a larger number discards more trials."""
+simulator, and a larger number discards more trials."""
 
 LONGEST_CLIMB = 2000
 """Largest number of stiffness steps at one damping. The stiffest column of the thesis needs 65."""
@@ -62,7 +62,8 @@ class Climb:
     stiffness_step, damping_step : float
         Coarse step of K at a fixed damping, and coarse step of -B at K = 0.
     lowest_damping : float
-        Largest value of -B that is tested at K = 0. Friction or a force limit may keep a device at rest for any B.
+        Largest value of -B that is tested at K = 0. Without this bound, tests might not end, because friction or a
+        force limit may keep a device at rest for any B.
     progress : callable or None
         Function that is called with the number of trials kept so far.
     kept, verdicts, order : list
@@ -102,7 +103,7 @@ class Climb:
         self._climb(fine)
 
     def _climb(self, ladders: Sequence[_Ladder]) -> Integers:
-        """Return the number of stable trials before the first unstable trial of each ladder."""
+        """Test ladders in waves, and return the number of trials before the first unstable trial of each ladder."""
         reached = np.zeros(len(ladders), dtype=np.int64)
         ahead = list(range(len(ladders)))
         below = 0

@@ -1,8 +1,6 @@
-"""Define the conditions of all trials of an experiment, which are loop, step, duration, travel limits and undocumented
-faults.
+"""Define the conditions of all trials of an experiment: loop, step, duration, travel limits and undocumented faults.
 
-The module also draws the random quantities of each trial, which are noise, delays, repeated sensor samples and missing
-rows.
+The module also draws the random quantities of each trial: noise, delays, repeated sensor samples and missing rows.
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ class Setup:
         Faults that neither theory nor estimates account for.
     stop : float
         Distance of the rigid stops from ``centre`` [m, rad]. At a stop, the device rests without a rebound until the
-        force turns inwards. A start at or beyond a stop moves the stop outwards, as for the travel limit.
+        force turns inwards. If the start is at or beyond a stop, the stop is moved outwards, like the travel limit.
 
     Raises
     ------
@@ -107,10 +105,7 @@ class Setup:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Names of parts that a spectral radius cannot include.
-
-        They are parts of the loop, clipping and hidden faults.
-        """
+        """Names of parts of the loop, limits and hidden faults that a spectral radius cannot include."""
         present = {
             "force_limit": self.loop.force_limit is not None,
             "one_sided_wall": self.hidden.one_sided_wall,
@@ -145,9 +140,9 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
 
 
 def idealise(setup: Setup) -> Setup:
-    """Return the loop of linear theory, which has no noise, quantisation, jitter, friction or hidden faults.
+    """Return the conditions without noise, quantisation, jitter, friction and hidden faults, as in linear theory.
 
-    The limits are kept.
+    The limits of force and travel are kept.
     """
     loop = replace(setup.loop, sensor=Sensor(), jitter_samples=(), friction=None, constant_force=0.0)
     return replace(setup, loop=loop, hidden=NOTHING_HIDDEN)

@@ -28,11 +28,11 @@ DIGITS = 40
 """Number of decimal digits for filter coefficients in powers of 1/z. A low cut-off causes large cancellation."""
 
 MOST_DELAYS, MOST_ALIKE = 9, 8
-"""Largest number of consecutive delays among which commands draw, and largest multiplicity of one of them. The standard
-deviation of the applied delay is then 1.6 samples."""
+"""Largest number of consecutive delays from which the delay of a command is drawn, and largest multiplicity of a delay.
+The standard deviation of the applied delay is then 1.6 samples."""
 
 START_MARGIN = 1.1
-"""Smallest ratio of travel limit and start distance. Noise must not end a trial at its start."""
+"""Smallest ratio of the travel limit to the distance of the start, so that noise does not end a trial at its start."""
 
 
 def simulate(
@@ -154,7 +154,7 @@ def _rest_depth(setup: Setup, K: float) -> float:
 
 
 def applied_delays(delays: Integers) -> Integers:
-    """Find the command that is applied to the plant in each interval if every command has its own delay.
+    """Find the command that is applied to the plant in each interval if the delay differs from command to command.
 
     The newest command that has arrived is applied. An older command that arrives later is ignored.
 
@@ -184,7 +184,7 @@ def applied_delays(delays: Integers) -> Integers:
 def applied_delay_moments(delays: Sequence[int]) -> tuple[float, float]:
     """Compute the mean and the standard deviation of the delay of the applied command [samples].
 
-    Each command draws its delay from the given integers with equal probability. The mean is below the mean of
+    The delay of each command is drawn from the given integers with equal probability. The mean is below the mean of
     ``delays`` because later commands overtake earlier ones. The applied command is older than j samples if none of the
     last j + 1 commands has arrived.
     """

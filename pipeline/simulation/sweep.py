@@ -34,8 +34,8 @@ from pipeline.simulation.tested_grid import tested_grid
 from pipeline.store.names import folder_for
 
 LOWEST_DAMPING = 2.0
-"""Largest -B tested at K = 0 relative to the physical damping, unless the grid contains a larger B. Friction or a force
-limit may hide the limit of stability, which is at 1."""
+"""Largest -B tested at K = 0, relative to the physical damping, unless the grid contains a larger B. The limit of
+stability is at 1, but friction or a force limit may hide it."""
 
 LONGEST_TRIAL = 20_000
 """Largest number of samples of a trial: 20 s at 1 kHz, fifty times as long as in the thesis. Each array of a sweep of

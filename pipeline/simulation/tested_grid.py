@@ -21,7 +21,7 @@ its stiffnesses reach up to the limit."""
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of tested walls, given by range and step of the damping [Ns/m, Nms/rad] and by the step of the stiffness
+    """Grid of tested walls: the range and the step of the damping [Ns/m, Nms/rad], and the step of the stiffness
     [N/m, Nm/rad]."""
 
     damping_first: float
@@ -31,7 +31,8 @@ class Grid:
 
 
 def tested_grid(device: Device, experiment: Experiment) -> Grid:
-    """Return the grid of an experiment. Values that the device file lacks follow from the range of stable walls.
+    """Return the grid of an experiment. Values that are missing in the device file are derived from the range of stable
+    walls.
 
     Raises
     ------
