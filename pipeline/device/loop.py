@@ -147,7 +147,7 @@ class Loop:
         if mode is not None and mode.mass < LIGHTEST_LOAD * self.mass and mode.damping_ratio < LEAST_LOSS:
             mistakes.append(
                 f"loop.mode.mass: found {mode.mass:g}, below {LIGHTEST_LOAD:g} of the mass of both sides, with a "
-                f"damping_ratio below {LEAST_LOSS:g}: the load is too light to compute its effect; omit the mode"
+                f"damping_ratio below {LEAST_LOSS:g}: the load is too light to compute its effect; leave the mode out"
             )
         if mode is not None and mode.load_damping > self.damping:
             mistakes.append(

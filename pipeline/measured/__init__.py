@@ -1,1 +1,1 @@
-"""Estimates, verdicts and costs from logs alone, independent of theory."""
+"""Estimates, verdicts and costs that are computed only from logs, independently of theory."""

@@ -12,7 +12,7 @@ CONFIDENCE = 0.95
 """Coverage of all intervals."""
 
 SIGMAS = 3.0
-"""Number of standard deviations for a significant difference of two values (0.3 % of normal values exceed it)."""
+"""Number of standard deviations beyond which two values differ significantly (0.3 % of normal values exceed it)."""
 
 NORMAL_95 = NormalDist().inv_cdf(0.5 + CONFIDENCE / 2)
 """Half-width of the 95 % interval of a normal distribution in standard deviations."""

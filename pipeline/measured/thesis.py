@@ -22,24 +22,27 @@ from pipeline.records.models import MOMENTUM_WINDOW_S
 from pipeline.records.trials import Floats, Integers, Trial
 
 QUANTA = 1.5
-"""Threshold in quanta, since rounding flickers by one quantum. `SIGMAS` standard deviations of noise are added to
-it."""
+"""Threshold for a change of the position, in quanta, because a rounded position flickers by one quantum. `SIGMAS`
+standard deviations of the noise are added to it."""
 
 QUANTA_AT_REST = 0.5
-"""Threshold in quanta for a constant baseline, in which one quantum is a change."""
+"""Threshold for a change of the position after a constant baseline, in quanta. One quantum is then a change."""
 
 RISE_ROWS, RISE = 2, 3.0
 """Number of rows after the first change, and multiple of the threshold that the position must exceed by then. This
-excludes a flicker of one quantum. Constant acceleration satisfies it if the threshold is reached within 2.7 rows."""
+condition excludes a flicker of one quantum. A constant acceleration meets it if the threshold is reached within 2.7
+rows."""
 
 SMALLEST_SIGNAL = 20.0
-"""Smallest change of velocity, in standard errors of the sensor. At 20, the sensor causes an error of 5 %."""
+"""Smallest change of velocity, relative to its standard error due to the sensor. At 20, the sensor causes an error of 5
+%."""
 
 ZERO_RATE = 1e-6
 """Threshold for the growth rate, relative to the range of the rates. Below it, the rate is zero except for rounding."""
 
 ZERO_RATE_AT_END = 0.01
-"""Threshold like `ZERO_RATE` for the largest tested B, with noise. It is an error of 1 % of the tested range of B."""
+"""Threshold like `ZERO_RATE` for the largest tested B, with noise. It corresponds to an error of 1 % of the tested
+range of B."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,9 @@ def first_change(trial: Trial, response: Response) -> FirstChange:
     the time that the device needs to reach the threshold. For 8 N on 0.58 kg, this time is 1.2 ms for 10 um and 3 ms
     for 60 um.
 
-    If a device moves before the step by more than the sensor explains (chatter at high B), there is a reason instead of
-    a delay, since its motion cannot be distinguished from the response to the step. The same is true for a device that
-    first moves against the step. A sign is then wrong, and the return motion would be mistaken for the response.
+    If a device moves before the step by more than the sensor explains (chatter at high B), a reason is returned instead
+    of a delay, because the motion cannot be distinguished from the response to the step. The same is true for a device
+    that first moves against the step. A sign is then wrong, and the return motion would be mistaken for the response.
 
     Source: Hulin 2017, eqs. 6.2 and 6.3.
     """
@@ -135,7 +138,7 @@ def estimate_delay(delay_samples: Integers, because: str = "") -> Estimate:
     -----
     The interval contains 95 % of the trials (jitter). Its upper end is one sample longer due to (6.3), since a factor d
     represents delays d T <= t_d < (d + 1) T. For an even number of trials, the lower median is used, so that the value
-    is a factor of one of the trials.
+    is the factor of one of the trials.
 
     Source: Hulin 2017, eqs. 6.2 and 6.3.
     """
@@ -160,7 +163,7 @@ class MomentumMass:
 def by_momentum(
     trial: Trial, response: Response, delay_samples: int, *, window_s: float = MOMENTUM_WINDOW_S, after_s: float = 0.0
 ) -> MomentumMass:
-    """Return the mass of a trial as impulse over change of velocity, in a window after the command edge.
+    """Return the mass of a trial as the ratio of impulse to change of velocity, in a window after the command edge.
 
     Parameters
     ----------
@@ -178,17 +181,20 @@ def by_momentum(
     -----
     With a zero-order hold of the command, the mean velocity of an interval is v + F T/2m. Mean velocities of successive
     intervals differ by exactly T (F_{k-1} + F_k)/2m, so the trapezoidal rule makes no error. The mass is exact for
-    b = 0, with any K and B. Otherwise it is too large by b (x_2 - x_1)/(v_2 - v_1). A delay error of one sample changes
-    it by about 10 %.
+    b = 0, with any K and B. Otherwise, the mass is too large by b (x_2 - x_1)/(v_2 - v_1). A delay error of one sample
+    changes the mass by about 10 %.
 
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
     edge, T, window = response.edge_row, trial.sampling_period_s, round(window_s / trial.sampling_period_s)
     if edge < 0:
-        return MomentumMass(reason=f"no start of the time window: {response.edge_reason}")
+        return MomentumMass(reason=f"the time window has no start: {response.edge_reason}")
     last = edge + window - 1
     if window <= delay_samples + 1 or last + 1 >= trial.rows:
-        reason = f"the log ends within the window of {window} samples, or the delay of {delay_samples} samples fills it"
+        reason = (
+            f"the log ends within the window of {window} samples, or the delay of {delay_samples} samples fills the "
+            "window"
+        )
         return MomentumMass(reason=reason)
     irregular = float(np.abs(np.diff(trial.time[edge : last + 2]) / T - 1).max())
     if irregular > EVEN:

@@ -1,1 +1,1 @@
-"""Evaluate the trials of an experiment jointly for estimates with intervals, boundary, optima, and stored stages."""
+"""Evaluate the trials of an experiment jointly: estimates with intervals, the boundary, optima, and stored stages."""

@@ -10,7 +10,7 @@ from pipeline.records.findings import Optimum
 from pipeline.records.trials import Booleans, Floats
 
 LARGEST_OVERSHOOT_FLOOR = 0.01
-"""Largest uncertainty of the overshoot for which a trial can be free of overshoot. It is a tenth of the distance
+"""Largest uncertainty of the overshoot for which a trial can count as free of overshoot. It is a tenth of the distance
 between contour lines in the published maps (10 percentage points)."""
 
 

@@ -1,7 +1,7 @@
 """Estimate the limit of stability at each damping with its 95 % interval, and the area below the limits.
 
 The growth rate of a trial passes smoothly through zero at the limit. A fit of the growth rates locates the limit
-between the last stable and the first unstable trial. The verdicts bound it.
+between the last stable and the first unstable trial. The verdicts bound the limit.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ NEIGHBOURS = 2
 """Number of dampings on either side whose scatter of the growth rates is used."""
 
 SHARED = 0.7
-"""Share of the error of a single growth rate that is common to all rates at one damping. In simulations, 97.7 % of the
-limits are covered with it (93 to 100 % by device, sensor and steps; 1,344 limits), and 80 % without it."""
+"""Share of the error of a single growth rate that is common to all rates at one damping. With it, the intervals cover
+97.7 % of 1,344 simulated limits (93 to 100 %, depending on device, sensor and steps). Without it, they cover 80 %."""
 
 ROUNDS = 3
 """Number of fits of the growth rate. The first is centred in the bracket of the verdicts, which can miss the limit by
@@ -53,12 +53,13 @@ trial."""
 
 BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K (up to 0.6 in
-simulations). This factor times the distances of the trials from the zero is the error of a line through few rates."""
+simulations). The error of a line through few rates is this factor times the smallest and the largest distance of the
+trials from the zero, divided by the zero."""
 
 WITNESSES = 2
 """Number of trials with the same verdict, at a stiffness or beyond, that makes the verdict reliable. With jitter, one
-decided verdict in 100 differs in a repeated run. The same number of stable trials overrules an undecided trial
-below."""
+decided verdict in 100 differs in a repeated run. The same number of stable trials overrules an undecided trial at a
+lower stiffness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +91,7 @@ class _Crossing:
 def boundary_band(
     stiffness: Floats, damping: Floats, verdict: Sequence[str] | ArrayLike, growth_per_s: Floats
 ) -> tuple[BoundaryPoint, ...]:
-    """Return the measured boundary, which consists of the limit at each damping with its 95 % interval.
+    """Return the measured boundary: the limit at each damping with its 95 % interval.
 
     Parameters
     ----------
@@ -126,13 +127,13 @@ def boundary_band(
     sign of the growth contradicts it, or if the growth is within `SIGMAS` standard errors of zero and fewer than
     `WITNESSES` trials share the verdict. If the scatter of the rates is unknown, as for two rates, the interval is the
     allowed range. The estimate is then the interpolation of two rates or the middle of the bracket, and a zero outside
-    the range widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of
+    the range widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which depend only on the
     verdicts.
 
     The limit is valid for walls with K >= 0. If the delay jitters, it is the limit of the loop with jitter, which
     differs from the limit for the mean delay.
 
-    Source: Hulin 2017, secs. 6.1.1 and 6.1.3; the interval is an addition.
+    Source: Hulin 2017, secs. 6.1.1 and 6.1.3; the interval is an addition of this package.
     """
     if len(growth_per_s) != len(stiffness):
         raise ParameterError(
@@ -238,9 +239,9 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
 
 
 def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
-    """Return whether each trial may grow.
+    """Return whether the motion of each trial may grow.
 
-    These are undecided trials that are not overruled, and stable trials beyond a rate peak.
+    The motion may grow in undecided trials that are not overruled, and in stable trials beyond a peak of the rate.
 
     With increasing K, the slowest mode of a rigid loop first decays faster and then more slowly. If the growth rate
     falls again, the mode with the rising rate may continue to rise below the noise of another mode.
@@ -252,8 +253,8 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     bends = np.abs(np.diff(g, n=2, axis=1))
     sure = np.maximum(clear, SIGMAS * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
-    # a peak rises twice and then falls to at most twice its rate, below the rate before; after a single outlier, the
-    # other rates continue to rise; comparisons with NaN are false
+    # At a peak, the negative rate has risen twice. Its magnitude then at least doubles, and the rate falls below the rate
+    # before the peak. After a single outlier, the other rates continue to rise. Comparisons with NaN are false.
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
     peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     peak[:, 2:-1] &= _went_unseen(c, K, g)
@@ -266,7 +267,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
 
 
 def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
-    """Return whether the rising mode of each rate may continue unseen; for the third to the second to last rate.
+    """Return whether the rising mode may continue undetected after each rate, from the third to the second to last.
 
     Extrapolated from its last two rises to the stiffest stable trial, the mode must grow at most `SEEN` times as fast
     as the slowest growth that was detected. A faster mode would have been detected; the peak is then an outlier.
@@ -285,7 +286,8 @@ def _outvoted(c: _Columns, sure: Booleans) -> Floats:
 
 
 def _witnessed(stiffness: Floats, agrees: Booleans) -> Booleans:
-    """Return whether at least `WITNESSES` trials with the same verdict are as stiff as each trial, including itself."""
+    """Return whether at least `WITNESSES` trials with the same verdict are at least as stiff as each trial, including
+    itself."""
     far = np.sort(np.where(agrees, stiffness, -np.inf), axis=1)[:, -WITNESSES:]
     found: Booleans = agrees & (stiffness <= far[:, :1]) & (far.shape[1] == WITNESSES)
     return found
@@ -294,8 +296,8 @@ def _witnessed(stiffness: Floats, agrees: Booleans) -> Booleans:
 def _pooled(scatter: Floats) -> Floats:
     """Return the scatter of single rates, with the median of neighbouring dampings as a lower bound.
 
-    Few trials estimate the scatter badly. The median of all dampings is not suitable: with jitter, rates of fast loops
-    scatter a hundred times more.
+    The scatter of a few trials is uncertain. The median of all dampings is not suitable: with jitter, rates of fast
+    loops scatter a hundred times more.
     """
     if not np.isfinite(scatter).any():
         return scatter
@@ -362,7 +364,8 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
 
 
 def _steadiness(growth: Floats, use: Booleans) -> Floats:
-    """Return the weight of each growth rate (1 near zero): fast growth or decay is visible in fewer samples."""
+    """Return the weight of each growth rate. It is 1 near zero, and smaller for fast motion, which is visible in fewer
+    samples."""
     size = np.sort(np.where(use, np.abs(growth), np.inf), axis=1)
     typical = np.take_along_axis(size, np.maximum(use.sum(axis=1, keepdims=True) - 1, 0) // 2, axis=1)
     typical = np.where(np.isfinite(typical) & (typical > 0), typical, 1.0)
@@ -438,8 +441,8 @@ def spread_over_plane(stiffness: Floats, damping: Floats, usable: Booleans, most
 
 
 LARGEST_UNLOCATED = 0.1
-"""Largest share of the area at dampings without an estimate of the limit for which the area is reported. It includes
-the range that these dampings leave open."""
+"""Largest share of the area at dampings without an estimate of the limit. If the share is larger, no area is reported.
+It is computed with the upper ends of these limits."""
 
 FAR = 2.0
 """Upper bound of a limit, relative to the stiffness of the softest trial that seems to grow."""
@@ -472,7 +475,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     method = "trapezoids between the limits at the tested dampings"
     used = [p for p in points if p.low is not None]
     if len(used) < 2:
-        reason = f"limits at {counted(len(used), 'damping')}; an area requires two"
+        reason = f"limits are known at {counted(len(used), 'damping')}; an area requires two"
         return Estimate(value=None, unit=unit, method=method, reason=reason, trials=len(used))
     B, low = np.array([p.damping for p in used]), np.array([p.low for p in used], dtype=np.float64)
     share = 0.5 * (np.diff(B, prepend=B[0]) + np.diff(B, append=B[-1]))
@@ -510,8 +513,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
 
 
 def _far_end(point: BoundaryPoint) -> float:
-    """Return the upper bound of a limit, which is its upper end or `FAR` times the stiffness of a trial that may
-    grow."""
+    """Return the upper bound of a limit: its upper end, or `FAR` times the stiffness of a trial that may grow."""
     if point.high is not None:
         return point.high
     return np.inf if point.censored or point.unstable is None else FAR * point.unstable

@@ -17,15 +17,16 @@ from pipeline.measured.student import NORMAL_95, NORMAL_QUARTILE
 from pipeline.records.findings import MATTERS, Estimate, ModelCheck
 
 LARGEST_OFFSET = 0.05
-"""Threshold for the distance [samples] from a whole number. Above it, a delay is not whole, even with a wide interval.
-Such a distance changes the limit by 2 %."""
+"""Threshold for the distance [samples] from a whole number. Above it, a delay is not rounded, even if its interval is
+wide. Such a distance changes the limit by 2 %."""
 
 LEAST_OFFSET = 0.01
-"""Distance [samples] from a whole number up to which a delay is whole, since the bias of a fit may be as large."""
+"""Distance [samples] from a whole number up to which a delay is always rounded, because the bias of a fit may be as
+large."""
 
-MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over the second half of that"}
-"""Windows of the momentum balance with their descriptions. Keys are column suffixes. Later windows are irregular
-(6.1.2)."""
+MOMENTUM_WINDOWS = {"": "", "_longer": " over twice the window", "_later": " over its second half"}
+"""Windows of the momentum balance with their descriptions. Keys are column suffixes. The results of later windows are
+irregular (6.1.2)."""
 
 BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "model_delay"}
 """Parameters that are identified for each trial, and the names of their columns."""
@@ -34,7 +35,7 @@ BY_TRIAL = {"mass": "model_mass", "damping": "model_damping", "delay_samples": "
 def whole_delay(estimate: Estimate, at: float | None = None) -> float:
     """Return the value of a delay, rounded to a whole number of samples if its interval contains that number.
 
-    ``at`` is another number inside the interval to be used instead of the value.
+    If ``at`` is given, this number inside the interval is rounded instead of the value.
 
     >>> whole_delay(Estimate(value=3.97, low=3.93, high=4.01, unit="samples", method="model"))
     4.0
@@ -171,7 +172,7 @@ def mass_estimate(of: Experiment) -> Estimate:
 
 
 def damping_estimate(of: Experiment) -> Estimate:
-    """Return the damping of an experiment. ``by_method`` contains that from the limit at K = 0 (3.25, 6.1.2)."""
+    """Return the damping of an experiment. ``by_method`` contains the damping from the limit at K = 0 (3.25, 6.1.2)."""
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     limit = thesis.by_limit(B, K, growth, PARAMETERS["damping"].unit(of.motion))
     model = by_model(of, "damping")

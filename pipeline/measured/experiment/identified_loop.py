@@ -22,14 +22,14 @@ from pipeline.measured.student import NORMAL_95
 from pipeline.records.findings import ROUNDING, Estimate
 from pipeline.records.trials import Floats
 
-METHOD = "one device, the likeliest of all trials"
+METHOD = "maximum-likelihood device of all trials"
 
 NOMINAL = (
     *("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s"),
     *("mode.frequency_hz", "mode.damping_ratio", "mode.mass", "mode.load_damping", "friction.coulomb"),
     "constant_force",
 )
-"""Parameters of a nominal loop, i.e. the loop of a file."""
+"""Parameters of a nominal loop, i.e. the loop of a device file."""
 
 ABSENT = ("actuator_lag_s", "constant_force")
 """Parameters of `NOMINAL` that belong to optional parts. A loop in which they are 0 does not have these parts."""
@@ -51,12 +51,13 @@ NOT_NEEDED = "the logs are explained equally well without it"
 """Reason for a parameter that the logs do not require."""
 
 MOST = 0.5
-"""Smallest share of the logs of an experiment whose common property is attributed to the experiment: its device, its
-filter, or the reason why it is not identified."""
+"""Smallest share of the logs that must have a property before it is attributed to the experiment: its device, its
+filter, or the reason why its device is not identified."""
 
 SMALLEST = 1e-3
-"""Smallest value of three ratios: mass on one side of a mode to total mass, positive parameter at an end of its
-interval to its value, and lag to sampling period. A smaller ratio changes no limit by a thousandth."""
+"""Smallest value of three ratios: the mass on one side of a mode to the total mass, a positive parameter at an end of
+its interval to its value, and the lag to the sampling period. The effect of a smaller ratio on any limit is less than a
+thousandth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,19 +95,19 @@ class IdentifiedLoop:
         Standard deviations of parameters from run to run.
     folds : tuple of dict of str to float
         Values if one fold of the trials is left out (every fifth trial, starting at the first, the second and so on).
-        They are empty if unknown.
+        The tuple is empty if they are unknown.
     bounds : dict of str to float
         Upper ends of parameters that the loop does not have. If the delay cannot be separated from a lag below one
-        sample, also the other end of the delay.
+        sample, ``bounds`` also contains the other end of the delay.
     jitter : tuple of float
         Standard deviation of the delay within a trial [samples], and its error.
     fit_percent : float or None
         Median fit of free runs to logs that were not used in the fit.
     command, step, travel : float
-        Largest command and largest step [N, Nm], and range of the positions [m, rad] of the logs; infinite and 0 if
-        unknown.
+        Largest command and largest step [N, Nm], and range of the positions [m, rad] of the logs. If unknown, the
+        command and the step are infinite, and the range is 0.
     remedy : str
-        What to record to separate parts with the same effect.
+        Recommended recording to separate parts with the same effect.
     directions : int
         Number of directions of motion in the logs, 1 or 2.
 
@@ -147,7 +148,7 @@ class IdentifiedLoop:
         return self.at(self.values)
 
     def at(self, values: Mapping[str, float]) -> Loop:
-        """Return the loop with other parameter values. A negative damping, stiffness or delay is set to 0."""
+        """Return the loop with the given parameter values. A negative damping, stiffness or delay is set to 0."""
         mass, damping, mode = values["mass"], max(values["damping"], 0.0), None
         if "mode.mass" in values:
             mode = Mode(
@@ -224,8 +225,10 @@ class IdentifiedLoop:
         return Interval(value, low, high)
 
     def why_unknown(self, name: str) -> str:
-        """Return why a parameter, or the bound of an absent one, is meaningless, with the remedy, or '' if
-        meaningful."""
+        """Return why the value of a parameter, or the bound of an absent parameter, is meaningless, with the remedy.
+
+        The text is empty if the value or the bound is meaningful.
+        """
         number = self.interval(name) if name in self.values else None
         wide = self.bounds.get(name, 0.0) if number is None else 0.5 * (number.high - number.low)
         if PARAMETERS[name].dimension == "force":
@@ -248,7 +251,7 @@ class IdentifiedLoop:
             return Estimate(value=None, low=low, high=high, unit=unit, method=METHOD, reason=reason, trials=count)
         unknown, warning = name in self.unidentifiable, None
         if not unknown and (hidden := number.value - self.bounds.get(name, number.value)) > 0:
-            warning = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: logs cannot decide"
+            warning = f"up to {hidden:.2g} {unit} of it may be a lag of the drive: these logs cannot separate the two"
         return Estimate(
             value=None if unknown else number.value,
             low=number.low,

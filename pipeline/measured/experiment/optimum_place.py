@@ -10,11 +10,12 @@ from pipeline.records.findings import BoundaryPoint, DampingRange, NearOptimum
 from pipeline.records.trials import Booleans, Floats, Integers
 
 NEAR = 0.05
-"""Largest relative difference to the best wall, in cost or in stiffness without overshoot, for a wall that is nearly as
-good."""
+"""Largest relative difference from the best wall at which a wall is nearly as good. The difference is that of the
+costs, or of the stiffnesses if walls without overshoot are compared."""
 
 NEIGHBOURS = 20
-"""Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three times the coefficients."""
+"""Number of trials to which a parabola is fitted: a wall and its neighbours on a grid, three trials for each
+coefficient."""
 
 _TO_DEVIATION = 1.482602218505602
 """Ratio of standard deviation to median absolute deviation of a normal distribution."""
@@ -52,7 +53,7 @@ def near_optimum(near: Booleans, stiffness: Floats, damping: Floats) -> NearOpti
 
 
 def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | None:
-    """Return the scatter of a cost map, which is the deviation of trials from their neighbours, in percent of the cost.
+    """Return the scatter of a cost map: the deviation of trials from their neighbours, in percent of the cost.
 
     Parameters
     ----------
@@ -156,9 +157,10 @@ def _lower_end(point: BoundaryPoint, stiffness: float) -> float:
 
 
 def _end(stiffness: float, damping: float, limit: float, dampings: Floats, limits: Floats) -> tuple[float, bool]:
-    """Return the damping at which the limits fall to a stiffness, from a damping and its limit in one direction.
+    """Return the first damping, in one direction from a given damping, at which the limits fall to a stiffness.
 
-    The second value is False if they do not fall to it before they are unknown.
+    ``limit`` is the limit at the given damping. The second value is False if a limit is unknown before the limits fall
+    to the stiffness.
     """
     last = damping
     for B, K in zip(dampings.tolist(), limits.tolist(), strict=True):

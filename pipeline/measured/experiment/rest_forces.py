@@ -14,21 +14,22 @@ from pipeline.records.findings import MATTERS
 from pipeline.records.trials import Booleans, Floats
 
 RESTS = 3.0
-"""Smallest distance from x_0 + F_0/K, in sensor floors, for which a device rests elsewhere."""
+"""Smallest distance, in sensor floors, at which a rest position counts as different from x_0 + F_0/K."""
 
 SLIGHT = 0.1 * MATTERS
 """Threshold for the displacing force, relative to the step. Below it, the force is negligible. The threshold exceeds
 the effect of residual motion."""
 
 OFTEN = 0.2
-"""Smallest share of logs with a displaced rest position that is not accidental (due to trials that still move)."""
+"""Smallest share of logs with a displaced rest position that is not attributed to trials that still move."""
 
 ALIKE = 0.5
-"""Largest relative difference of the displacing forces from their median for which they are the same force, including
-the sensor error."""
+"""Largest difference of the displacing forces from their median, relative to the median, at which they count as the
+same force. It includes the sensor error."""
 
 LASTING = 12.0
-"""Length of a log, in time constants of its decay, after which the mean of its last tenth contains no motion."""
+"""Length of a log, in time constants of its decay, after which the mean of its last tenth is not affected by the
+motion."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +37,9 @@ class RestForces:
     """Forces K (x_end - x_0) - F_0 that displace a device from the expected rest position.
 
     ``typical`` is their median [N, Nm]. ``off`` of ``of`` logs have a displacement above the sensor resolution.
-    ``constant`` is whether they are the same force along the step, and not friction. ``spring`` is the stiffness k
-    [N/m, Nm/rad] of a device that rests at x_0 + F_0/(K + k) in all logs. It is 0 if the logs do not show such a
-    spring.
+    ``constant`` states whether the logs show the same force along the step, which is then not friction. ``spring`` is
+    the stiffness k [N/m, Nm/rad] of a device that rests at x_0 + F_0/(K + k) in all logs. It is 0 if the logs do not
+    show such a spring.
     """
 
     typical: float
@@ -49,7 +50,7 @@ class RestForces:
 
     @property
     def is_reliable(self) -> bool:
-        """Whether so many logs rest elsewhere that the loop must have another force, a spring or friction."""
+        """Whether enough logs have a displaced rest position to show a further force, a spring or friction."""
         return _are_many(self.off, self.of)
 
 
@@ -95,7 +96,8 @@ def _spring(force: Floats, moved: Floats, reach: Floats) -> float:
     """Return k of force = -k moved if it explains the forces, and a constant force common to all logs does not."""
     weight = 1 / np.maximum(reach, SMALLEST) ** 2
     k = -float((weight * moved) @ force) / float((weight * moved) @ moved)
-    # soft walls decide, also for the constant: at a single stiffness, friction looks like a spring
+    # soft walls have the largest weight, also in the fit of the constant: at a single stiffness, friction looks like a
+    # spring
     constant = float(weight @ force) / float(weight.sum())
     left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - constant))
     return k if k > 0 and not _are_many(left, len(force)) and _are_many(same, len(force)) else 0.0

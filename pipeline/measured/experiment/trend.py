@@ -47,7 +47,7 @@ def find_trends(
     motion: Motion = "translation",
     shared: Floats | None = None,
 ) -> tuple[Trend, ...]:
-    """Return the slopes of the trials' values over stiffness and damping from a joint fit.
+    """Return the slopes of the values of trials over stiffness and damping, from a joint fit.
 
     Parameters
     ----------
@@ -96,8 +96,8 @@ def find_trends(
         if np.abs(now - pull).max() < _SETTLED:
             break
         pull = now
-    # HC3: residuals are enlarged by their leverage; a trial with limited influence does not respond to a change of
-    # the slope
+    # HC3: residuals are enlarged by their leverage. The pull of a trial with limited influence does not depend on the
+    # slope.
     answers = np.where(pull == 1, w, 0.0)
     normal = (x * answers) @ x.T
     if np.linalg.matrix_rank(normal, hermitian=True) < len(x):

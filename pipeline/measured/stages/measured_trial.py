@@ -1,4 +1,4 @@
-"""Trial with quantities that several stages measure.
+"""Trial with quantities that several stages need.
 
 A stage uses only these quantities of a trial. The samples of the trial, the inputs from the experiment, and the code
 therefore determine a row of the stage.
@@ -43,7 +43,7 @@ class Readings:
 
 @dataclass(eq=False)
 class MeasuredTrial:
-    """Trial with quantities that several stages need. Each is measured once, when it is first used.
+    """Trial with quantities that several stages need. Each quantity is measured once, when it is first used.
 
     Parameters
     ----------
@@ -86,9 +86,9 @@ class MeasuredTrial:
 
     @cached_property
     def unsafe(self) -> str:
-        """Reason why the trial contains no information on its wall (a fault, or another wall).
+        """Reason why the trial contains no information on its wall: a fault, or a command that follows another wall.
 
-        It is empty otherwise.
+        The text is empty if there is no such reason.
         """
         sentences = (finding.sentence for finding in self.findings if finding.is_unsafe)
         other = self.law.other_wall
@@ -102,8 +102,9 @@ class MeasuredTrial:
     def readings(self, inputs: ReadingInputs, *, on_grid: bool) -> tuple[Readings, ...]:
         """Return the readings for costs.
 
-        They are from the trial, or from the trial on its grid and from its linear interpolation, if there is one. They
-        are not kept: those of 20,000 trials would need 600 MB, and computing them again takes 30 microseconds a trial.
+        The readings are those of the trial or, with ``on_grid``, those of the trial on its sample grid and those of its
+        linear interpolation, if there is one. They are not kept, because those of 20,000 trials would need 600 MB, and
+        computing them again takes 30 microseconds a trial.
         """
         response = self.grid.response if on_grid else self.response
         trials = (self.grid.trial, self.grid.straight) if on_grid else (self.trial,)

@@ -15,7 +15,7 @@ Output = TypeVar("Output")
 
 @dataclass(frozen=True)
 class Missing:
-    """Reason why an experiment lacks the inputs of a stage. It is stored as the reason of all rows."""
+    """Reason why an experiment does not provide the inputs of a stage. It is stored as the reason of all rows."""
 
     reason: str
 
@@ -31,7 +31,7 @@ class TrialStage(Generic[Inputs, Output]):
     Parameters
     ----------
     measure : callable
-        Function that measures one trial. Its source and the samples are part of the key of a stored row.
+        Function that measures one trial. Its source code and the samples are part of the key of a stored row.
     inputs : callable
         Function that returns the inputs common to all trials of the experiment, which are also part of the key.
     """
@@ -48,8 +48,8 @@ class ExperimentStage(Generic[Output]):
     ----------
     measure : callable
     rests_on : callable, optional
-        Function that returns a hash of all inputs of the rows, if they are fewer than the whole experiment. Stored rows
-        are reused while the hash is unchanged.
+        Function that returns a hash of all inputs of the rows, if the rows do not depend on the whole experiment.
+        Stored rows are reused while the hash is unchanged.
     """
 
     measure: Callable[[Experiment], Sequence[Output]]

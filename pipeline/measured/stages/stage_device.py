@@ -1,6 +1,6 @@
 """Define the stages `parts`, `device` and `model`.
 
-They determine one device from the likelihood of all trials, and estimates of each trial.
+These stages identify one device from the likelihood of all trials, and estimate the parameters of each trial.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ AHEAD = 40
 """Number of rows before the step that are used."""
 
 LEAST = 1e-300
-"""Smallest variance of a parameter, for an exactly known one."""
+"""Smallest variance of a parameter. It replaces the variance 0 of an exactly known parameter."""
 
 WITHOUT = {"command_shifted", "sampling_period"}
 """Departures from the wall law for which the logged command does not drive the device at the logged time, or the time
 is unknown."""
 
-INSEPARABLE = "mass and force on the device cannot be separated in these logs; record {}, or trials with a wall"
+INSEPARABLE = "mass and force gain cannot be separated from these logs; record {}, or trials with a wall"
 
 OTHER_WALLS = (
     "the command of most logs does not match their stated wall and time, so these logs are left out; the mass is not "
@@ -62,7 +62,7 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     stiffness = of.column("response", "stiffness")
     usable = np.array([each.isdisjoint(WITHOUT) for each in codes])
-    # without a wall, a device may end anywhere, and contains less information on motion at the walls of other trials
+    # without a wall, a device may end anywhere, and its log contains less information on the motion at walls
     usable &= (stiffness > 0) | (stiffness <= 0).all()
     usable &= np.isnan(of.column("wall_law", "obeyed_stiffness"))
     findings = of.once(recording_findings)
@@ -77,7 +77,7 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
     if not found:
         fault = next((each for some in findings for each in some if each.leaves_out), None)
         return fault.sentence if fault is not None else "the command of no log matches its wall and time"
-    # a log that is too short to show motion excludes only itself
+    # logs that are too short to show motion are left out, unless all logs are too short
     found = [one for one in found if len(one.time) >= SHORTEST] or found
     try:
         check_recordings(found)
@@ -87,7 +87,8 @@ def recordings_of(of: Experiment) -> list[Recording] | str:
 
 
 def chosen_by(of: Experiment) -> str:
-    """Return a hash of the recordings that choose the parts of the device, or the reason if there are none."""
+    """Return a hash of the recordings from which the parts of the device are chosen, or the reason if there are
+    none."""
     found = of.once(recordings_of)
     return found if isinstance(found, str) else digest([each.digest for each in subset(found)])
 
@@ -166,7 +167,7 @@ def identification(of: Experiment) -> tuple[Identification | None, str]:
     remedy = result.recorded.remedy()
     if "mass" not in result.unidentifiable:
         return result, remedy
-    # logs that obey another wall than the stated one are the reason, whatever faults the other logs have
+    # if most logs follow a wall other than the stated one, this is the reason, whatever faults the other logs have
     why = INSEPARABLE.format(remedy) if len(found) > MOST * of.trials.num_rows else OTHER_WALLS
     return None, why
 
@@ -203,14 +204,14 @@ def model(of: Experiment) -> list[ModelRow]:
     for trial, samples, (stiffness, damping) in zip(ids, hashes, walls, strict=True):
         numbers: Sequence[float | None] = own.get(trial, [None] * 6)
         m, m_error, b, b_error, d, d_error = numbers
-        why = reason if trial in fitted else "left out: its command does not drive the device"
+        why = reason if trial in fitted else "the trial is left out, because its command does not drive the device"
         words = None if trial in own else why
         rows.append(ModelRow(trial, samples, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
     return rows
 
 
 def device_row(found: Identification, remedy: str, largest_step: float) -> DeviceRow:
-    """Return the identified device in stored form. ``largest_step`` is from the headers [N, Nm], 0 if none."""
+    """Return the identified device in stored form. ``largest_step`` [N, Nm] is from the headers, or 0."""
     # the interval of a parameter may be wider than that of the likelihood
     errors = np.array([each.error for each in found.parameters.values()])
     wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
@@ -274,7 +275,7 @@ def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
     """Return a trial, with given edge row and findings, as an input of the estimator, up to a travel stop.
 
     A trial with a step begins shortly before the step. Of its ranges between lost rows, only the one with the most
-    motion is used. For other motion, all rows are used.
+    motion is used. Without a step, all rows are used.
     """
     last = min([trial.rows, *(finding.first_row or 0 for finding in findings if finding.severity == "cut")])
     rows = slice(0, last)

@@ -1,4 +1,4 @@
-"""Functions of the stages, which measure a row of a trial or all rows of an experiment. `stages` is their table."""
+"""Functions of the stages. They compute the row of a trial, or all rows of an experiment. `stages` is their table."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def response(of: MeasuredTrial, _: None) -> ResponseRow:
 
 
 def wall_law(of: MeasuredTrial, _: None) -> WallLawRow:
-    """Return whether the logged command of a trial obeys the wall law, and the reason if it does not."""
+    """Compare the logged command of a trial with the wall law."""
     law, (stiffness, damping, step) = of.law, of.law.obeyed
     return WallLawRow(
         law_residual=law.residual,
@@ -72,7 +72,7 @@ def wall_law(of: MeasuredTrial, _: None) -> WallLawRow:
 
 @dataclass(frozen=True)
 class OutcomeInputs:
-    """Inputs of outcomes that are common to the experiment. They are the usual number of rows and the device."""
+    """Inputs of outcomes that are common to the experiment: the usual number of rows, and the device."""
 
     usual_rows: int
     device: PushResponse
@@ -110,7 +110,7 @@ def delay(of: MeasuredTrial, _: None) -> DelayRow:
 
 @dataclass(frozen=True)
 class MassInputs:
-    """Common inputs of momentum balances, which are the delay [samples] and the length of the window [s]."""
+    """Common inputs of momentum balances: the delay [samples] and the length of the window [s]."""
 
     delay: int
     window_s: float
@@ -122,11 +122,12 @@ def mass_inputs(of: Experiment) -> MassInputs | Missing:
     return Missing(NO_DELAY) if value is None else MassInputs(int(value), of.measuring.momentum_window_s)
 
 
-NO_DELAY = "the delay, which is required, is unknown"
+NO_DELAY = "the delay is required, but it is unknown"
 
 
 def mass(of: MeasuredTrial, inputs: MassInputs) -> MassRow:
-    """Return the mass of a trial from momentum balances over its window, a longer one, and the window after it."""
+    """Return the mass of a trial from momentum balances over the window, over twice the window, and over the second
+    half."""
     window = inputs.window_s
     first, longer, later = (
         thesis.by_momentum(of.trial, of.response, inputs.delay, window_s=end, after_s=begin)
@@ -162,7 +163,7 @@ def energy_inputs(of: Experiment) -> CostInputs | Missing:
 
 
 def _reading_inputs(of: Experiment, samples: int, spring: float) -> ReadingInputs:
-    """Return the common inputs of reading errors, which are the spring, the sensor error, and the usual gain."""
+    """Return the common inputs of reading errors: the spring, the sensor error, and the usual gain."""
     noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
     begun = np.isfinite(rows)
     sensor, final = sensor_error(noise[begun], quantum[begun], rows[begun].astype(np.int64)), of.measuring.final
@@ -185,8 +186,8 @@ def _rest_positions(of: Experiment) -> list[RestPositions]:
 
 
 def _spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad] that is declared, or otherwise identified, or otherwise found from rest
-    positions."""
+    """Return the declared stiffness k [N/m, Nm/rad], or otherwise the identified stiffness, or otherwise the stiffness
+    that follows from the rest positions."""
     k = by_model(of, "stiffness")
     if of.spring or k.value is None:
         return rest_spring(of)

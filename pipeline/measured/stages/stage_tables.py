@@ -1,8 +1,8 @@
 """Compute, store and reuse the stages of an experiment, independently of what a stage computes.
 
 The result of a stage is reused while its key is unchanged. The key is a hash of the trials (source and profile hashes),
-of the code that computes the stage, and of its inputs from previous stages. If the key changes because of some trials,
-the rows of all other trials are reused, provided that the code and the inputs from the experiment are unchanged.
+of the code that computes the stage, and of its inputs from previous stages. If only some trials have changed, the rows
+of all other trials are reused, provided that the code and the inputs from the experiment are unchanged.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ class ExperimentStages:
 
     @cached_property
     def _map(self) -> MapTrials:
-        """Map of functions over the trials, in this process unless a stage is computed in others."""
+        """Map of functions over the trials, in this process unless a stage is computed in other processes."""
         from pipeline.measured.stages.measured_trial import MeasuredTrials
 
         return MeasuredTrials(self.samples)
@@ -188,7 +188,7 @@ class ExperimentStages:
         return (
             "no result is stored"
             if stored is None
-            else "logs, exclusions, code or an earlier stage changed since it was stored"
+            else "logs, exclusions, code or an earlier stage changed since the result was stored"
         )
 
     def _stored_key(self, stage: str) -> str | None:
@@ -286,10 +286,7 @@ class ExperimentStages:
         return table.take(order).cast(arrow_schema(stage, motion=self.motion, metadata=metadata))
 
     def _former(self, stage: str, common: str) -> pa.Table:
-        """Return the stored rows of a stage with the same inputs from the experiment.
-
-        There are none if they are damaged.
-        """
+        """Return the stored rows of a stage with the same inputs from the experiment, or none if they are damaged."""
         schema = arrow_schema(stage, motion=self.motion)
         file = self._file(stage)
         if file is not None and read_metadata(file).get("pipeline.common") == common:
@@ -362,10 +359,7 @@ class ExperimentStages:
         return self._costs(criterion)[0], commonest(self.cost_reasons(criterion))
 
     def cost_reasons(self, criterion: str) -> list[str]:
-        """Return why each trial has no cost by a criterion, or a doubtful one.
-
-        The result is empty if there is no reason.
-        """
+        """Return the reason why each trial has no cost by a criterion, or a doubtful cost. It may be empty."""
         return self._costs(criterion)[3]
 
     def _costs(self, criterion: str) -> tuple[Floats, Floats, Floats, list[str]]:
@@ -394,7 +388,8 @@ class ExperimentStages:
         return value, low, high, [vars(row)["reason"] for row in rows]
 
     def floor(self, criterion: str) -> Floats | None:
-        """Return the apparent cost of each trial due to sensor and chatter, or None if the criterion has none."""
+        """Return the apparent cost of each trial due to sensor and chatter, or None if the criterion has no such
+        cost."""
         family = criterion_of(criterion).family
         return self.column(family.name, family.floor) if family.floor else None
 
@@ -412,7 +407,7 @@ class ExperimentStages:
         cost."""
         cost, _ = self.cost(criterion)
         trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
-        # a trial that obeys another wall than the stated one did not test the stated wall
+        # a trial whose command follows a wall other than the stated one did not test the stated wall
         stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
         K, B = (self.column("response", name)[stated] for name in ("stiffness", "damping"))
         unstable, cost = self.verdicts.verdict[stated] == "unstable", cost[stated]

@@ -19,7 +19,7 @@ MEASURES: Mapping[str, Measure] = {
     "rise": rise_row,
     "energy": energy_row,
 }
-"""Function for each family of criteria that computes its costs."""
+"""Function that computes the costs of each family of criteria."""
 
 
 def other_cost(criterion: Criterion) -> TrialStage[CostInputs, CostRow]:
