@@ -185,7 +185,7 @@ def test_reasons_for_no_mass():
         ({"quantum": 5e-5}, "noise threshold"),
     ):
         assert reason in masses(simulate([3000.0], [50.0], **FALCON, **changed), 4).reason[0]
-    assert "fills it" in by_momentum(trial, response, 40).reason
+    assert "fills the window" in by_momentum(trial, response, 40).reason
     for row, reason in ((25, "time steps in the window differ from T by 2.0 %"), (100, "")):
         time = trial.time + 2e-5 * (np.arange(trial.rows) >= row)
         assert by_momentum(dataclasses.replace(trial, time=time), response, 4).reason.startswith(reason)

@@ -1,1 +1,1 @@
-"""Evaluate a single log for its response, modes, verdict, outcome, and events."""
+"""Evaluate a single log: its response, modes, verdict, outcome, and events."""

@@ -40,7 +40,7 @@ def jumps(values: Floats) -> Integers:
 
 
 def rests(values: Floats) -> list[tuple[int, int]]:
-    """Return the segments in which a column rests or creeps, as first row and row after the last one."""
+    """Return the segments in which a column rests or creeps, each as its first row and the row after its last row."""
     rows, reach = len(values), _reach(values)
     least = max(FEWEST_ROWS, int(SHORTEST_REST * rows))
     if rows < least:

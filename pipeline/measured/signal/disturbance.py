@@ -41,8 +41,8 @@ SMALLEST_FORCE = max(SETTLING_BANDS.values())
 device. Such a force is hardly visible even in the widest settling band."""
 
 TYPICAL = 3.0
-"""Smallest ratio of a force to the force in the median trial for an event, for eight trials or more. A force in all
-trials belongs to the device (friction, jitter)."""
+"""Smallest ratio of the force of an event to the force in the median trial, if there are at least eight trials. A force
+that occurs in all trials belongs to the device (friction, jitter)."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class PushResponse:
     """Device (m, b, k and delay [samples]) that is fitted to an experiment to detect disturbances.
 
     The mass is 0 if the trials show no motion. ``span`` is the number of rows on each side of a row that determine its
-    force. ``least`` is the smallest force of an event, relative to the smallest reported one. Smaller forces are
+    force. ``least`` is the smallest force of an event, relative to the smallest reported force. Smaller forces are
     attributed to the device.
     """
 
@@ -199,7 +199,7 @@ def _least_absolute(design: Floats, values: Floats) -> tuple[Floats, float]:
     scaled, weight = design / size[:, None], np.ones(len(values))
     solution: Floats = np.zeros(len(design))
     error = values
-    for _ in range(6):  # converged to sufficient accuracy
+    for _ in range(6):  # the result is then sufficiently accurate
         weighted = scaled * weight
         solution = np.asarray(np.linalg.lstsq(weighted @ scaled.T, weighted @ values, rcond=None)[0], np.float64)
         error = np.abs(values - solution @ scaled)
@@ -221,7 +221,8 @@ def _late(command: Floats, delay: int) -> Floats:
 
 
 def _held(command: Floats) -> Floats:
-    """Return the mean command of both intervals at each row. Its second difference is exact for a zero-order hold."""
+    """Return the mean command of the two intervals that meet at each row. Its second difference is exact for a
+    zero-order hold."""
     mean = command.copy()
     mean[1:] += command[:-1]
     return 0.5 * mean

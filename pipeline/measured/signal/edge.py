@@ -26,20 +26,20 @@ LEVEL = 0.02
 """Largest deviation from a level, relative to the step. Sensors and printed digits cause smaller deviations."""
 
 LEVEL_ROWS = 20
-"""Number of rows before and after a jump that show two levels. A velocity over N rows causes a plateau of N rows after
-each quantum. For this number of rows, the plateau is too low for a step."""
+"""Number of rows before and after a jump that show two levels. With a velocity over N rows, each quantum causes a
+plateau of N rows. If N is this large, the plateau is too low for a step."""
 
 JUMP = 0.1
 """Smallest change that counts as a step or a motion, relative to the step of the log. Quanta amplified by B jump by
-less. Two steps whose difference is smaller are treated as equal. A wall force in another unit, or another signal,
-leaves such a change only if command plus wall force deviates from its level by more than `LEVEL`."""
+less. Two steps whose difference is smaller are treated as equal. A command in a wrong unit, or another signal, exceeds
+this change only while command plus wall force deviates from its level by more than `LEVEL`."""
 
 UNDAMPED_JUMP = 0.04
 """Smallest relative jump between two levels if B = 0, so that quanta are not amplified."""
 
 BENT = 1e-3
-"""Smallest deviation of a command from the wall law, relative to the step, at which the command is limited. Rounding of
-a log with few digits causes smaller deviations."""
+"""Smallest deviation of a command from the wall law, relative to the step, at which the command counts as limited.
+Rounding of a log with few digits causes smaller deviations."""
 
 LISTED_STEPS = 6
 """Largest number of steps that a reason lists."""
@@ -136,7 +136,7 @@ def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
 
     If the command has a wrong unit or is another signal, the wall force alone crosses half the step, but later. Chatter
     before the step may exceed the step with either sign. With a slow ramp, the wall responds before the ramp reaches
-    half the step. A force that stays at its level while the command still moves is not a wall force.
+    half the step. If the force stays at its level while the command is still large, the command is part of this force.
     """
     command = np.abs(trial.command)
     if (command[:until] > half).any():
@@ -224,8 +224,8 @@ def _list_steps(force: Floats, steps: list[int]) -> str:
     listed = [f"row {row} ({a:.4g} to {b:.4g})" for row, (a, b) in zip(steps, pairwise(levels), strict=True)]
     more = f" and {len(listed) - LISTED_STEPS} more" if len(listed) > LISTED_STEPS else ""
     return (
-        f"several steps: {', '.join(listed[:LISTED_STEPS])}{more}; divide the log into one step each with [[steps]] of "
-        "a profile, or record the steps separately"
+        f"several steps: {', '.join(listed[:LISTED_STEPS])}{more}; divide the log into parts with one step each, by "
+        "[[steps]] in a profile, or record the steps separately"
     )
 
 

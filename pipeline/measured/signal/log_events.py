@@ -1,4 +1,4 @@
-"""Detect limits that end or distort a log, which are the travel of the device, rigid stops, and the largest command."""
+"""Detect limits that end or distort a log: the travel of the device, rigid stops, and the largest command."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pipeline.measured.signal.response import NO_ROW, SETTLED_SAMPLES, Response,
 from pipeline.records.trials import Booleans, Floats, Integers, Trial
 
 IMPACT = 6.0
-"""Smallest change before the position stops, in sensor floors. In a smooth reversal that stays within a floor and the
-rounding to a quantum for 5 rows, the change is at most 4."""
+"""Smallest change of the position before a stop, in sensor floors. Before a smooth reversal that stays within a floor
+and the rounding to a quantum for 5 rows, the change is at most 4."""
 
 ABRUPT, REBOUNDS, LOUD = 4.0, 3, 40.0
 """Smallest ratio of the distance in the two samples before a reversal to that in the two samples after it (at most 2.2
@@ -29,7 +29,7 @@ delay plus twice the number of samples that a verdict requires."""
 
 
 def usual_length(rows: Integers) -> int:
-    """Return the most frequent number of rows of the logs, the largest one if several are equally frequent; else 0."""
+    """Return the most frequent number of rows, or the largest of equally frequent numbers. Without logs, return 0."""
     lengths, counts = np.unique(rows, return_counts=True)
     return int(lengths[len(counts) - 1 - np.argmax(counts[::-1])]) if len(counts) else 0
 

@@ -33,11 +33,12 @@ DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
 """Smallest singular value that is kept, relative to the largest one (as in `numpy.linalg.matrix_rank`)."""
 
 CLEAN_FRACTION = 1e-4
-"""Threshold for the fraction of the motion at its end. Below it, modes are rounding errors, in a signal explained by
-few modes."""
+"""Threshold for the amplitude of a mode at the end of the motion, relative to the motion, if few modes explain the
+signal. Smaller modes are rounding errors."""
 
 NOISY_FRACTION = 0.3
-"""Threshold for the fraction of the motion at its end. Below it, modes contain no information, in a noisy signal."""
+"""Threshold for the amplitude of a mode at the end of the motion, relative to the motion, in a noisy signal. Smaller
+modes contain no information."""
 
 WIDE, NARROW = 2, 3
 """Divisors of the length of a motion for the length of its windows (a half, a third), as two views of a noisy
@@ -48,7 +49,7 @@ SINGULAR = 0.01
 times or more."""
 
 NO_MODES = np.empty((0, 0))
-"""Directions of a window without modes (none)."""
+"""Empty set of directions, for a window without visible modes."""
 
 UPPER = np.triu(np.ones((WINDOW_POINTS, WINDOW_POINTS)))
 """Mask of the factor R in the result of a Householder decomposition."""
@@ -174,7 +175,7 @@ class MotionWindows:
         if len(self.signal) < FEWEST_SAMPLES:
             return False
         windows, spread = self._windows.values, self._windows.spread
-        # no mode if the largest singular value is below the noise; its bound is s_1^4 <= sum s_i^4
+        # there is no mode if the largest singular value s_1 is below the noise; s_1 is bounded by s_1^4 <= sum s_i^4
         if np.linalg.norm(windows.T @ windows) <= (self.noise * spread * SIGMAS) ** 2:
             return False
         shift = self._span.shift

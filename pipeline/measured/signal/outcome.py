@@ -87,40 +87,45 @@ class _Evidence:
         row = self.stop if self.stop >= 0 else self.left
         place = f"{self.trial.position[row]:.6g}"
         if self.stop >= 0:
-            return f"stopped abruptly at {place}, first in row {row}"
-        text = f"the log ends earlier than the others, in row {row}, while moving outwards at its extreme {place}"
+            return f"the device stops abruptly at {place}, first in row {row}"
+        text = f"the log ends earlier than the others, in row {row}, while the device moves outwards at {place}"
         return text + self.growth()
 
     def too_short(self) -> str:
         samples = self.trial.rows - self.response.edge_row
-        return f"{samples} samples from the step on, {self.free} of them in free motion: {FEWEST_SAMPLES} are needed"
+        return (
+            f"the log has {samples} samples from the step on, {self.free} of them in free motion, but needs "
+            f"{FEWEST_SAMPLES}"
+        )
 
     def saturated(self) -> str:
-        clipped = f"command clipped at {self.limit:.4g} from row {self.clipped} on, below the wall law"
+        clipped = f"the command is clipped at {self.limit:.4g} from row {self.clipped} on, below the wall law"
         return clipped + self.growth()
 
     def disturbed(self) -> str:
         if self.push.first_row >= 0:
-            force = f"an additional force of {self.push.force:.3g}, which begins near row {self.push.first_row}"
+            force = f"an additional force of {self.push.force:.3g} begins near row {self.push.first_row}"
             return f"{force}; the step is {self.trial.step:.4g}"
-        offset = f"rests at a distance of {self.end.offset:.3g} from x_0 + F_0/K, outside +-{self.band:.3g}"
+        offset = f"the device rests at a distance of {self.end.offset:.3g} from x_0 + F_0/K, outside +-{self.band:.3g}"
         return f"{offset}: another force acts on the device"
 
     def diverged(self) -> str:
-        return f"grows to an amplitude of {self.end.amplitude:.3g} in the last fifth{self.growth()}"
+        return f"the motion grows to an amplitude of {self.end.amplitude:.3g} in the last fifth{self.growth()}"
 
     def limit_cycle(self) -> str:
-        cycle = f"oscillates with a sustained amplitude of {self.end.amplitude:.3g}, outside +-{self.band:.3g}"
+        cycle = (
+            f"the device oscillates with a steady amplitude of {self.end.amplitude:.3g}, outside +-{self.band:.3g}"
+        )
         return cycle + self.growth()
 
     def moving(self) -> str:
         if np.isnan(self.band):
-            return f"no final position with K = {self.trial.stiffness:g}; does not diverge{self.growth()}"
-        return f"not permanently inside +-{self.band:.3g} by sample {self.trial.rows - 1}{self.growth()}"
+            return f"K = {self.trial.stiffness:g} has no final position; the motion does not diverge{self.growth()}"
+        return f"the motion is not permanently inside +-{self.band:.3g} by sample {self.trial.rows - 1}{self.growth()}"
 
     def settled(self) -> str:
         wide = "" if self.band > self.response.floor else ", which is the sensor floor"
-        entry = f"inside +-{self.band:.3g} from sample {self.end.entry} of the log on"
+        entry = f"the motion is inside +-{self.band:.3g} from sample {self.end.entry} of the log on"
         return f"{entry}{wide}{self.growth()}"
 
 

@@ -2,8 +2,8 @@
 
 The external force is the command plus the wall force, whatever moves the device. If the controller releases the device,
 the external force steps to another level. If the controller hits the device, the force returns to its first level. If a
-hand releases or hits the device, the force stays constant. The motion is free once the force is constant. Its growth
-then shows stability as after a step.
+hand releases or hits the device, the force stays constant. The motion is free once the force is constant. The growth of
+the motion then shows stability, as after a step.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ SUDDEN = 0.25
 """Share of the first swing within which a device hit by a hand is fastest. A released device is fastest half-way."""
 
 HELD = 0.1
-"""Smallest force of a wall against a hand that keeps a device away from it, relative to the largest command."""
+"""Smallest command before the motion at which a hand counts as holding the device off its rest position, relative to
+the largest command."""
 
 CHANGES = "the external force continues to change, so the motion is not free"
 RESTS = "the device does not move"
-NO_WALL = "without a wall and damping, a motion contains no information on the loop"
+NO_WALL = "without virtual stiffness and damping, a motion contains no information on the loop"
 """Reasons why a trial without a step has no free motion to judge."""
 
 
@@ -51,11 +52,12 @@ class Release:
     level : float
         External force after the motion begins, minus the force before [N, Nm], or 0 after a hit.
     size : float
-        Largest change of the external force. If it is constant, the wall force at the first reversal [N, Nm].
+        Largest change of the external force. If this force is constant, the largest change of the wall force in the
+        first swing [N, Nm].
     kind : {"", "release", "hit"}
         Whether the device was released from a position, or hit.
     reason : str
-        Reason why there is no free motion. It is empty otherwise.
+        Reason why there is no free motion, or an empty text.
     """
 
     begin: int = NO_ROW

@@ -108,8 +108,8 @@ def find_response(trial: Trial) -> Response:
     difference of positions. With a velocity filter or a force limit, it is wrong once the device moves, but not before.
     The edge is therefore correct for any delay of at least one sample.
 
-    A command of wrong sign or size, or another signal, has no edge, although the wall force alone would also cross half
-    the step, but later. Such a log is detected in two ways: the command has not reached half the step by then (chatter
+    A command with a wrong sign or size, or another signal, has no edge. The wall force alone would also cross half the
+    step, but later. Such a log is detected in two ways: the command has not reached half the step by then (chatter
     may be larger, with either sign), or the force first stays beyond half the step on the other side.
 
     The noise is estimated from the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
@@ -271,7 +271,7 @@ def _reach(e: Floats, entry: int, growth: float, noise: float, low: float, high:
             share = abs(e[k]) / max(size, 2.2250738585072014e-308)
             begin = k if begin < 0 and share <= 1 - low else begin
             end = k if end < 0 and share <= 1 - high else end
-        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # rows of this part of the displacement
+        radian = max(end - max(begin, 0), 0) / np.log(9.0)  # the rise time is ln 9 time constants of a creep
     falls = 0.0 if np.isnan(growth) else min(growth, 0.0)
     # damping slows an oscillation down, but the bound is for the undamped oscillation
     radian = max(radian / np.hypot(1.0, radian * falls), 1.0)

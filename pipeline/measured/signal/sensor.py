@@ -32,23 +32,23 @@ STORED_GAP = 4.0
 """Smallest ratio between neighbouring sorted changes that separates a quantum from rounding errors of storage."""
 
 STORED_MULTIPLES = 20.0
-"""Largest multiple that tests a grid in rounded positions. For larger ones, the error of the grid reaches the
-tolerance."""
+"""Largest multiple of the step by which a grid of rounded positions is tested. For larger multiples, the error of the
+grid reaches the tolerance."""
 
 FEWEST_ON_GRID = 12
 """Smallest number of changes that must lie on such a grid, also for a command. The probability that all changes of a
 continuous signal lie on it is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
-"""Two numbers of printed digits. Changes below the first number are due to printing. The second number is the error of
-the difference of two changes, which contains four readings with errors of up to half a digit."""
+"""Two limits in units of the last printed digit. Changes below the first limit are due to printing. The second limit is
+the error of the difference of two changes, which contains four readings with errors of up to half a digit."""
 
 BY_CHANCE, FEWEST_COARSE = 14.5, 4
 """Negative logarithm of the probability that changes lie on a grid by chance, as for `FEWEST_ON_GRID`, and smallest
 number of changes."""
 
 COARSE_MULTIPLES = 1e3
-"""Largest multiple that tests a grid in printed positions."""
+"""Largest multiple of the step by which a grid of printed positions is tested."""
 
 ROUNDING_UNITS = 64.0
 """Threshold for the number of rounding units. Below it, changes are numerical errors and not sensor steps."""

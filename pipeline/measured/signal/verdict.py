@@ -28,8 +28,8 @@ function of a quantizer differs from 1 by at most 0.16 (q/A)^1.5, so a larger os
 of the limit."""
 
 LEAST_FALL = 3.0
-"""Smallest factor by which a motion must decay to the sensor floor to exclude growth of a mode with a third of the
-remaining amplitude, and by which the size of a motion without modes must change for a verdict."""
+"""Smallest factor by which a motion must decay to the sensor floor, to exclude growth of a mode with a third of the
+remaining amplitude. The size of a motion without modes must change by the same factor for a verdict."""
 
 END = 0.8
 """Fraction of the motion at which its end begins. The motion must have reached the sensor floor by then."""
@@ -42,14 +42,15 @@ BLOCKS = 8
 """Number of parts of the motion whose sizes show a growth rate. For a wall that changes within its log, a part is half
 a period."""
 
-NOT_TOLD = "growth rate unknown: the motion has decayed"
+NOT_TOLD = "the growth rate is unknown, because the motion has decayed"
 """Reason for a stable trial without a growth rate."""
 
 Views = tuple[MotionWindows, MotionWindows]
 """Wide and narrow windows of the same motion."""
 
 ROUNDING = 1e3 * float(np.finfo(np.float64).eps)
-"""Motion relative to the positions that is rounding in a log without a sensor. Relative to its peak, it is 1e-9."""
+"""Motion, relative to the positions, that is attributed to rounding in a log without sensor errors. Relative to the
+peak of the motion, the limit is 1e-9."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,8 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
         )
     elif early:
         reason = (
-            "the log ends before the motion reverses or passes its final position, so it still accelerates at any wall"
+            "the log ends before the motion reverses or passes its final position, so the motion still accelerates at "
+            "any wall"
         )
     elif hidden > 0:
         reason = f"a mode grows at {rate:.3g} 1/s while the motion decays to an amplitude of {end:.3g}"
@@ -319,8 +321,10 @@ def _bent(trial: Trial, start: int, count: int, size: float) -> bool:
 
 
 def _last_swing(signal: Floats, moving: Integers) -> int:
-    """Return the number of rows between the last two reversals of a motion, from its rows in motion, or 0 if there are
-    fewer."""
+    """Return the number of rows between the last two reversals of a motion, or 0 if there are fewer reversals.
+
+    ``moving`` are the rows in which the motion exceeds the sensor floor.
+    """
     ahead = signal[moving] > 0
     turns = moving[1:][ahead[1:] != ahead[:-1]]
     return int(turns[-1] - turns[-2]) if len(turns) > 1 else 0

@@ -204,7 +204,7 @@ def model(of: Experiment) -> list[ModelRow]:
     for trial, samples, (stiffness, damping) in zip(ids, hashes, walls, strict=True):
         numbers: Sequence[float | None] = own.get(trial, [None] * 6)
         m, m_error, b, b_error, d, d_error = numbers
-        why = reason if trial in fitted else "the trial is left out, because its command does not drive the device"
+        why = reason if trial in fitted else "left out: its command does not drive the device"
         words = None if trial in own else why
         rows.append(ModelRow(trial, samples, stiffness, damping, m, m_error, b, b_error, d, d_error, words))
     return rows

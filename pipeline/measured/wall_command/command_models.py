@@ -1,4 +1,4 @@
-"""Models of a logged command, which are the wall law and its variants in controllers and loggers.
+"""Models of a logged command: the wall law and its variants in controllers and loggers.
 
 Each candidate returns the departures of a log from the wall law (possibly none). It returns None if it does not explain
 the log, i.e. if the command in some row differs by more than the rounding of the logged digits.
@@ -29,8 +29,8 @@ LONGEST_RAMP = 0.25
 """Longest ramp of a step, as a share of the rows after the edge."""
 
 ADAPTS = 0.1
-"""Smallest share of the rows of a motion with a filtered velocity. A few percent of the rows, after a lost row, fit
-some window by chance."""
+"""Smallest share of the rows of a motion that must have a filtered velocity. After a lost row, a few percent of the
+rows fit some window by chance."""
 
 FEWEST_AT_LIMIT = 3
 """Smallest number of rows with equal changes of the command for a rate limit. Two may be equal by rounding."""
@@ -47,7 +47,7 @@ SCALE_TOLERANCE = 0.2
 class Departure:
     """Departure of a log from the wall law.
 
-    ``obeyed`` contains K, B and step of the other wall if the command obeys one.
+    ``obeyed`` contains K, B and step of the wall that the command obeys instead of the stated one, if any.
     """
 
     code: str
@@ -93,7 +93,7 @@ def _shifted(law: Law, *shifts: int) -> Law:
 
 
 def hidden(log: LogRows) -> Departures | None:
-    """Return the rows after missing rows, as implied by the law alone, or None if they do not explain the log."""
+    """Return the departure of missing rows that only the law shows, or None if missing rows do not explain the log."""
     rows = hidden_rows(log)
     if not len(rows):
         return None
@@ -236,7 +236,7 @@ def _velocity(log: LogRows) -> tuple[Floats, Floats]:
 
 
 def _velocity_filter(log: LogRows, clipped: Booleans | None = None) -> Departures | None:
-    """Explain a command by a velocity filter over N samples or a recursive one; rows may be clipped."""
+    """Explain a command by a velocity filter: a mean over N samples, or a recursive filter. Rows may be clipped."""
     if log.damping == 0:
         return None
     output, tolerance = _velocity(log)
@@ -292,7 +292,7 @@ def _adaptive(log: LogRows) -> Departures | None:
 
 
 def _decimated(log: LogRows) -> Departures | None:
-    """Explain a command by a velocity since a reading between two rows. The reading lies on the sensor's grid."""
+    """Explain a command by a velocity that is based on a reading between two rows, on the grid of the sensor."""
     counts = np.rint(log.change / log.quantum) if log.quantum > 0 else np.zeros(1)
     if log.damping == 0 or not counts.any():
         return None
@@ -310,7 +310,7 @@ def _decimated(log: LogRows) -> Departures | None:
 
 
 def _filtered_and_clipped(log: LogRows) -> Departures | None:
-    """Explain the rows of a command that are not clipped by a velocity filter."""
+    """Explain a clipped command by a velocity filter, in the rows that are not clipped."""
     # a command that equals the step is not clipped
     clipped = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
     clipped &= ~is_equal(log.command, log.step)

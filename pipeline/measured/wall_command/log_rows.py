@@ -27,13 +27,15 @@ ROUNDED = 4.0
 """Largest deviation of a number from its printed digits after parsing and a unit conversion, in rounding units."""
 
 FEWEST_NUMBERS = 3
-"""Smallest number of different values from which digits can be inferred. A column of 0 and 8 does not show any."""
+"""Smallest number of different values from which digits can be inferred. A column that contains only 0 and 8 does not
+show its digits."""
 
 SINGLE_DIGITS = (int(np.finfo(np.float32).precision) + 1, int(np.finfo(np.float32).precision) + 3)
 """Range of the number of digits with which single precision is printed."""
 
 SET_DIGITS = 4
-"""Largest number of digits of a value set by a person (wall, period, cut-off). A value with more was truncated."""
+"""Largest number of digits of a value set by a person (wall, period, cut-off). A value with more digits was
+truncated."""
 
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
@@ -66,7 +68,7 @@ class Printed:
 
 
 def printed(values: Floats) -> Printed:
-    """Return the print format of a column, shape (N,), in its own unit or in degrees.
+    """Return the print format of a column, shape (N,), in the given unit or in degrees.
 
     Notes
     -----
@@ -306,7 +308,8 @@ def stands_still(change: Floats, first: int, least: float | Floats) -> Integers:
 
 
 PLATEAU = 2
-"""Smallest number of rows with an equal extreme command for a limit. Two equal numbers are not attributed to chance."""
+"""Smallest number of rows with an equal extreme command that shows a limit of the command. Two equal numbers are not
+attributed to chance."""
 
 STILL_FLOORS = 3.0
 """Smallest change of position on both sides of a row, in sensor floors, for which the device moves in this row."""
@@ -325,8 +328,8 @@ def hidden_rows(log: LogRows) -> Integers:
     moving = off & (log.change != 0)
     if not moving.any() or log.damping == 0:
         return np.empty(0, dtype=np.int64)
-    # over a missing row, the position changed by more than since the previous reading; the residual is the damping
-    # force due to the lost change, which is similar to its neighbours
+    # across a missing row, the logged change of position is larger than the change that the controller used; the
+    # residual is the damping force due to the lost change, which is similar to its neighbours
     lost = log.residual * log.period / log.damping
     near = np.max(np.abs([np.roll(log.change, 1), log.change, np.roll(log.change, -1)]), axis=0)
     like = np.mean((np.abs(lost) < 2 * (near + log.floor))[off]) > 0.9
@@ -360,7 +363,8 @@ def repeated_rows(log: LogRows) -> tuple[Integers, Integers]:
     hidden = np.abs(log.change)[np.abs(log.change) > digits].min(initial=np.inf) if not log.quantum else 0.0
     least = STILL_FLOORS * max(log.floor, hidden) + ROUNDING * np.ptp(log.position) + digits
     still = stands_still(log.change, log.edge, least)
-    # A repeated row violates the law if the device moved before. The next row does if the device continues to move.
+    # A repeated row violates the law if the device moved before. The next row also violates it if the device continues
+    # to move.
     off = np.abs(log.residual) > log.rounding
     same = np.diff(log.command, prepend=np.nan) == 0
     by_law = log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))

@@ -56,9 +56,9 @@ def sample_grid(trial: Trial, response: Response, law: WallLaw) -> SampleGrid:
 
     Notes
     -----
-    Missing rows are found from the time stamps (`stamps`) or from the wall law. If only the law shows them, they cannot
-    be counted reliably, and the trial has no edge. A row that repeats the previous row, or its reading, is replaced by
-    an interpolated sample.
+    Missing rows are found from the time stamps (`stamps`) or from the wall law. If only the wall law shows them, they
+    cannot be counted reliably, and the trial has no edge. A row that repeats the previous row, or its reading, is
+    replaced by an interpolated sample.
     """
     account, edge = law.account, response.edge_row
     seen, hidden = np.ones(trial.rows, dtype=np.bool_), 0
@@ -106,7 +106,7 @@ def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
     if longest > LONGEST_GAP or filled > MOST_MISSING * (index[-1] + 1):
         return f"{filled} of {index[-1] + 1} rows are missing, up to {longest} in succession: too many to interpolate"
     if edge > 0 and index[edge] - index[edge - 1] > 1:
-        return "rows are missing just before the step, so the sample in which it begins is unknown"
+        return "rows are missing just before the step, so the sample in which the step begins is unknown"
     return ""
 
 

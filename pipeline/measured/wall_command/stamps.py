@@ -1,4 +1,4 @@
-"""Evaluate the time stamps of a log to find missing rows, scattering stamps, or another sampling period.
+"""Evaluate the time stamps of a log to find missing rows, scattering stamps, or a different sampling period.
 
 Time stamps count rows, but they do not time them exactly, because an operating system writes them late while control
 continues. A missing row shifts all later stamps, and a late stamp shifts only itself.

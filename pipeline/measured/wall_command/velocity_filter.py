@@ -94,7 +94,7 @@ def find_filter(
 
     Notes
     -----
-    At constant speed, a filter returns this speed, because its static gain is 1. Another static gain means that the
+    At constant speed, a filter returns this speed, because its static gain is 1. A different static gain means that the
     wall law differs.
     """
     result = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
@@ -145,7 +145,7 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
 def _butterworth(
     change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: Floats, period: float
 ) -> VelocityFilterFound | None:
-    """Return the Butterworth filter near a recursive one, of its order or a higher one, if one explains all rows.
+    """Return a Butterworth filter near a recursive filter, of equal or higher order, or None if none explains all rows.
 
     For low cut-off frequencies, the equations of a recursive filter are ill-conditioned, so that a filter of lower
     order also explains the rows. A simulation of the filter along the log avoids this.

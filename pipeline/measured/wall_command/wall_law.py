@@ -96,9 +96,9 @@ def wall_law(trial: Trial, response: Response) -> WallLaw:
 
     Notes
     -----
-    A residual within the rounding of command, position, K and B is not a departure (`log_rows`). A sensor quantum may
-    also lie on a decimal grid although the controller used the exact reading. Each law is therefore first tried with
-    exact positions.
+    A residual within the rounding of command, position, K and B is not a departure (`log_rows`). Logged positions on a
+    decimal grid may be rounded, or may be the exact output of a sensor with that resolution. Each law is therefore
+    first tried with exact positions.
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
