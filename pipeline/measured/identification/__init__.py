@@ -1,1 +1,2 @@
-"""Identification of a device from all logs of an experiment, by one model, one likelihood and one type of interval."""
+"""Identification of a device from all logs of an experiment, with one model, one likelihood and one type of
+interval."""

@@ -18,7 +18,7 @@ SIZES, PLACES, TIMES = 6, 60, 12
 """Number of groups of command size, number of groups of places, and number of groups of times in each log."""
 
 CAUSES = {
-    "direction": "The errors depend on the direction: the drive or the friction differs between both directions.",
+    "direction": "The errors depend on the direction: the drive or the friction differs between the two directions.",
     "size": "The errors depend on the size of the command: the force is not proportional to the command.",
     "place": "The errors depend on the position: a force or the friction changes along the path.",
     "time": "The errors depend on the time: a disturbance acts, or the device changes.",
@@ -27,11 +27,11 @@ CAUSES = {
 
 
 def departure(choice: Choice) -> str:
-    """Return a sentence that names what the errors of a device depend on. The result is empty if they depend on nothing
-    known."""
+    """Return a sentence that names the quantity on which the errors of a device depend most. The text is empty if they
+    depend on no grouping of `CAUSES`."""
     shares = shares_between_groups(choice)
     name = max(shares, key=lambda each: shares[each])
-    return f"{CAUSES[name]} This is {100 * shares[name]:.0f} % of their variance." if shares[name] > SHARE else ""
+    return f"{CAUSES[name]} This explains {100 * shares[name]:.0f} % of their variance." if shares[name] > SHARE else ""
 
 
 def shares_between_groups(choice: Choice) -> dict[str, float]:

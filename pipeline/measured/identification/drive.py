@@ -9,9 +9,9 @@ import numpy as np
 from pipeline.records.trials import Floats
 
 DRIVE = ("limit", "asymmetry", "curvature")
-"""Parameters of a drive, which are the largest command, the asymmetry and the curvature. The asymmetry is half the
-difference between the gains of positive and negative commands, divided by their mean. The curvature is the share of the
-force that is missing at the largest command of the logs."""
+"""Parameters of a drive: the largest command, the asymmetry and the curvature. The asymmetry is half the difference
+between the gains of positive and negative commands, divided by their mean. The curvature is the share of the force that
+is missing at the largest command of the logs."""
 
 
 def applied_command(command: Floats, numbers: Mapping[str, float]) -> Floats:

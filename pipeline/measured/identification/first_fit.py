@@ -59,7 +59,7 @@ class Selection:
 def first_fit(
     recordings: list[Recording], units: LogUnits, lead: int, begin: list[Device]
 ) -> tuple[Selection, dict[str, float]]:
-    """Return the selection with friction and spring if present or possible, and bounds.
+    """Return the selection, with friction and a spring if they are present or possible, and bounds.
 
     The search starts from each of the given devices. Bounds are the upper ends of friction and spring [SI], from a fit
     with both.
@@ -157,8 +157,7 @@ def first_devices(recordings: list[Recording], units: LogUnits, base: tuple[str,
 
 
 def devices_of(segments: Segments, names: Sequence[str], most_delay: float) -> list[Device]:
-    """Return two initial devices from the force balance, one with and one without a spring. The more likely one comes
-    first.
+    """Return two initial devices from the force balance, with and without a spring, the more likely device first.
 
     With a single wall, the command is that of a spring and a damper. Except for the delay, a device with a spring and a
     damper but no gain moves in the same way. Reading errors then decide between the two devices.
@@ -170,8 +169,8 @@ def devices_of(segments: Segments, names: Sequence[str], most_delay: float) -> l
 def _searched(segments: Segments, begin: list[Device]) -> Fit:
     """Return the maximum-likelihood fit, starting from the first device.
 
-    If the best model includes a random force, the search is repeated from all devices without a random force. A random
-    force that is included too early may replace friction, a delay, or a fast motion.
+    If the best model includes a random force, the search is repeated from all initial devices, this time without a
+    random force. A random force that is included too early may replace friction, a delay, or a fast motion.
     """
     fit = refined(segments, begin[0])
     if not fit.solved.information.any():
@@ -212,7 +211,7 @@ def likelihood_of(segments: Segments, device: Device) -> float:
 def loss_without(fit: Fit, name: str, *, signed: bool = False) -> float:
     """Return the loss of likelihood if a number in which the motion is linear is set to 0.
 
-    A negative number has no meaning and no loss, unless it may be ``signed``.
+    A negative number has no meaning and no loss, unless ``signed`` is true.
     """
     found = Errors.of(fit).interval(lambda n: n[name])
     return 0.5 * (found.value / found.error) ** 2 if (signed or found.value > 0) and found.error > 0 else 0.0

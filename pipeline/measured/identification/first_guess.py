@@ -19,12 +19,12 @@ ROBUST_ROUNDS = 4
 """Number of iterations of the reweighted least squares."""
 
 ALIKE = 0.7
-"""Threshold for a shorter delay to be plausible, as a share of the largest decrease of the log residual over all
-delays."""
+"""Smallest decrease of the log residual at which a shorter delay is plausible, relative to the largest decrease over
+all delays."""
 
 MIRRORED = 2.0
-"""Threshold for the decrease of the log residual. Above it, a device moves against its command. The decrease is 8 or
-more for a wrong sign and negative for a correct one."""
+"""Threshold for the decrease of the log residual. Above it, a device counts as moving against its command. The decrease
+is 8 or more for a wrong sign and negative for a correct one."""
 
 ROUNDED = 1e-12
 """Smallest eigenvalue of the scaled normal equations, relative to the largest. Smaller eigenvalues are rounding

@@ -1,6 +1,6 @@
 """Identify a device from its measured force, and the drive between command and force.
 
-Device and drive are then identified apart: the mass from force and motion, the gain of the drive from command and
+Device and drive are then identified separately: the mass from force and motion, the gain of the drive from command and
 force.
 """
 
@@ -30,15 +30,15 @@ PER_FORCE = PER_MASS | {"mass"}
 
 @dataclass(frozen=True, eq=False)
 class ForceDriven:
-    """Device and drive that were identified apart.
+    """Device and drive that were identified separately.
 
     Parameters
     ----------
     device : Identification
-        Device in units of the measured force. Its delay is that of the motion behind the command, and it has lag and
-        limit of the drive.
+        Device in units of the measured force. Its delay is the delay of the motion behind the command, and it includes
+        the lag and the limit of the drive.
     by_command : Identification
-        The same device per unit of the command, as a wall sees it.
+        The same device per unit of the command, as in a loop with a wall.
     drive : MeasuredDrive
     """
 
@@ -94,7 +94,7 @@ def identified_by_force(recordings: list[Recording]) -> ForceDriven:
 
 
 def _widened(each: Interval, more: float) -> Interval:
-    """Return an interval with ``more`` at each end. A nonnegative one stays nonnegative."""
+    """Return an interval with ``more`` at each end. A nonnegative interval stays nonnegative."""
     if not np.isfinite(more):
         return each
     low = each.low - more
@@ -104,8 +104,8 @@ def _widened(each: Interval, more: float) -> Interval:
 
 
 def _behind_command(found: Identification, drive: MeasuredDrive) -> Identification:
-    """Return a device with the delay behind the command instead of behind the force, and with lag and limit of the
-    drive."""
+    """Return a device with the delay behind the command instead of behind the force, and with the lag and the limit of
+    the drive."""
     parameters, unknown, reasons = dict(found.parameters), set(found.unidentifiable), dict(found.reasons)
     if "delay_samples" not in parameters:
         return found
@@ -141,7 +141,7 @@ def _sum(first: Interval, second: Interval, more: float) -> Interval:
 
 
 def _per_command(found: Identification, drive: MeasuredDrive) -> Identification:
-    """Return a device per unit of the command. Without a gain, nothing that is proportional to the force is known."""
+    """Return a device per unit of the command. Without a gain, all parameters in `PER_FORCE` are unidentifiable."""
     if drive.reason:
         return replace(found, unidentifiable=found.unidentifiable | (PER_FORCE & found.parameters.keys()))
     gain = drive.gain

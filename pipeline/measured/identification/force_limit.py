@@ -23,9 +23,10 @@ LIMITS_SOUGHT = 0.05, 0.99, 150
 """Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
 
 CLEARLY, RANDOM_COMMAND = 3.0, 0.3
-"""Smallest rms excess of commands over a force limit, relative to the noise of the command, and noise of a command,
-relative to its standard deviation, above which the command itself is random. The excess of pure noise has an rms of 1.
-Independent levels of every row have a noise of about 1, and the noise of measured currents is below 0.1."""
+"""Two thresholds. The first is the smallest rms excess of commands over a force limit, relative to the noise of the
+command. The excess of pure noise has an rms of 1. The second is the noise of a command, relative to its standard
+deviation, above which the command itself is random. Independent levels in every row have a noise of about 1, and the
+noise of measured currents is below 0.1."""
 
 LIMIT_SPREADS = (0.015, 0.005, 0.0015)
 """Relative steps of the search for a force limit near the best value. The force balances of a ramp far beyond the limit
@@ -35,9 +36,9 @@ are accurate only to a percent."""
 def exceeds_noise(segments: Segments, limit: float) -> bool:
     """Return whether commands exceed a force limit [units of the command] by more than their noise.
 
-    In a measured command, such as a current, the noise does not drive the device. A limit inside the noise of a
-    plateau removes half of it, and is more likely than none. The noise is that of third differences. A command that
-    changes as much in every row has none.
+    In a measured command, such as a current, the noise does not drive the device. A limit inside the noise of a plateau
+    removes half of the noise, and is more likely than no limit. The noise is estimated from third differences. A
+    command that itself changes randomly in every row has no noise in this sense.
     """
     command = segments.command[segments.places]
     noise = reading_noise(command, 0.0)

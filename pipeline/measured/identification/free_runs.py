@@ -55,8 +55,11 @@ class Mechanics:
         return cls(turn @ system.matrix @ back, inputs, system.sensor @ back, masses)
 
     def transitions(self, times: Floats, sub_steps: int) -> tuple[Floats, Floats]:
-        """Return transitions (2^sides, 2 m, n, n) and gains (2^sides, 2 m, n, 1 + sides) for each combination of
-        resting sides, over m times and then over a sub-step of each."""
+        """Return transition matrices (2^sides, 2 m, n, n) and responses to a unit command and to unit forces on the
+        sides (2^sides, 2 m, n, 1 + sides).
+
+        There is one entry for each combination of resting sides, over m times and then over a sub-step of each time.
+        """
         n, inputs = self.inputs.shape
         moved = []
         for rests in range(2 ** len(self.masses)):

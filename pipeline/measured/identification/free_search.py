@@ -68,7 +68,7 @@ BANDS_PER_OCTAVE = 3
 """Number of frequency bands per octave in which the content of a record is measured."""
 
 SENSED = {"motor": "mode", "load": "mode at the load"}
-"""Name of the mode's part for each side whose position may be measured."""
+"""Name of the part of a mode, by the side whose position is measured."""
 
 MODE = {name for part in SENSED.values() for name in PARTS[part].numbers}
 """Numbers of a mode."""
@@ -109,11 +109,11 @@ def _coefficients(segments: Segments, fit: Fit) -> tuple[float, ...]:
 def with_mode(
     logs: tuple[list[Recording], LogUnits, int], fit: Fit, parts: dict[str, float]
 ) -> tuple[Segments, Fit, dict[str, float]] | TriedPart:
-    """Return segments, fit and parts of a device with friction and a mode, or why free runs do not require a mode.
+    """Return segments, fit and parts of a device with friction and a mode, or the test that a mode failed.
 
     ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
-    accepted if its likelihood exceeds the others by its threshold and it is `_followed`. The search uses `informative`
-    rows. Its best device is then fitted to all rows, and judged again.
+    accepted if its likelihood exceeds that of the alternatives by its threshold, and if it is `_followed`. The search
+    uses `informative` rows. Its best device is then fitted to all rows, and judged again.
     """
     recordings, units, lead = logs
     segments, numbers = segments_of(recordings, units, lead, False, WHITE_ERRORS), fit.device.numbers
@@ -154,7 +154,8 @@ def _followed(logs: tuple[list[Recording], LogUnits, int], without: Fit, found: 
 
 
 def _has_load(segments: Segments, fit: Fit) -> bool:
-    """Return whether the load of a mode is identifiable. One whose mass may be 0 only absorbs errors of the model."""
+    """Return whether the load of a mode is identifiable. A load whose mass may be 0 only absorbs errors of the
+    model."""
     from pipeline.measured.identification.intervals import Errors
 
     if "load_mass_fraction" not in fit.device.numbers:
@@ -243,8 +244,8 @@ def _starts(
     """Yield initial devices with a mode, numbers of steps, and filters of the errors, as arguments of `free_fit`.
 
     The mode is that of the segments if they have one. Otherwise, it is the best of a grid for white errors, and for the
-    errors without a mode. White errors show a slow mode in readings with little drift. The other ones show a mode next
-    to a drift.
+    errors without a mode. White errors show a slow mode in readings with little drift. The errors without a mode show a
+    mode in addition to drift.
     """
     if "mode_frequency" in fit.device.numbers:
         for shares in LOAD_SHARES:

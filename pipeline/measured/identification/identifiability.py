@@ -1,4 +1,5 @@
-"""Find the parameters that logs cannot identify, with the reason, identifiable combinations, and what to record."""
+"""Find the parameters that logs cannot identify, with reasons, identifiable combinations, and recommended
+recordings."""
 
 from __future__ import annotations
 
@@ -18,15 +19,16 @@ WIDE = 0.5
 is three times the lower end."""
 
 FEWEST_COUNTS = 10
-"""Smallest motion of a device in the log with the largest motion, in sensor steps. Presliding alone causes as many."""
+"""Smallest motion of a device in the log with the largest motion, in sensor steps. Presliding alone may cause as
+many."""
 
 STILL_COUNTS, SPRING_LIKE = 3.0, 0.5
 """Largest motion of a device at rest, in sensor steps, and smallest correlation between position and command at which
 the device follows the command like a spring. Friction without sliding acts like a spring."""
 
 FEW_COUNTS = 100
-"""Threshold for the number of sensor steps. Below it, a device without an identifiable mass is reported to hardly
-move."""
+"""Threshold for the number of sensor steps. Below it, the report states that a device without an identifiable mass
+hardly moves."""
 
 PER_MASS = {"damping", "stiffness", "mode.mass", "mode.load_damping", "friction.coulomb", "constant_force"}
 """Parameters that cannot be identified if the mass cannot be identified."""
@@ -46,7 +48,7 @@ class IdentifiableCombination:
     unit : str
         Dimension in `parameters.UNITS`, or a unit.
     record : str
-        What to record so that each member becomes identifiable.
+        Recommended recording, with which each member becomes identifiable.
     """
 
     code: str
@@ -58,8 +60,8 @@ class IdentifiableCombination:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Content of recordings, as numbers of command sizes in one direction, of command signs, of directions and of
-    trials."""
+    """Content of recordings: numbers of command sizes in one direction, of command signs, of directions of motion, and
+    of trials."""
 
     sizes: int
     signs: int
@@ -84,11 +86,11 @@ class Recorded:
         )
 
     def remedy(self) -> str:
-        """Return what to record to separate friction, a constant force and the mass."""
+        """Return the recommended recording that separates friction, a constant force and the mass."""
         if self.sizes < 2:
             return "steps of two sizes in one direction"
         if self.directions < 2 or self.signs < 2:
-            return "the same steps in the other direction, or one that turns back in motion"
+            return "the same steps in the other direction, or a step that reverses the motion"
         return f"more than {counted(self.trials, 'run')} of several sizes and directions"
 
 
@@ -175,16 +177,15 @@ def unidentifiable(parameters: dict[str, Interval], choice: Choice) -> set[str]:
 def reasons(
     names: set[str], choice: Choice, recordings: list[Recording], recorded: Recorded, *, slow_rows: bool, misfit: str
 ) -> dict[str, str]:
-    """Return one sentence for each given parameter. It states why the parameter is not identifiable, and what to
-    record.
+    """Return the reason why each given parameter is not identifiable, with the recommended recording.
 
-    ``slow_rows`` is whether the command explains the motion without an inertia. ``misfit`` is the reason why no device
-    explains the motion. It is empty if a device does.
+    ``slow_rows`` states whether the command explains the motion without an inertia. ``misfit`` is the reason why no
+    device explains the motion, or empty if a device explains it.
     """
     resolution = sensor_resolution(recordings)
     travel = max(float(np.ptp(each.position)) for each in recordings)
     command, period = choice.units.command, choice.units.period
-    forces = f"Mass and the force on the device cannot be separated from these logs. Record {recorded.remedy()}."
+    forces = f"Mass and force gain cannot be separated from these logs. Record {recorded.remedy()}."
     if travel < FEW_COUNTS * resolution and all(_rests(each, resolution) for each in recordings):
         forces = stuck(travel / resolution, command) + "."
     elif slow_rows:
@@ -197,7 +198,7 @@ def reasons(
     elif "asymmetry" in choice.fit.device.numbers and "mass" in names:
         forces = (
             "The gain of the drive differs by direction, so that no single value per unit of command "
-            "describes it. The mass of each direction is given instead."
+            "describes it. The mass for each direction is given instead."
         )
     elif "curvature" in choice.fit.device.numbers and "mass" in names:
         forces = (

@@ -28,27 +28,29 @@ LONGEST_DELAY = 48
 """Number of rows before the first motion whose commands may cause it."""
 
 VISIBLE = 6.0
-"""Smallest displacement that is a motion, in standard deviations of a reading."""
+"""Smallest displacement that counts as a motion, in standard deviations of a reading."""
 
 LASTING = 5
-"""Number of rows over which a displacement lasts."""
+"""Number of rows for which a displacement must last to count as a motion."""
 
 SMALL_COMMAND = 0.05
-"""Largest command of a log without a command, relative to the largest one."""
+"""Largest command that counts as no command, relative to the largest command of the log."""
 
 SUDDEN = 50.0
-"""Smallest displacement after the first motion, within a time as long as the one before it, relative to a visible one.
-A constant force from the start on would give a ninth of this: the displacement grows with the square of the time."""
+"""Smallest displacement after the first motion, within a time as long as the time before it, relative to a visible
+displacement. A force that is constant from the start on would cause a ninth of it, because the displacement grows with
+the square of the time."""
 
 COMPARABLE = 0.3
-"""Smallest command without effect, relative to the one that sets the device in motion."""
+"""Smallest command without effect, relative to the command that sets the device in motion."""
 
 STATIC_FRICTION = {0.98: 2.0, COMPARABLE: 5.0}
-"""Static friction, relative to Coulomb friction, that must not explain the rest, for commands without effect of at
-least the given size relative to the one that sets the device in motion. An increase of the command may overcome it."""
+"""Static friction, relative to Coulomb friction, that must be too small to explain the rest. The keys are the smallest
+commands without effect, relative to the command that sets the device in motion. For small commands, the static friction
+is larger, because an increase of the command may have overcome it."""
 
 PREDICTED = 10.0
-"""Smallest predicted displacement of a device whose command does not act, relative to a visible one."""
+"""Smallest predicted displacement of a device whose command does not act, relative to a visible displacement."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def identified_while_driven(recordings: list[Recording]) -> tuple[Identification
 
 
 def suspected_rows(each: Recording) -> int:
-    """Return the row of the first motion of a log whose command may not act before it, or 0 for other logs.
+    """Return the row of the first motion of a log if the command may not have acted before this row, otherwise 0.
 
     Logs of walls are not suspected, since their command depends on the motion.
     """
@@ -111,7 +113,7 @@ def suspected_rows(each: Recording) -> int:
 
 
 def _ratio(each: Recording, first: int) -> float:
-    """Return the largest command before a row, relative to the one that sets the device in motion at this row."""
+    """Return the largest command before a row, relative to the command that sets the device in motion at this row."""
     size, start = np.abs(each.command), first - LONGEST_DELAY
     cause = float(size[start : first + 1].max())
     return float(size[:start].max()) / cause if cause > 0 else np.inf

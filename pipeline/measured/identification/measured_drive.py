@@ -29,7 +29,7 @@ LAGS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Lags [samples] from which the search starts."""
 
 UNSEEN_LAGS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Lags [samples] that may be hidden in a delay."""
+"""Actuator lags [samples] to test when the fit finds no lag. The estimated delay may absorb a short lag."""
 
 LARGEST_LAG = 300.0
 """Longest lag [samples]."""
@@ -47,7 +47,7 @@ PROFILE_DROP = 1.92
 """Drop of the log-likelihood at the ends of a 95 % profile interval."""
 
 FOLLOWS = 50.0
-"""Smallest fit of the measured force [%] of a drive that is identified."""
+"""Smallest fit of the measured force [%] at which a drive counts as identified."""
 
 EVEN = 0.1
 """Largest distance between the time steps of even rows, relative to the sampling period."""
@@ -65,7 +65,7 @@ class MeasuredDrive:
     gain : Interval
         Force per unit of command.
     delay_samples : Interval
-        Delay of the force behind the command. Without a lag, it is known only to a sample.
+        Delay of the force behind the command. Without a lag, it is known only to within a sample.
     lag_samples : Interval
         Time constant. The value is 0 if a lag is not required. The interval then contains lags that may be hidden in
         the delay.
@@ -128,7 +128,9 @@ def identified_drive(recordings: Sequence[Recording]) -> MeasuredDrive:
         if len(steps) and float(np.ptp(steps)) > EVEN * each.period:
             return replace(unknown, reason="The rows are not evenly spaced, so the drive is not identified.")
     if not np.ptp(forces) > 0 or not any(np.ptp(command) > 0 for command, _ in logs):
-        return replace(unknown, reason="The measured force or the command does not change, so nothing shows the drive.")
+        return replace(
+            unknown, reason="The measured force or the command does not change, so the drive is not identifiable."
+        )
     shape = _searched(logs)
     rows = _rows(logs, shape)
     fit = _Fit.of(logs, shape, rows)
@@ -156,7 +158,7 @@ Logs = Sequence[tuple[Floats, Floats]]
 
 
 def _applied(command: Floats, shape: _Shape) -> Floats:
-    """Return the command of a log behind limit, delay and lag. Before the log, the command was its first one."""
+    """Return the command of a log behind limit, delay and lag. Before the log, the first command is assumed."""
     clipped = np.clip(command, -shape.limit, shape.limit)
     whole = int(np.floor(shape.delay))
     part = shape.delay - whole
@@ -213,7 +215,7 @@ class _Fit:
 
     @property
     def independent_rows(self) -> float:
-        """Number of rows with the information of as many independent errors, from their correlation over one row."""
+        """Number of independent errors with the same information, from the correlation of errors over one row."""
         errors = self.errors - self.errors.mean()
         total = float(errors @ errors)
         correlation = float(errors[1:] @ errors[:-1]) / total if total > 0 else 0.0
@@ -250,7 +252,7 @@ def _searched(logs: Logs) -> _Shape:
     limited = _accepted(logs, best, clipped, rows)
     if limited is best or best.shape.lag:
         return limited.shape
-    # a limit that was missing may have hidden the lag
+    # the missing limit may have hidden a lag
     again = (
         replace(limited.shape, delay=delay, lag=lag) for delay in delays for lag in LAGS if delay <= plain.delay + 1
     )
@@ -305,8 +307,8 @@ def _described(logs: Logs, fit: _Fit, rows: Sequence[int]) -> MeasuredDrive:
 def _standard_errors(logs: Logs, fit: _Fit, rows: Sequence[int]) -> Floats:
     """Return the standard errors of gain, offset and the free numbers of the shape.
 
-    Each is the larger one of that from the information and that of a jackknife over blocks of rows, whose errors may be
-    correlated within a block.
+    Each is the larger of two standard errors: from the information, and from a jackknife over blocks of rows, within
+    which errors may be correlated.
     """
     applied, _ = _columns(logs, fit.shape, rows)
     columns = [applied, np.ones(len(applied))]

@@ -14,11 +14,11 @@ from pipeline.measured.identification.search import climbed, refined
 
 
 def with_open_parts(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
-    """Return intervals that include those with each open part.
+    """Return intervals that include the intervals of the device with each open part.
 
-    The likelihood of logs left out requires such a part. However, their free runs do not become better, and the random
-    force hardly falls. An arm whose free runs are as accurate as its readings cannot show a gain that falls by 3 %, but
-    its mass per unit of command differs by 3 % between small and large commands.
+    The likelihood of logs left out requires such a part. However, free runs of these logs do not improve, and the
+    random force hardly falls. An arm whose free runs are as accurate as its readings cannot show a gain that falls by 3
+    %, but its mass per unit of command differs by 3 % between small and large commands.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def with_open_parts(parameters: dict[str, Interval], choice: Choice) -> dict[str
 
 
 def _with_part(choice: Choice, name: str) -> Fit:
-    """Return the likeliest fit with an additional part and the noise of the choice."""
+    """Return the most likely fit with an additional part and the noise of the choice."""
     fit, segments = choice.fit, choice.segments
     starts = PARTS[name].starts(fit.device.numbers)
     devices = [replace(fit.device, numbers=fit.device.numbers | start, effects=None) for start in starts]
@@ -49,7 +49,7 @@ def _with_part(choice: Choice, name: str) -> Fit:
 
 
 def over_gains(parameters: dict[str, Interval], numbers: Mapping[str, float]) -> dict[str, Interval]:
-    """Return intervals from the value per unit of command at the largest gain of the drive to that at the smallest.
+    """Return intervals of the value per unit of command, from the largest to the smallest gain of the drive.
 
     Parameters
     ----------

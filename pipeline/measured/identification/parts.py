@@ -59,15 +59,15 @@ FIRST_STEPS, SOME_STEPS = 4, 10
 """Number of steps of the first search for a part: with the noise of readings only, and with all noise."""
 
 IMITATING = {"gain by direction", "gain by size", "gravity", "saturation"}
-"""Parts that may imitate a slow mode, friction or each other in the first search, and are tried again without after the
-last."""
+"""Parts that may imitate a slow mode, friction or each other in the first search. After the last search, each of them
+is removed on trial."""
 
 LEFT = 0.5
 """Largest share of the random force's variance that may remain after a part is added. It was 0.85 for a force limit
 that imitated a stiffening hand, and less than 0.01 for real parts."""
 
 AS_WELL = 1.05
-"""Largest error of free runs with a part, relative to that without, at which both predict equally well."""
+"""Largest error of free runs with a part, relative to the error without it, at which both predict equally well."""
 
 HEAVY = 0.5
 """Smallest share of the mass for which the load of a mode may actually be the base of a spring."""
@@ -80,7 +80,7 @@ FEW_PERIODS = 20 * np.pi
 periods)."""
 
 APART = 10.0
-"""Largest range of the initial positions of logs that begin in the same place, in noise standard deviations of a
+"""Largest range of the initial positions of logs that begin in the same place, in standard deviations of the noise of a
 reading."""
 
 
@@ -161,7 +161,7 @@ def choose_parts(recordings: list[Recording], without: Sequence[str] = ()) -> Ch
     """Choose the parts of a device that cross-validation over the `subset` of the recordings requires.
 
     The spring of a device is relaxed at a fixed position, and the spring of a hand where each log begins. Logs that
-    begin in several places decide between both.
+    begin in several places decide between the two.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def _worthiness(fit: Fit) -> float:
 
 
 def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> tuple[ChosenParts, Fit, float]:
-    """Return the parts of a device with a spring relaxed at the origin of the units, its fit, and the segment length.
+    """Return the parts of a device whose spring is relaxed at the origin of the units, the fit, and the segment length.
 
     The segment length is the median number of rows.
     """
@@ -261,9 +261,9 @@ def _with_gravity(
 ) -> tuple[int, Selection, dict[str, float]] | None:
     """Return the first fit of an arm under gravity, or None if gravity does not explain the logs.
 
-    Without gravity, no device may be near the one that explains the motion, so that gravity cannot be added later.
-    Free runs of logs left out decide, since both fits may use different rows. For a single log, the random forces
-    decide. ``most`` is the longest delay of the search. The result is the number of rows before a segment whose
+    A search without gravity may end far from the device that explains the motion, so that gravity cannot be added
+    later. Free runs of logs left out decide, since both fits may use different rows. For a single log, the random
+    forces decide. ``most`` is the longest delay of the search. The result is the number of rows before a segment whose
     commands may still act in it, the selection, and its bounds (see `first_fit`).
     """
     some, units, _ = logs
@@ -275,7 +275,7 @@ def _with_gravity(
     state, bounds = first_fit(some, units, lead, begin)
     found = _velocity_fit((some, units, lead), state.segments, state.fit)
     if "stiffness" in state.parts:
-        # a spring may take up a few degrees of gravity, and is wild without one of the logs
+        # a spring may imitate gravity over a few degrees, and then changes wildly if one of the logs is left out
         alone = refined(state.segments, springless(state.fit.device), far=False)
         without_spring = _velocity_fit((some, units, lead), state.segments, alone)
         if found is None or (without_spring is not None and without_spring >= found):
@@ -435,7 +435,7 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
     """Return the fit with an additional part, or None if the part is not required, and the test.
 
     The search begins near the device ``alone``. The ``fits`` without the part are one with all noise (``plain``) and
-    one with the noise of the readings alone (``white``). A real part makes the motion more likely in both cases.
+    one with only the noise of the readings (``white``). A real part makes the motion more likely in both cases.
     """
     plain, white = fits
     start, noise = _having(some, alone, part), plain.device.noise
@@ -463,7 +463,8 @@ def _tested(some: Segments, alone: Device, part: Part, fits: tuple[Fit, Fit]) ->
 
 
 def _is_inside(segments: Segments, device: Device, part: Part) -> bool:
-    """Return whether all numbers of a part are inside their search limits. A force limit that is never reached is not.
+    """Return whether all numbers of a part are inside their search limits. A force limit that is never reached is
+    outside.
 
     The share of damping in the spring is not tested, since readings at the load hardly show it. Half a period of a mode
     must fit into the longest segment, because a slower vibration looks like a slow force.
@@ -479,8 +480,8 @@ def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) 
     """Return whether the second fit, which has one more part, predicts more of the motion than the first one.
 
     There are two ways: the fit leaves less random force (`_takes_away`), or its free runs of logs left out have at most
-    `LEFT` of the variance of the error. The second one is for a ripple of the force at each turn, a random force that
-    no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, and for a
+    `LEFT` of the variance of the error. The second condition is for a ripple of the force at each turn, a random force
+    that no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, and for a
     single log.
     """
     recordings, units, lead = logs

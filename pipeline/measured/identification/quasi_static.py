@@ -19,8 +19,8 @@ BLOCKS = 16
 """Number of blocks of windows for a jackknife."""
 
 KNOWN = (0.1, 0.05)
-"""Largest changes of the command between rows in the windows used, relative to its range. The command between rows is
-unknown. The difference between the two results is the error of the trapezoidal rule."""
+"""Two largest changes of the command between rows in the windows used, relative to the range of the command. Since the
+command between rows is unknown, the difference between their results is the error of the trapezoidal rule."""
 
 EXPLAINS = 0.97
 """Smallest share of the sum of squares of the displacements that the command explains. It explains less if an inertia

@@ -1,4 +1,4 @@
-"""Test the identified device by free runs over windows of logs that were not used in its fit, in terms of velocity."""
+"""Test the velocity of the identified device in free runs over windows of logs that were not used in its fit."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ STILL = 3.0
 """Largest standard deviation of the velocity of a log without motion, relative to the error of the velocity."""
 
 TIME_CONSTANTS = 6.0
-"""Length of a window in the device's longest time constant. It is about one period of a spring, and long enough for a
-motor to reach its speed. In a longer window, a small constant force causes drift. In a shorter window, any device
-fits."""
+"""Length of a window, in units of the longest time constant of the device. It is about one period of a spring, and long
+enough for a motor to reach its speed. In a longer window, a small constant force causes drift. In a shorter window, any
+device fits."""
 
 INTEGRATOR = 1e-6
 """Largest magnitude [1/sample] of an eigenvalue that is treated as an integrator."""
@@ -36,7 +36,7 @@ NOISES = 2.0
 """Mean squared velocity error that is attributed to the readings, relative to the variance due to their noise."""
 
 MOST_REPLAYED = 40
-"""Largest number of logs that are replayed, spread evenly over all."""
+"""Largest number of logs that are replayed, spread evenly over all logs."""
 
 HALVED = 0.5
 """Largest error of a device that follows its command, relative to the error of a motion without the command."""

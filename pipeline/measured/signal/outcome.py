@@ -113,9 +113,7 @@ class _Evidence:
         return f"the motion grows to an amplitude of {self.end.amplitude:.3g} in the last fifth{self.growth()}"
 
     def limit_cycle(self) -> str:
-        cycle = (
-            f"the device oscillates with a steady amplitude of {self.end.amplitude:.3g}, outside +-{self.band:.3g}"
-        )
+        cycle = f"the device oscillates with a steady amplitude of {self.end.amplitude:.3g}, outside +-{self.band:.3g}"
         return cycle + self.growth()
 
     def moving(self) -> str:
