@@ -224,8 +224,8 @@ def overshoot(trial: Trial, response: Response, verdict: Verdict, error: Reading
     -----
     Neither delay nor mass is needed. The largest of many noisy readings exceeds the largest true position. The upper
     bound follows from the error of the largest reading. The lower bound follows from the largest error of all readings
-    that may be the largest, i.e. those closer to it than twice that error. Motion after the end of the log is bounded
-    by `reach`. If the interval begins at 0, there may be no overshoot.
+    that may be the largest, i.e. readings within twice that error of the largest reading. Motion after the end of the
+    log is bounded by `reach`. If the interval begins at 0, there may be no overshoot.
 
     Source: Hulin 2017, sec. 5.1.1; the tolerance 1e-12 of "no overshoot" is from footnote 4 of 5.2.2.
     """

@@ -240,7 +240,7 @@ def energy_interval(
         both = zip(weights, ends, trusted.tolist(), strict=True)
         open_ = ", ".join(f"w = {w:g}{end}" for w, end, known in both if not known)
         away = "; the device does not rest at the final position"
-        remedy = away if rest.any() else "; record longer" if horizon else ""
+        remedy = away if rest.any() else "; record longer logs" if horizon else ""
         reason = f"noise, mass, delay and the motion after {horizon} samples are too uncertain for {open_}{remedy}"
     value, low, high, bias, tail = (np.where(trusted, part, np.nan) for part in (value, low, high, bias, tail))
     return EnergyInterval(value, low, high, bias, tail, horizon, reason)
@@ -283,7 +283,6 @@ def _sums(x: Floats, v: Floats, s: Floats, z: Floats, given: Floats) -> tuple[Fl
     n_k = a s_k^2 + c z_k^2 to E_k on average. The rows of the sums are k^w E_k, k^w n_k, k^w v_k^2 and (k^w n_k)^2. The
     first row at the end contains the sums of E_k - n_k in both quarters of the last half and of n_k in the last
     quarter. The second row contains the sum of n_k^2 in the last half, the largest E_k, and its k.
-    E_k and its k.
 
     Parameters
     ----------
@@ -328,9 +327,9 @@ def _tail(
     ``at_end`` is a result of `_sums`, and ``beyond`` contains the horizon and the exponents.
 
     Beyond the horizon, a stable response consists of its slowest mode, whose energy falls by a constant factor in each
-    sample. The factor is given by the growth rate. If that is unknown, it is given by the decay within the last half of
-    the horizon, or, below the noise, by the mean decay since the peak of the energy. The energy is extrapolated from
-    the sum over the last half.
+    sample. The factor is given by the growth rate. If the growth rate is unknown, the factor is given by the decay
+    within the last half of the horizon, or, below the noise, by the mean decay since the peak of the energy. The energy
+    is extrapolated from the sum over the last half.
     """
     horizon, weights = beyond
     nothing, endless = np.zeros(len(weights)), np.full(len(weights), np.inf)
@@ -432,7 +431,7 @@ def _sensor_variance(
     weight[:1] = 1.0
     answer = np.fft.rfft(weight, length).conj()
     along = np.empty((len(slopes), rows))
-    for reading, slope in zip(along, slopes, strict=True):  # one by one, for which a long log needs less memory
+    for reading, slope in zip(along, slopes, strict=True):  # one by one, so that a long log needs less memory
         padded = np.zeros(length)
         padded[first : terms.stop] = slope
         reading[:] = np.fft.irfft(np.fft.rfft(padded) * answer, length)[:rows]

@@ -43,7 +43,8 @@ PULLED_ROWS = 25
 simulated baselines of the shipped devices (20 to 200 rows)."""
 
 BLURRED = 0.25
-"""Noise relative to the quantum that moves most devices over the next edge in spite of the wall (as `PULLED_ROWS`)."""
+"""Noise relative to the quantum that moves most devices over the next edge in spite of the wall, from the same
+simulations as `PULLED_ROWS`."""
 
 HELD = np.exp(-((NOISES / BLURRED) ** 2))
 """Share of `WANDERING` that vanishes when a wall has pulled the device away from an edge, for `NOISES`."""
@@ -53,16 +54,18 @@ POOLED = 4.0
 from ten rows scatters by a quarter."""
 
 LAST_PART = 5
-"""Number of parts of a response. The motion at rest is evaluated in the last part (a fifth) and in two parts before."""
+"""Number of parts of a response. The motion at rest is evaluated in the last part (a fifth) and in the two parts before
+it."""
 
 STAYS = 0.7
-"""Smallest motion in the last fifth, relative to the fifth before, for which the motion does not decay. Above
+"""Smallest motion in the last fifth, relative to the fifth before, for which the motion counts as not decaying. Above
 `REST_FLOORS` sensor floors, the same limit is required relative to the fifth before that, since a slow mode may decay
 by only 0.7 per fifth (LWR, d = 7)."""
 
 EXCESS = 2.0
-"""Smallest motion at rest, relative to that due to sensor and weights, for which the loop amplifies errors further.
-Without jitter, a slow response with two independent values in a fifth exceeds it by chance in 2 % of the trials."""
+"""Smallest motion at rest, relative to the motion due to sensor and weights, that is attributed to further
+amplification of errors by the loop. Without jitter, a slow response with two independent values in a fifth exceeds it
+by chance in 2 % of the trials."""
 
 LARGEST_REST = max(SETTLING_BANDS.values())
 """Largest motion, relative to the final displacement, that is treated as rest: the widest settling band."""
@@ -115,7 +118,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
     ----------
     noise, quantum : float64, shape (n,)
         Noise and quantum of each trial [m, rad], or NaN if unknown. Pooled short baselines are far more accurate than a
-        single one. The median of different quanta is used, because a trial with little motion does not show the
+        single baseline. The median of different quanta is used, because a trial with little motion does not show the
         quantum.
     rows : int64, shape (n,)
         Number of rows of each baseline. In a longer baseline, the wall hides more of the rounding error.
@@ -135,7 +138,7 @@ def sensor_error(noise: Floats, quantum: Floats, rows: Integers) -> float:
 
 
 def usual_gain(gain: Floats) -> float:
-    """Return the gain for trials with an unknown gain: the median of the others, or 1 if there are none."""
+    """Return the gain for trials with an unknown gain: the median of the known gains, or 1 if there are none."""
     finite = gain[np.isfinite(gain)]
     if not len(finite):
         return 1.0

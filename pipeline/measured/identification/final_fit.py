@@ -20,7 +20,7 @@ DELAYS, FRICTIONS = 4, (0.3, 2.0)
 """Number of delays over their range, and factors of the best friction, from which other optima are searched for."""
 
 UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
-"""Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than none."""
+"""Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than no lag."""
 
 IMITATED = 0.75
 """Threshold for the lag [samples]. Below it, a fast mode, beyond the range of the search, has the same effect. A mode

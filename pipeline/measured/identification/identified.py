@@ -49,8 +49,7 @@ EXPLAINS = 0.5
 """Smallest weight of a trial that the device explains (see `scatter.OWN_ROWS`)."""
 
 PRECISE = 95.0
-"""Threshold for the fit of free runs [%]. Above it, the errors are too small to matter, regardless of what they depend
-on."""
+"""Threshold for the fit of free runs [%]. Above it, the errors are too small to matter, whatever they depend on."""
 
 SLOW_ROWS = 10.0
 """Threshold for the time constant [rows]. Above it, rows show the inertia of a device."""
@@ -106,9 +105,9 @@ class Identification:
         Names of all recordings.
     drive : dict of str to Interval
         "positive" and "negative": mass per unit of a positive and of a negative command. "asymmetry": half the
-        difference between both gains, divided by their mean. "small" and "large": mass per unit of a small command and
-        of the largest one. "curvature": share of the force that is missing at the largest command. Empty if the gain
-        depends on neither direction nor size, or if no device explains the logs.
+        difference between the two gains, divided by their mean. "small" and "large": mass per unit of a small command
+        and of the largest one. "curvature": share of the force that is missing at the largest command. Empty if the
+        gain depends on neither direction nor size, or if no device explains the logs.
     gravity : dict of str to Interval
         "torque": largest torque of gravity per unit of command [Nm]. "angle": recorded angle at which the device would
         hang at rest [rad]. Empty without gravity, and if the interval of its torque contains 0.
@@ -118,7 +117,7 @@ class Identification:
         Values of the parameters if one fold of the logs is left out (every fifth log, starting at the first, the second
         and so on). Empty for fewer than `FEWEST` logs.
     departure : str
-        Sentence that names the group in which the errors of free motions differ, empty if they differ in none.
+        Sentence that names the quantity on which the errors depend, or empty (see `departures.departure`).
     quasi_static : bool
         Whether the damping is from displacements over windows, because rows do not show the inertia.
     recorded : Recorded
@@ -314,17 +313,17 @@ def _gravity(errors: Errors, units: LogUnits) -> dict[str, Interval]:
 
 
 def _misfit(replay: list[Replay], where: str, *, known: bool) -> str:
-    """Return why no device is identified if the fitted one does not predict its logs.
+    """Return why no device is identified, if the fitted device does not predict its logs.
 
-    The result is empty if the device predicts the logs, or if there is no replay. If the mass is not ``known``, it is
-    also empty unless ``where`` names a quantity on which the errors depend: the wide intervals are then the better
+    The text is empty if the device predicts the logs, or if there is no replay. If the mass is not ``known``, the text
+    is also empty unless ``where`` names a quantity on which the errors depend: the wide intervals are then the better
     reason.
     """
     fit, naive = medians(replay)
     if fit is None or naive is None or follows(fit, naive):
         return ""
     words = f"No device with these parts predicts logs left out: free runs fit {fit:.0f} % of the velocity"
-    return f"{words}, and a motion without the command {naive:.0f} %. {where or REMEDY}" if known or where else ""
+    return f"{words}, and a motion without the command fits {naive:.0f} %. {where or REMEDY}" if known or where else ""
 
 
 def _scatter(choice: Choice) -> dict[str, float]:
@@ -337,7 +336,7 @@ def _scatter(choice: Choice) -> dict[str, float]:
 
 
 def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interval]:
-    """Return intervals that include the uncertainty which the likelihood of the device does not contain."""
+    """Return intervals that include the uncertainty that the likelihood of the device does not contain."""
     result = dict(parameters)
     if "delay_samples" in choice.bounds:
         delay, more = parameters["delay_samples"], choice.bounds["delay_samples"] - parameters["delay_samples"].value
@@ -379,7 +378,7 @@ def check_recordings(recordings: list[Recording]) -> None:
     """
     rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
     if rows < 4 * SHORTEST:
-        raise ParameterError(f"the logs have {rows} usable rows; expected at least {4 * SHORTEST}. Record longer ones.")
+        raise ParameterError(f"the logs have {rows} usable rows; expected at least {4 * SHORTEST}. Record longer logs.")
     _check_periods(recordings)
     if not any(np.ptp(each.position) > 0 for each in recordings):
         raise ParameterError(

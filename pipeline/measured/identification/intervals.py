@@ -21,8 +21,8 @@ FAR = 1e3
 """Deviation, relative to the size of a number, that is assumed if the logs contain no information on the number."""
 
 SHARED = 0.1
-"""Information of all logs that is added to a group's own information, as a multiple of that of an average group. A
-group that does not separate two numbers then has a wide error instead of an arbitrary estimate."""
+"""Information of all logs that is added to a group's own information, as a multiple of the information of an average
+group. A group that does not separate two numbers then has a wide error instead of an arbitrary estimate."""
 
 BY_CHANCE = 1e-3
 """Largest probability at which groups of equal devices would disagree as much as they do."""
@@ -48,7 +48,7 @@ class OwnEstimates:
     Parameters
     ----------
     steps : float64, shape (G, p)
-        Own estimates, as steps from the common one.
+        Separate estimates, as steps from the common estimate.
     covariance : float64, shape (G, p, p)
         Their covariances, if the model is complete.
     """
@@ -58,7 +58,7 @@ class OwnEstimates:
 
     @classmethod
     def of(cls, fit: Fit, groups: Integers) -> OwnEstimates:
-        """Return the own estimates from the group (U,) of each unit of a fit."""
+        """Return the separate estimates, from the group (U,) of each unit of a fit."""
         solved, count = fit.solved, int(groups.max()) + 1
         information = np.zeros((count, *solved.information.shape[1:]))
         score = np.zeros((count, solved.score.shape[1]))
@@ -71,7 +71,8 @@ class OwnEstimates:
         """Return the variance between groups along slopes (Q, p), or 0 where chance explains it.
 
         The statistic q = sum w_g (v_g - mean)^2 of G estimates v_g with weights w_g = 1/e_g^2 has the mean G - 1.
-        A larger one gives the variance (q - G + 1)/(sum w - sum w^2/sum w). Weights are relative to the smallest one.
+        A larger statistic gives the variance (q - G + 1)/(sum w - sum w^2/sum w). Weights are relative to the smallest
+        one.
 
         Source: DerSimonian and Laird 1986, "Meta-analysis in clinical trials".
         """
@@ -195,7 +196,7 @@ class Errors:
         return slope
 
     def _spread(self, slopes: Floats) -> Floats:
-        """Return the variance along slopes (Q, p): the larger of the information's and the jackknife's variance.
+        """Return the variance along slopes (Q, p): the larger of those from the information and from the jackknife.
 
         Unmodelled behaviour shifts the units of similar walls together, and it differs between phases of the motion.
         Similar walls are neighbours. Therefore, neighbouring units and phases are also left out as groups.

@@ -497,7 +497,6 @@ def whitened(
     segments : first, behind, begin, edge, direction, numbers, shifts
         ``direction`` of motion is -1, 0 or 1. ``numbers`` (S, 3) are accelerations per unit of command, due to friction
         and due to a constant force. ``shifts`` (S, p) are deviations of a segment's numbers from the common numbers.
-        computed.
     motion : kind, F, F', W, W', H, H'
         Derivatives of shape (m, P, n, n), (m, P, n), (P, n) along P parameters of the shape.
     pieces : offset, back, age, width, G, G'

@@ -33,7 +33,7 @@ FREE_STARTS = 3
 
 SETTLED = 1e-4
 """Predicted decrease of the squared errors of a free run, relative to its mean squared error, below which its initial
-state is settled. The log-likelihood then changes by half of it."""
+state is settled. The log-likelihood then changes by half of this value."""
 
 DIVERGED = 1e6
 """Position of a free run that overflows from all initial states, in units of the largest travel of the logs."""
@@ -61,7 +61,7 @@ LIMITS = {
     "spring_damping_fraction": (1e-4, 0.999),
 }
 FREE_LIMITS = LIMITS | {"coulomb": (0.0, np.inf)}
-"""Limits in free runs, in which friction acts against the simulated motion and a negative one has no effect."""
+"""Limits in free runs, in which friction acts against the simulated motion and negative friction has no effect."""
 
 BEFORE = {"spring_damping_fraction": (0.5, 12.0)}
 """Mean and information of the prior of a number. The prior of a fraction covers all values between 0 and 1."""
@@ -104,8 +104,8 @@ ROUNDED_ROW = 0.01
 is then searched for."""
 
 LARGEST_FACTOR = 1e30
-"""Largest root sum of squares of a column, in units near 1. Other columns cannot be computed in double precision if it
-is larger."""
+"""Largest root sum of squares of a column, in units near 1. If it is larger, other columns cannot be computed in double
+precision."""
 
 WORTH = 5.0
 """Smallest gain of log-likelihood for which a part of the device or of its noise is accepted (odds of 150 to 1)."""
@@ -286,7 +286,7 @@ def columns_of(
 def _weight(segments: Segments, device: Device) -> Floats:
     """Return the acceleration due to gravity and its derivatives along `GRAVITY`, (3, R), or (1, 0) without gravity.
 
-    Its angles are those of the readings, whose errors change it little.
+    The angles are those of the readings. Their errors hardly affect the acceleration.
     """
     if GRAVITY[0] not in device.numbers:
         return np.empty((1, 0))
@@ -404,7 +404,7 @@ def blocks(segments: Segments, columns: int) -> list[Segments]:
 
 
 def portions_of(segments: Segments) -> int:
-    """Return the number of portions of each segment, or 0 for at least `FEWEST` trials, which are units themselves."""
+    """Return the number of portions of each segment, or 0 for at least `FEWEST` trials, which then are the units."""
     return 0 if segments.trials >= FEWEST else max(1, -(-PORTIONS // max(len(segments), 1)))
 
 
@@ -427,8 +427,8 @@ def moments_of(
 ) -> Moments:
     """Return the moments of all units (trials or portions) at a device, without information after an overflow.
 
-    ``names`` are the numbers along which the moments are computed, by default all numbers. ``phased`` is whether the
-    products of each phase of the motion are computed.
+    ``names`` are the numbers along which the moments are computed, by default all numbers. ``phased`` states whether
+    the products of each phase of the motion are computed.
     """
     names = device.names if names is None else names
     p, portions = len(names), portions_of(segments)
@@ -487,7 +487,7 @@ def phases_of(fit: Fit) -> Floats:
     """Return the step of the numbers due to the errors of each phase of the motion, shape (8, p), with a sum of zero.
 
     The step of a phase is the inverse information times the sum of its scores. The scatter between phases is that of
-    the numbers. It is only noise if the model is complete. The fit has products by phase.
+    the numbers. It is only noise if the model is complete. The fit must contain the products of each phase.
 
     Source: White 1982, "Maximum likelihood estimation of misspecified models" (sandwich estimate, with few clusters).
     """

@@ -36,7 +36,7 @@ LEAST_SHARE = 1e-6
 """Smallest initial value of the noise, as a share of the mean square. Most units have similar noise."""
 
 RIDGE = 1e-12
-"""Threshold for the share of a number's information. Below it, a direction contains only rounding errors. The step
+"""Threshold for the share of a number's information. Below it, a direction contains only rounding errors, and the step
 along it is 0."""
 
 ROUNDED = 1e-16

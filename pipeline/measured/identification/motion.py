@@ -24,7 +24,7 @@ SMALL = 1e-20
 """Imaginary perturbation of a number for the derivative of a matrix. Its square vanishes by rounding."""
 
 SHORTEST_LAG = 0.02
-"""Shortest lag [samples] that counts as a part. A shorter one shifts the position by less than a sensor resolves."""
+"""Shortest lag [samples] that counts as a part. A shorter lag shifts the position by less than a sensor resolves."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ class PlantShape:
         Total damping ratio of the vibration, including the damping of both sides. It is better identified than its
         components.
     load_mass_fraction : float
-        Fraction of the mass that is the load. There is no mode if it and ``spring_damping_fraction`` are 0.
+        Fraction of the mass that is the load. There is no mode if this fraction and ``spring_damping_fraction`` are
+        both 0.
     load_damping : float
         Part of ``delta`` that acts on the load.
     spring_damping_fraction : float
@@ -130,8 +131,8 @@ GRAVITY = ("gravity_sine", "gravity_cosine")
 the shape of the motion, which is linear in them."""
 
 OFF_BY_ONE = 0.7
-"""Largest variance of ages [samples^2] that is modelled by commands one sample early or late. It is possible even for a
-mean delay of half a sample. A larger variance requires larger deviations."""
+"""Largest variance of ages [samples^2] that is modelled by commands one sample early or late. This variance is possible
+even for a mean delay of half a sample. A larger variance requires larger deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +182,7 @@ class Ages:
         The newest command that has arrived is applied. A command of age i has arrived with probability F_i. If it has
         not, it arrives by the next row with probability (F_i - F_(i-1))/(1 - F_(i-1)). Therefore, the probability of
         the next age j is equal for all present ages i >= j. The three numbers are: this probability, the probability
-        of age i + 1 after age i (the remainder), and the probability of the age without knowledge of the present one.
+        of age i + 1 after age i (the remainder), and the probability of the age if the present age is unknown.
         """
         left = 1 - np.append(0.0, np.cumsum(self.chance)[:-1])
         arrived = np.clip(self.chance / np.maximum(left, 1e-12), 0.0, 1.0)
@@ -200,7 +201,7 @@ class Pieces:
     even. The other arrays have the shape (Q,). The command is ``back`` rows old, and ``age`` is the index of its age in
     `Ages`. ``begin`` and ``end`` are times before the end of the interval [samples]. Their derivatives with respect to
     the age are ``begin_slope`` and ``end_slope``. ``times`` (m,) contains the lengths of all intervals, followed by
-    these times, without equal ones; ``places`` are their indices.
+    these times, without duplicates; ``places`` are their indices.
     """
 
     offset: Integers

@@ -65,7 +65,8 @@ IMPOSSIBLE = 1e30
 
 @dataclass(frozen=True, eq=False)
 class NoiseLikelihood:
-    """Cost of a noise, errors of all rows divided by their standard deviations, and logarithms of the latter, (R,)."""
+    """Cost of a noise, errors of all rows (R,) divided by their standard deviations, and logarithms of these
+    deviations."""
 
     lost: float
     errors: Floats
@@ -193,8 +194,8 @@ def _likeliest(cost: Callable[[float], float], limits: tuple[float, float], near
 def _minimum(
     likelihood: Callable[..., NoiseLikelihood], near: Sequence[float], limits: tuple[tuple[float, float], ...]
 ) -> tuple[list[float], float]:
-    """Return the positive numbers within limits that have the lowest cost, and that cost. The search starts ``near``
-    them.
+    """Return the positive numbers within limits that have the lowest cost, and this cost. The search starts at
+    ``near``.
 
     The method is Fisher scoring in the logarithms of the numbers. With the errors e, divided by their standard
     deviations s, the information is

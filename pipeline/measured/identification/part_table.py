@@ -138,7 +138,7 @@ DRIVE_PARTS = ("saturation", "gain by direction", "gain by size", "lag")
 
 OPEN_PARTS = ("gain by direction", "gain by size", "saturation")
 """Parts of a drive that change all parameters per unit of command. They are left open if the likelihood requires them,
-but free runs do not confirm them. A lag is not one of them, since the delay already includes an unseen lag."""
+but free runs do not confirm them. A lag is not among them, since the delay already includes an unseen lag."""
 
 Decision = Literal[
     "accepted",
@@ -160,17 +160,18 @@ Decision = Literal[
 
 ``imitated``: another part explains the same motion. ``no start``, ``white noise``, ``random force``: the gain is too
 small at the best starting value, with the noise of the readings alone, and with the random force of the device.
-``size``: the part cannot be distinguished from one of size 0. ``gain``: the gain is below the required one. ``left
-out``: the same for logs left out. ``at a limit``: a number of the part is at a limit of its search. ``command
-noise``: a force limit cuts off no more than noise of the command. ``free runs``: the errors of free runs and the
-random force do not fall enough. ``small errors``: free runs without the part are as accurate as the readings. ``no
-load``: the mass of the load of a mode is not identifiable.
+``size``: the part cannot be distinguished from a part of size 0. ``gain``: the gain is below the required gain.
+``left out``: the gain for logs left out is below the required gain. ``at a limit``: a number of the part is at a limit
+of its search. ``command noise``: a force limit would clip only the noise of the command. ``free runs``: the errors of
+free runs and the random force do not fall enough. ``small errors``: free runs without the part are as accurate as the
+readings. ``no load``: the mass of the load of a mode is not identifiable.
 """
 
 
 @dataclass(frozen=True)
 class TriedPart:
-    """Result of the test of a part, with the gain of log-likelihood in the last step of the test and the required one.
+    """Result of the test of a part, with the gain of log-likelihood in the last step of the test, and the required
+    gain.
 
     The gain is NaN if the test ended before a fit with the part.
     """

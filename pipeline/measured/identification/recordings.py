@@ -23,7 +23,7 @@ class Recording:
     """Log with a name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
     ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
-    wall. ``turns`` is whether the position is an angle, so that gravity may act. ``force`` is the measured force or
+    wall. ``turns`` states whether the position is an angle, so that gravity may act. ``force`` is the measured force or
     torque [N, Nm] of shape (rows,), if the log has it.
     """
 
@@ -41,7 +41,8 @@ class Recording:
     def rank(self) -> tuple[float, float, bytes, bytes]:
         """Sort key: the wall, then hashes of the samples for equal walls.
 
-        Neighbours are left out together, so that effects that are not modelled at similar walls widen the intervals.
+        Neighbours are left out together, so that unmodelled effects that are common to similar walls widen the
+        intervals.
         """
         samples = (sha256(np.ascontiguousarray(each).data).digest() for each in (self.command, self.position))
         of_command, of_position = samples
@@ -73,12 +74,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class LogUnits:
-    """Units of the estimator, which are the sampling period [s], the position relative to an origin [m, rad], and the
-    command [N, Nm].
+    """Units of the estimator: the sampling period [s], the position relative to an origin [m, rad], and the command
+    [N, Nm].
 
-    The origin is the position at which a spring is relaxed. This is the initial position of most logs. If it is None,
-    it is the initial position of each log, e.g. if a hand grips the device there. A further offset acts like a constant
-    force.
+    The origin is the position at which a spring is relaxed. This is the initial position of most logs. If the origin is
+    None, the initial position of each log is used, e.g. if a hand grips the device there. A further offset acts like a
+    constant force.
     """
 
     period: float

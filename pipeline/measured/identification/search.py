@@ -112,9 +112,9 @@ def _scattered(segments: Segments, device: Device) -> Integers:
 def _with_noise(segments: Segments, device: Device, places: Integers, *, jitters: bool) -> Fit:
     """Return the fit of a device with the noise that whitens its errors.
 
-    The search for the noise uses short parts of the segments with a constant force each, so that it does not see a
-    force that changes slowly. In many logs, the constant force of each log contains it. For few logs, the random force
-    of maximum likelihood over whole segments is therefore found from there.
+    The search for the noise uses short parts of the segments, each with a constant force, so that a force that changes
+    slowly has no effect. With many logs, the constant force of each log contains such a force. With few logs, a further
+    search from this noise therefore finds the maximum-likelihood random force over whole segments.
     """
     fit = fitted(segments, replace(device, noise=noise_and_jitter(segments, device, jitters=jitters)), places)
     noise = fit.device.noise
@@ -146,7 +146,7 @@ def climbed(segments: Segments, device: Device, steps: int = STEPS) -> Fit:
 def ended(segments: Segments, device: Device) -> Fit:
     """Return the final maximum-likelihood fit near a device, with the uncertainty due to its jitter."""
     fit = _climbed(fitted(segments, device, _scattered(segments, device), phased=True), segments, LAST_STEPS)
-    # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is another one
+    # a number at its limit, such as a delay of 0, shifts the others: the optimum without limits is a different one
     inside = _inner_step(fit, FREE_LIMITS if segments.free else LIMITS)
     beyond = [fit.solved.step] if (inside != fit.solved.step).any() else []
     optima = np.stack([np.zeros(len(fit.device.names)), *beyond])

@@ -27,7 +27,8 @@ LONGEST = 1000
 within a segment."""
 
 GAP = 1.5
-"""Smallest pause between two rows, in sampling periods, in which a command is missing if the command changes there."""
+"""Smallest pause between two rows, in sampling periods, that counts as a missing command if the command changes
+there."""
 
 REGULAR = 0.05
 """Largest distance of a row from an even grid, in samples, at which the rows are even and the clock scatters the time
