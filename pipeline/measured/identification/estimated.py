@@ -54,7 +54,8 @@ class EstimatedParameter:
         return lambda numbers: self.conversion(numbers, units)
 
     def unit_size(self, mass: float, units: LogUnits) -> float:
-        """Return the size [SI] to which the numerical error of a value 0 is relative, or 0 for a positive parameter."""
+        """Return the size [SI] that scales the numerical error of a value of 0, or 0 for a parameter that must be
+        positive."""
         parameter = PARAMETERS[self.name]
         if parameter.positive:
             return 0.0

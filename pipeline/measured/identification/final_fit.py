@@ -17,7 +17,8 @@ from pipeline.measured.identification.search import climbed, ended
 from pipeline.measured.identification.segments import Segments, segments_of
 
 DELAYS, FRICTIONS = 4, (0.3, 2.0)
-"""Number of delays over their range, and factors of the best friction, from which other optima are searched for."""
+"""Starting points of the search for other optima: number of delays over their range, and factors of the best
+friction."""
 
 UNSEEN = (0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8, 1.1, 1.6, 2.2, 3.2)
 """Lags [samples] that may be part of a delay. Rounding can make shorter lags more likely than no lag."""
@@ -32,10 +33,9 @@ class Choice:
     """Fit of a device with its parts, and the gain of cross-validated likelihood of each part.
 
     A part with a gain of 0 is undecided, and its number is included as unknown. ``assumed`` contains the names of
-    parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag. For a
-    delay that cannot be separated from a lag, it contains the other end of the delay's range. Keys are names of
-    `ESTIMATED`. ``open`` contains the names of parts as in `ChosenParts`, and ``tried`` the test of each part that was
-    tried.
+    parameters that are assumed to be zero. ``bounds`` contains upper ends for absent friction, spring and lag, and the
+    other end of the range of a delay that cannot be separated from a lag. Keys are names of `ESTIMATED`. ``open``
+    contains the names of parts as in `ChosenParts`, and ``tried`` the test of each part that was tried.
     """
 
     fit: Fit

@@ -42,7 +42,7 @@ SLIGHT = 1e-6
 zero. The value separates rounding from real forces in exact logs."""
 
 CONSTANT = 1e-3
-"""Threshold for the change of the commands, relative to the largest one. Below it, the commands are treated as one
+"""Threshold for the change of the commands, relative to the largest command. Below it, the commands are treated as one
 constant command."""
 
 
@@ -94,7 +94,7 @@ def _upper(fit: Fit, name: str, units: LogUnits) -> float:
 
 
 def _worth(segments: Segments, fit: Fit, begin: Device) -> tuple[Fit, TriedPart]:
-    """Return the fit with its spring if the logs show a spring, otherwise the fit without a spring, and the test.
+    """Return the fit, with a spring only if the logs show a spring, and the test of the spring.
 
     If the logs seem to show a spring, the search is repeated without it from the same start. With a single wall, a
     spring may imitate the command.
@@ -188,7 +188,7 @@ def _searched(segments: Segments, begin: list[Device]) -> Fit:
     some = some_of(segments)
     climbs = [climbed(some, device) for device in begin]
     here = climbed(some, replace(fit.device, noise=WHITE, effects=None))
-    # if all have the same optimum without a random force, the random force has replaced nothing
+    # if all devices have the same optimum without a random force, the random force has replaced nothing
     best = max(climbs, key=lambda each: each.solved.here)
     if best.solved.here < here.solved.here + WORTH:
         return fit

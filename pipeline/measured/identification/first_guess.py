@@ -31,8 +31,8 @@ ROUNDED = 1e-12
 errors."""
 
 SMALLEST_SHARE = 1e-6
-"""Threshold for the share of a column. Below it, the column is a rounding error of the others (the square root of the
-limit that `numpy.linalg.lstsq` uses)."""
+"""Threshold for the share of a column. Below it, the column is a rounding error of the other columns (the square root
+of the limit that `numpy.linalg.lstsq` uses)."""
 
 VISIBLE = 4.0
 """Threshold for the sum of squares of a segment's deviations from a straight line, relative to its noise. Above it, the
@@ -120,7 +120,8 @@ def _way(segments: Segments) -> Floats:
 
 
 def _balances(segments: Segments, names: list[str], delay: float, once: Floats) -> Floats:
-    """Return the products of the columns and the position of each segment without initial state, (S, k + 1, k + 1)."""
+    """Return the products of columns and position of each segment, after elimination of its initial state, (S, k + 1, k
+    + 1)."""
     forces = [name for name in names if name != "delta"]
     transitions = Transitions.of(segments, PlantShape(delay=delay))
     fields = np.zeros((2 + len(GRAVITY), len(segments.time)))
@@ -160,7 +161,7 @@ def shortest(lefts: Floats) -> int:
     """Return the index of the shortest delay whose residual is close to the smallest one.
 
     If a mode dominates the motion, every delay explains little of the motion. A large delay then fits hardly better
-    than the true one.
+    than the true delay.
 
     >>> shortest(np.array([-0.054, -0.058, -0.057, -0.004, -0.053, -0.064])), shortest(np.array([-2.0, -6.0, -9.0]))
     (1, 2)
@@ -176,7 +177,8 @@ def _robust(products: Floats) -> tuple[Floats, Floats, Floats]:
 
     For products of shape (D, S, k + 1, k + 1) with D delays, the shapes are (D, k), (D,) and (D, S). A segment with a
     much larger residual than most segments has little weight. The residual share is a weighted mean over segments. The
-    weight is the distance of a segment, limited to the median distance, so that an unbounded motion does not dominate.
+    weight of a segment is the norm of its motion, limited to the median norm, so that an unbounded motion does not
+    dominate.
     """
     way, weight = _ways(products), np.ones(products.shape[:2])
     for _ in range(ROBUST_ROUNDS):
@@ -205,7 +207,7 @@ def _rest(products: Floats, found: Floats) -> Floats:
 def _ways(products: Floats) -> Floats:
     """Return the weights of segments in a mean.
 
-    They are the distances, limited to the median and normalised to a sum of 1.
+    The weights are the norms of the motion, limited to the median norm and normalised to a sum of 1.
     """
     way = np.sqrt(products[..., -1, -1])
     way = np.minimum(way, np.median(way, axis=-1, keepdims=True))
@@ -224,7 +226,7 @@ def _left(products: Floats, found: Floats, floor: Floats | float = 1e-300) -> Fl
 def _bounded(products: Floats, weight: Floats, names: list[str], sign: float) -> Floats:
     """Return the least-squares solution with a gain of the given sign (or 0) and nonnegative friction.
 
-    Damping, stiffness and Coulomb friction are nonnegative. If all of them were reversed, the motion could also be
+    Damping, stiffness and Coulomb friction are nonnegative. If all signs were reversed, the motion could also be
     explained by a reversed command.
     """
     from scipy.optimize import nnls

@@ -19,7 +19,7 @@ from pipeline.measured.identification.parts import choose_parts
 from pipeline.measured.identification.recordings import Recording
 
 TRAPEZOIDAL, CUBIC = (0.5,), (13 / 24, -1 / 24)
-"""Weights of the force readings on each side of an interval, from its ends outwards, in the mean over the interval."""
+"""Weights of the force readings in the mean over an interval, on each side, from the ends of the interval outwards."""
 
 FORCE_AHEAD = 1.0
 """Number of rows by which the command of `driven_by_force` is ahead of the measured force."""
@@ -150,7 +150,7 @@ def _per_command(found: Identification, drive: MeasuredDrive) -> Identification:
 
 
 def _quotient(each: Interval, gain: Interval) -> Interval:
-    """Return a quantity divided by an independent gain. The relative errors are added as squares."""
+    """Return a quantity divided by an independent gain. The relative errors are added in quadrature."""
     value = each.value / gain.value
     relative = max(gain.value - gain.low, gain.high - gain.value) / gain.value
     low, high = (

@@ -16,8 +16,8 @@ from pipeline.measured.identification.recordings import reading_noise
 from pipeline.measured.identification.segments import Segments
 
 LIMIT_DELAY, LIMIT_ROWS = 3.0, 4
-"""Longest delay [samples] in the search for a force limit and from the applied command, and number of rows on each side
-for the speed."""
+"""Longest delay [samples] in searches with a clipped command, and number of rows on each side from which a speed is
+computed."""
 
 LIMITS_SOUGHT = 0.05, 0.99, 150
 """Smallest and largest limit of the command in the search for a force limit, and number of trial values (2 % apart)."""
@@ -52,7 +52,7 @@ def exceeds_noise(segments: Segments, limit: float) -> bool:
 def saturated(segments: Segments, device: Device) -> Device:
     """Return the most likely device with a force limit, from force balances with a clipped command.
 
-    If most commands exceed the limit, the numbers of a device without a limit are far from the true ones. The search
+    If most commands exceed the limit, the numbers of a device without a limit are far from the true numbers. The search
     starts at the limit above which the velocity no longer follows the command.
     """
     known = [name for name in (*BALANCED, "delay") if name in device.names]

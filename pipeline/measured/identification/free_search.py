@@ -61,7 +61,7 @@ LEFT = 0.5
 """Largest share of the variance of the velocity errors of free runs that may remain after a mode is added."""
 
 EXPLORED_ROWS, LONGEST_PART = 9000, 4500
-"""Number of rows with which a mode is searched for, and largest number of rows of a part of a log among them. The
+"""Number of rows that are used to search for a mode, and largest number of rows of each part of a log that is used. The
 devices of the search are then fitted to all rows. More rows would not change the choice of starting values."""
 
 BANDS_PER_OCTAVE = 3
@@ -111,9 +111,9 @@ def with_mode(
 ) -> tuple[Segments, Fit, dict[str, float]] | TriedPart:
     """Return segments, fit and parts of a device with friction and a mode, or the test that a mode failed.
 
-    ``fit`` is the fit to segments of one direction. A mode, a spring and neither of them are compared. A mode is
-    accepted if its likelihood exceeds that of the alternatives by its threshold, and if it is `_followed`. The search
-    uses `informative` rows. Its best device is then fitted to all rows, and judged again.
+    ``fit`` is the fit to segments of one direction. Devices with a mode, with a spring, and with neither are compared.
+    A mode is accepted if its likelihood exceeds that of the alternatives by its threshold, and if it is `_followed`.
+    The search uses `informative` rows. Its best device is then fitted to all rows, and judged again.
     """
     recordings, units, lead = logs
     segments, numbers = segments_of(recordings, units, lead, False, WHITE_ERRORS), fit.device.numbers
@@ -146,7 +146,8 @@ def with_mode(
 
 
 def _followed(logs: tuple[list[Recording], LogUnits, int], without: Fit, found: Fit) -> bool:
-    """Return whether free runs with a mode have less than `LEFT` of the variance of the velocity error without it."""
+    """Return whether a mode reduces the variance of the velocity error of free runs to less than `LEFT` of its
+    value."""
     (before, _), (behind, _) = (
         medians(replays(*logs, replace(each.device, effects=None))) for each in (without, found)
     )
@@ -175,7 +176,7 @@ def required_gain(part: str) -> float:
 
 
 def _is_required(gain: float, fit: Fit) -> bool:
-    """Return whether a gain of log-likelihood suffices for a mode, and its numbers are inside their limits.
+    """Return whether a gain of log-likelihood is sufficient for a mode, with numbers inside their limits.
 
     The damping ratio may be at its lower limit. At the upper one, the mode does not vibrate, and replaces a delay.
     """
@@ -188,9 +189,9 @@ def _is_required(gain: float, fit: Fit) -> bool:
 def informative(segments: Segments) -> Segments:
     """Return parts of segments with about `EXPLORED_ROWS` rows in total, or all segments if they have fewer rows.
 
-    The parts are added one at a time. Each adds most to the information sum ln(1 + S) over frequency bands, where S is
-    the sum of the power of the motion in a band over all chosen parts, relative to the power of the readings' noise.
-    The choice depends on the content of the parts only, not on the order of the logs.
+    The parts are added one at a time. Each added part is the one that adds most to the information sum ln(1 + S) over
+    frequency bands, where S is the sum of the power of the motion in a band over all chosen parts, relative to the
+    power of the readings' noise. The choice depends on the content of the parts only, not on the order of the logs.
     """
     if int(segments.rows.sum()) <= EXPLORED_ROWS:
         return segments
@@ -207,7 +208,7 @@ def informative(segments: Segments) -> Segments:
 
 
 def _band_powers(pieces: Segments, number: int) -> Floats:
-    """Return the power of the motion of a part in each frequency band, relative to that of the readings' noise."""
+    """Return the power of the motion of a part in each frequency band, relative to the power of the readings' noise."""
     position = pieces.position[pieces.first[number] : pieces.behind[number]]
     since = np.linspace(-1.0, 1.0, len(position))
     lines = np.stack([np.ones(len(since)), since], axis=1)
@@ -243,9 +244,9 @@ def _starts(
 ) -> Iterator[tuple[Device, int, tuple[float, ...]]]:
     """Yield initial devices with a mode, numbers of steps, and filters of the errors, as arguments of `free_fit`.
 
-    The mode is that of the segments if they have one. Otherwise, it is the best of a grid for white errors, and for the
-    errors without a mode. White errors show a slow mode in readings with little drift. The errors without a mode show a
-    mode in addition to drift.
+    The mode is that of the fit to segments, if this fit has a mode. Otherwise, it is the best mode of a grid, for white
+    errors and for the errors of the device without a mode. White errors show a slow mode in readings with little drift.
+    The errors without a mode show a mode in addition to drift.
     """
     if "mode_frequency" in fit.device.numbers:
         for shares in LOAD_SHARES:

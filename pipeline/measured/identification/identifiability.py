@@ -118,7 +118,7 @@ def sensor_resolution(recordings: list[Recording]) -> float:
 
 
 def stuck(steps: float, command: float) -> str:
-    """Return why nothing is identifiable from a device that moves by only a few sensor steps."""
+    """Return the reason why a device that moves by only a few sensor steps is not identifiable."""
     return (
         f"the device hardly moves: its position changes by {counted(round(steps), 'step')} of the sensor while the "
         f"command reaches {command:.3g}. Static friction larger than that command, or a stop, blocks it. Record larger "
@@ -228,7 +228,7 @@ def reasons(
 
 
 def combinations(choice: Choice, errors: Errors, recorded: Recorded, names: set[str]) -> list[IdentifiableCombination]:
-    """Return the identifiable combinations of parameters that are not identifiable alone."""
+    """Return identifiable combinations of parameters that are not individually identifiable."""
     units, numbers = choice.units, errors.numbers
     acceleration = units.position / units.period**2
     level = _usual_level(choice)

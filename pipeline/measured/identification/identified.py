@@ -62,7 +62,8 @@ SMALLEST_UNIT = 1e-60
 overflow."""
 
 LAST = 0.4
-"""Share of the velocity changes of a single log that are replayed. The device is fitted to the part before."""
+"""Share of the velocity changes of a single log in its last part, which is replayed. The device is fitted to the first
+part."""
 
 
 REMEDY = (
@@ -351,10 +352,10 @@ def _opened(parameters: dict[str, Interval], choice: Choice) -> dict[str, Interv
 
 
 def _stuck_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
-    """Return intervals that allow for a constant force. Friction may have balanced it while the device was at rest.
+    """Return intervals that allow for a constant force that friction balanced while the device was at rest.
 
-    The constant force lies anywhere between the friction in both directions. Quantities identified per unit of command
-    have the same relative error.
+    The constant force lies anywhere between minus and plus the Coulomb friction. Quantities identified per unit of
+    command have the same relative error.
     """
     share = parameters["friction.coulomb"].value / command / np.sqrt(3.0)
     result = dict(parameters)
@@ -423,7 +424,10 @@ def _check_periods(recordings: list[Recording]) -> None:
 
 
 def _replay(recordings: list[Recording], choice: Choice) -> list[Replay]:
-    """Return the fit of free runs by a device fitted without the log's fold, or to the first part of a single log."""
+    """Return the fit of free runs of each log by a device that is fitted without the fold of the log.
+
+    For a single log, the device is fitted to the first part of the log, and the last part is replayed.
+    """
     lead, free = choice.segments.lead, choice.segments.free
     if len(recordings) == 1:
         cuts = [_first_part(each) for each in recordings]

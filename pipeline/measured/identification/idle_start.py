@@ -1,7 +1,7 @@
 """Find a time at the start of logs in which the command does not act, because the drive is still switched off or the
 device is blocked.
 
-The device is identified without these rows. It then has to predict that the command would have moved it.
+The device is identified without these rows. It must then predict that the command would have moved it in these rows.
 """
 
 from __future__ import annotations

@@ -21,11 +21,11 @@ FAR = 1e3
 """Deviation, relative to the size of a number, that is assumed if the logs contain no information on the number."""
 
 SHARED = 0.1
-"""Information of all logs that is added to a group's own information, as a multiple of the information of an average
-group. A group that does not separate two numbers then has a wide error instead of an arbitrary estimate."""
+"""Information of all logs that is added to the information of each group, as a multiple of the information of an
+average group. A group that does not separate two numbers then has a wide error instead of an arbitrary estimate."""
 
 BY_CHANCE = 1e-3
-"""Largest probability at which groups of equal devices would disagree as much as they do."""
+"""Probability below which a disagreement between groups is not attributed to chance."""
 
 GROUPS = 10
 """Number of groups of neighbouring walls for a jackknife. It is used if there are at least twice as many units."""
@@ -160,7 +160,7 @@ class Errors:
     def interval(self, quantity: Quantity, ends_at_zero: bool = False, unit: float = 0.0) -> Interval:
         """Return a quantity with its interval. ``ends_at_zero`` bounds the interval by 0, with the profile likelihood.
 
-        ``unit`` is the size to which the numerical error is relative if the value is 0.
+        If the value is 0, ``unit`` scales the numerical error.
         """
         value, slope = quantity(self.numbers), self._slope(quantity)
         error = max(float(np.sqrt(self._spread(slope[None])[0])), COMPUTED * max(abs(value), unit))

@@ -486,8 +486,9 @@ def fitted(segments: Segments, device: Device, places: Integers, *, phased: bool
 def phases_of(fit: Fit) -> Floats:
     """Return the step of the numbers due to the errors of each phase of the motion, shape (8, p), with a sum of zero.
 
-    The step of a phase is the inverse information times the sum of its scores. The scatter between phases is that of
-    the numbers. It is only noise if the model is complete. The fit must contain the products of each phase.
+    The step of a phase is the inverse information times the sum of its scores. The scatter of these steps shows the
+    uncertainty of the numbers. It is only noise if the model is complete. The fit must contain the products of each
+    phase.
 
     Source: White 1982, "Maximum likelihood estimation of misspecified models" (sandwich estimate, with few clusters).
     """

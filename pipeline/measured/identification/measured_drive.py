@@ -50,7 +50,7 @@ FOLLOWS = 50.0
 """Smallest fit of the measured force [%] at which a drive counts as identified."""
 
 EVEN = 0.1
-"""Largest distance between the time steps of even rows, relative to the sampling period."""
+"""Largest difference between the time steps of evenly spaced rows, relative to the sampling period."""
 
 NUDGE = 1e-4
 """Relative perturbation for numerical derivatives."""
@@ -112,7 +112,7 @@ class _Shape:
 
 
 def unknown_drive(reason: str) -> MeasuredDrive:
-    """Return a drive of which nothing is known, with the reason."""
+    """Return an unidentified drive, with the reason."""
     none = Interval(np.nan, np.nan, np.nan, np.nan)
     return MeasuredDrive(none, none, none, None, np.nan, 0.0, reason)
 
@@ -136,7 +136,7 @@ def identified_drive(recordings: Sequence[Recording]) -> MeasuredDrive:
     fit = _Fit.of(logs, shape, rows)
     fit_percent = 100 * (1 - float(np.linalg.norm(fit.errors)) / float(np.linalg.norm(fit.force - fit.force.mean())))
     if not fit_percent >= FOLLOWS or fit.gain <= 0:
-        sign = " It has the opposite sign of the command." if fit.gain < 0 else ""
+        sign = " Its sign is opposite to that of the command." if fit.gain < 0 else ""
         reason = (
             f"The measured force does not follow the command: gain, delay, lag and limit explain {fit_percent:.0f} % "
             f"of it.{sign} Check sign, unit and time of both columns."

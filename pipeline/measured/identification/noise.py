@@ -46,7 +46,8 @@ WHITE = Noise()
 
 
 def gains_of(segments: Segments, transitions: Transitions, noise: Noise, command: Floats) -> Gains:
-    """Return the filter for a noise. It is steady for even rows without jitter, and otherwise has gains for each row.
+    """Return the filter for a noise. For even rows without jitter, the filter is in steady state. Otherwise, each row
+    has separate gains.
 
     ``command`` (R,) is the applied command.
     """

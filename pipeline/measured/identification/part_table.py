@@ -59,22 +59,22 @@ FREQUENCIES = (0.013, 0.018, 0.027, 0.04, 0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7,
 
 
 def _largest_forces(_: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the force limit, relative to the largest command."""
+    """Return candidates for the force limit, relative to the largest command."""
     return [{"limit": limit} for limit in (0.1, 0.15, 0.22, 0.33, 0.45, 0.6, 0.75, 0.9)]
 
 
 def _asymmetries(_: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the difference between the gains of both directions, relative to their mean."""
+    """Return candidates for the difference between the gains of the two directions, relative to their mean."""
     return [{"asymmetry": share} for share in (-0.5, -0.2, 0.2, 0.5)]
 
 
 def _curvatures(_: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the share of the force that is missing at the largest command."""
+    """Return candidates for the share of the force that is missing at the largest command."""
     return [{"curvature": share} for share in (-0.2, 0.1, 0.25)]
 
 
 def _weights(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of gravity, with sizes relative to the largest command and in all directions."""
+    """Return candidates for gravity, with sizes relative to the largest command and in all directions."""
     turns = np.arange(8) * (np.pi / 4)
     sizes = [share * numbers["gain"] for share in (0.1, 0.3, 0.9)]
     return [
@@ -83,18 +83,18 @@ def _weights(numbers: dict[str, float]) -> list[dict[str, float]]:
 
 
 def _lags(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the lag [samples]. Each replaces an equal part of the delay."""
+    """Return candidates for the lag [samples]. Each replaces an equal part of the delay."""
     return [{"lag": lag, "delay": max(numbers["delay"] - lag, 0.0)} for lag in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)]
 
 
 def _modes(_: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the mode, with a light and with a heavy load."""
+    """Return candidates for the mode, with a light and with a heavy load."""
     numbers = ("mode_frequency", "mode_damping_ratio", "load_mass_fraction")
     return [dict(zip(numbers, (turn, 0.04, share), strict=True)) for turn in FREQUENCIES for share in (0.05, 0.2)]
 
 
 def _modes_at_load(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of a mode if the position of the load is measured.
+    """Return candidates for a mode if the position of the load is measured.
 
     At its resonance, the load lags by a quarter of a period. The candidates therefore include a shorter delay. The lag
     is negligible if the mode is faster.
@@ -110,7 +110,7 @@ def _modes_at_load(numbers: dict[str, float]) -> list[dict[str, float]]:
 
 
 def _load_dampings(numbers: dict[str, float]) -> list[dict[str, float]]:
-    """Return candidates of the damping that acts on the load."""
+    """Return candidates for the damping that acts on the load."""
     return [{"load_damping": share * numbers["delta"]} for share in (0.2, 0.5, 0.8)]
 
 
@@ -159,12 +159,12 @@ Decision = Literal[
 """Result of the test of a part. All except the first two are reasons for a rejection.
 
 ``imitated``: another part explains the same motion. ``no start``, ``white noise``, ``random force``: the gain is too
-small at the best starting value, with the noise of the readings alone, and with the random force of the device.
-``size``: the part cannot be distinguished from a part of size 0. ``gain``: the gain is below the required gain.
-``left out``: the gain for logs left out is below the required gain. ``at a limit``: a number of the part is at a limit
-of its search. ``command noise``: a force limit would clip only the noise of the command. ``free runs``: the errors of
-free runs and the random force do not fall enough. ``small errors``: free runs without the part are as accurate as the
-readings. ``no load``: the mass of the load of a mode is not identifiable.
+small at the best starting value, with only the noise of the readings, or with the random force of the device,
+respectively. ``size``: the part cannot be distinguished from a part of size 0. ``gain``: the gain is below the required
+gain. ``left out``: the gain for logs left out is below the required gain. ``at a limit``: a number of the part is at a
+limit of its search. ``command noise``: a force limit would clip only the noise of the command. ``free runs``: the
+errors of free runs and the random force do not fall enough. ``small errors``: free runs without the part are as
+accurate as the readings. ``no load``: the mass of the load of a mode is not identifiable.
 """
 
 

@@ -135,7 +135,8 @@ Logs = tuple[list[Recording], LogUnits, int]
 
 
 def held_out(fit: Fit) -> float:
-    """Return the cross-validated log-likelihood. Fits without one fold are one Newton step from the fit to all units.
+    """Return the cross-validated log-likelihood. The fit without a fold is one Newton step away from the fit to all
+    units.
 
     With few logs, each portion is a fold, and the step is of first order (Takeuchi's criterion).
     """
@@ -150,8 +151,8 @@ def held_out(fit: Fit) -> float:
 def subset(recordings: list[Recording]) -> list[Recording]:
     """Return the recordings that are used to choose parts, in the order of their ranks.
 
-    If there are more than `MOST_TRIALS`, those with the smallest hashes of their samples are used. Then, an additional
-    log replaces at most one of these recordings, and neither its motion nor its wall influences the choice.
+    If there are more than `MOST_TRIALS`, the recordings with the smallest hashes of their samples are used. Then, an
+    additional log replaces at most one of these recordings, and neither its motion nor its wall influences the choice.
     """
     some = sorted(recordings, key=lambda each: each.rank[2:])[:MOST_TRIALS]
     return sorted(some, key=lambda each: each.rank)
@@ -234,7 +235,7 @@ def _search(some: list[Recording], units: LogUnits, without: Sequence[str]) -> t
 
 
 def _from_applied_command(state: Selection) -> Selection:
-    """Return a selection that is also searched from first guesses with the command that a limited drive applies.
+    """Return the selection after a further search, from first guesses with the command that a limited drive applies.
 
     Before a limit or a gain of the drive was known, a long delay and a random force may have replaced the time constant
     of the device.
@@ -301,7 +302,7 @@ def _velocity_fit(logs: Logs, segments: Segments, fit: Fit) -> float | None:
 def _swinging(logs: Logs, state: Selection) -> Selection:
     """Return the selection after free runs decide on a mode, for logs with friction or a slow mode.
 
-    From `FEWEST` logs behind walls on, segments show the mode, since walls reverse the motion at different rows.
+    With at least `FEWEST` logs of walls, segments show the mode, since walls reverse the motion at different rows.
     """
     segments, fit, parts = state.segments, state.fit, state.parts
     numbers = fit.device.numbers
@@ -322,13 +323,13 @@ def _swinging(logs: Logs, state: Selection) -> Selection:
         return Selection(*found, state.tried | tests)
     mode = next((name for name in modes if name in parts), SENSED["motor"])
     if "mode_frequency" not in numbers:
-        # the test on segments is the more precise one if free runs show no error
+        # the test on segments is more precise if free runs show no error
         return state if found.decision == "small errors" else replace(state, tried=state.tried | {mode: found})
     left = {name: value for name, value in numbers.items() if name not in (*MODE, "load_damping")}
     fit = refined(segments, replace(fit.device, numbers=left, effects=None))
     rest = {name: gain for name, gain in parts.items() if name not in (*modes, *LOAD_PARTS)}
     without = {name: replace(test, decision="imitated") for name, test in state.tried.items() if name in LOAD_PARTS}
-    # a mode on the wrong side may hide the true one
+    # a mode on the wrong side may hide the true mode
     return _swinging(logs, Selection(segments, fit, rest, state.tried | without | {mode: found}))
 
 
@@ -479,10 +480,10 @@ def _is_inside(segments: Segments, device: Device, part: Part) -> bool:
 def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) -> bool:
     """Return whether the second fit, which has one more part, predicts more of the motion than the first one.
 
-    There are two ways: the fit leaves less random force (`_takes_away`), or its free runs of logs left out have at most
-    `LEFT` of the variance of the error. The second condition is for a ripple of the force at each turn, a random force
-    that no part removes. A mode must not make the free runs worse. Only the random force is judged for walls, and for a
-    single log.
+    One of two conditions must be met: the fit leaves less random force (`_takes_away`), or its free runs of logs left
+    out have at most `LEFT` of the variance of the error. The second condition is for a ripple of the force at each
+    turn, a random force that no part removes. A mode must not make the free runs worse. For logs of walls and for a
+    single log, only the random force is judged.
     """
     recordings, units, lead = logs
     taken = _takes_away(*fits)
@@ -496,7 +497,8 @@ def _predicts(logs: Logs, segments: Segments, name: str, fits: tuple[Fit, Fit]) 
 
 
 def _takes_away(fit: Fit, other: Fit) -> bool:
-    """Return whether ``other`` has at most `LEFT` of the random force of ``fit``, or of its jitter without a force."""
+    """Return whether ``other`` has at most `LEFT` of the random force of ``fit``, or of its jitter if there is no
+    force."""
     before, behind = fit.device.noise, other.device.noise
     if before.force > 0:
         return bool(behind.force * other.solved.noise <= LEFT * before.force * fit.solved.noise)
@@ -523,7 +525,7 @@ def _having(segments: Segments, device: Device, part: Part) -> Device:
 
 
 def _best(segments: Segments, device: Device, part: Part, starts: list[dict[str, float]]) -> Device:
-    """Return the best device for several values of a part's numbers. All other numbers are optimised for each."""
+    """Return the best device for several values of a part's numbers. All other numbers are optimised for each value."""
     devices = (replace(device, numbers=device.numbers | each) for each in starts)
     return max(devices, key=lambda each: _promise(segments, each, part))
 
@@ -534,6 +536,7 @@ def _promise(segments: Segments, device: Device, part: Part) -> float:
 
 
 def other_numbers(segments: Segments, device: Device, part: Part, random: Integers) -> Solved:
-    """Return the estimate of the numbers that do not belong to a part. Those at ``random`` vary between trials."""
+    """Return the estimate of the numbers that do not belong to a part. The numbers at ``random`` vary between
+    trials."""
     others = tuple(name for name in device.names if name not in part.numbers)
     return solve(moments_of(segments, device, others), random)

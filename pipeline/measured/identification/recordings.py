@@ -22,9 +22,9 @@ SURE = 4.0
 class Recording:
     """Log with a name, time [s], command [N, Nm] and position [m, rad] of shape (rows,), and sampling period [s].
 
-    ``edge`` is the row, counted from 0, of a step from rest if declared. ``wall`` contains damping and stiffness of the
-    wall. ``turns`` states whether the position is an angle, so that gravity may act. ``force`` is the measured force or
-    torque [N, Nm] of shape (rows,), if the log has it.
+    ``edge`` is the row, counted from 0, of a step from rest, if it is declared. ``wall`` contains damping and stiffness
+    of the wall. ``turns`` states whether the position is an angle, so that gravity may act. ``force`` is the measured
+    force or torque [N, Nm] of shape (rows,), if the log has it.
     """
 
     name: str

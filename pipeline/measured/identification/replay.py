@@ -163,7 +163,7 @@ def devices_without_folds(segments: Segments, fit: Fit) -> list[Device]:
 def _sliding_step(device: Device, step: Floats, information: Floats) -> Floats:
     """Return a step without negative friction, which no free run can have.
 
-    The other numbers are the most likely ones for this friction.
+    The other numbers have their most likely values for this friction.
     """
     result = step.copy()
     for place, name in enumerate(device.names):
@@ -201,8 +201,8 @@ def _errors(windows: Segments, device: Device) -> Floats:
 def _naive_errors(times: list[Floats], readings: list[Floats]) -> tuple[list[Floats], list[Floats]]:
     """Return the position errors of two naive motions in the windows of a log.
 
-    The first motion has a constant speed in each window. The second one also has the mean acceleration of the log, the
-    same in all windows.
+    The first motion has a constant speed in each window. The second motion also has the mean acceleration of the log,
+    the same in all windows.
     """
     moved, bent = [], []
     for time, position in zip(times, readings, strict=True):

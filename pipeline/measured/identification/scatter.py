@@ -126,7 +126,7 @@ def _scaled(information: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def solve(moments: Moments, random: Integers) -> Solved:
-    """Return the estimate of the numbers. Those at the places ``random`` vary between trials.
+    """Return the estimate of the numbers. The numbers at the places ``random`` vary between trials.
 
     Raises
     ------

@@ -26,7 +26,7 @@ from pipeline.measured.identification.segments import Segments
 from pipeline.records.trials import Floats, Integers
 
 FIRST_FORCES = (1e-8, 1e-6, 1e-4, 1e-2)
-"""Variances of a random force that may be hidden from the search for the noise, relative to that of a reading."""
+"""Variances of a random force that the search for the noise may miss, relative to the variance of a reading."""
 
 FORCE_FACTOR = 10**0.5
 """Ratio of the variances of successive random forces in a search over whole segments."""
@@ -47,8 +47,8 @@ STEP_SHARE = 0.03
 """Share of the remaining search that each step reports as progress. About thirty steps are usual."""
 
 NOISE_ROUNDS = 4
-"""Largest number of searches for the noise after the steps. With a mode, each search reduced the random force to a
-tenth to a third."""
+"""Largest number of searches for the noise after the steps. With a mode, each search reduced the random force to
+between a tenth and a third."""
 
 
 def refined(

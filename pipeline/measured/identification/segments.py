@@ -31,8 +31,8 @@ GAP = 1.5
 there."""
 
 REGULAR = 0.05
-"""Largest distance of a row from an even grid, in samples, at which the rows are even and the clock scatters the time
-stamps. It is below 0.01 for real-time controllers and up to 0.3 for polling loops."""
+"""Largest distance of a row from an even grid, in samples, that is attributed to scattered time stamps of even rows. It
+is below 0.01 for real-time controllers and up to 0.3 for polling loops."""
 
 
 @dataclass(frozen=True, eq=False)
