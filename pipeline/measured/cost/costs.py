@@ -29,7 +29,7 @@ TAIL = 0.5 * (1 - CONFIDENCE)
 class Cost:
     """Cost of a trial with its 95 % interval. The value is NaN, with a reason, if the trial has no cost.
 
-    ``low`` and ``high`` are also NaN if the reading errors are not given or unknown.
+    ``low`` and ``high`` are also NaN if the reading errors are missing or unknown.
     """
 
     value: float = np.nan
@@ -158,9 +158,9 @@ def settling(
     -----
     The band is centred at x_0 + F_0/K, not at the last sample. There is no settling time for a band narrower than the
     effect of quantum and noise. The ends of the interval are the settling times for a band that is wider or narrower by
-    the error of one reading, because a single reading decides, namely the last reading outside. A larger delay shifts
-    cost index 0 and thus shortens the settling time. There is no upper end if the motion may leave the band after the
-    end of the log (`reach`).
+    the error of one reading, because only the last reading outside the band decides. A larger delay shifts cost index 0
+    and thus shortens the settling time. There is no upper end if the motion may leave the band after the end of the log
+    (`reach`).
 
     Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
     """

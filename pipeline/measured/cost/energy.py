@@ -192,13 +192,13 @@ def energy_interval(
     The cost is `EnergyTerms.summed`, corrected for bias and truncation: noise adds its variance times k^w to the sum,
     and the sum ends at the horizon. The error due to noise is propagated to first order, including the response of the
     wall to each reading error. Independent parts (noise, mass, tail) are added in quadrature, separately for each side.
-    The range of the delay is added linearly, since another delay removes or adds samples and shifts all indices. If a
-    response does not rest at its final position, its energy after the horizon is also added linearly.
+    The range of the delay is added linearly, since a different delay removes or adds samples and shifts all indices. If
+    a response does not rest at its final position, its energy after the horizon is also added linearly.
 
     There is no value if the interval is wider than `LARGEST_HALF_WIDTH`, or if noise and quantum are not small compared
     with the final displacement. For the shipped devices, 94 to 97 % of the intervals contain the cost of the ideal
     loop. With a quantum and no noise, errors of slow readings are correlated, and 90 to 97 % of the intervals contain
-    it. The interval does not include the effect of jitter on the cost, or a wrong final position.
+    this cost. The interval does not include the effect of jitter on the cost, or a wrong final position.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
@@ -351,7 +351,7 @@ def _tail(
         decay = by_halves if clear else mean
     doubt = (GROWTH_ERROR if by_growth or clear else MEAN_ERROR) * decay
     if by_growth and clear:
-        # one deviation indicates the size of the others within a factor of two
+        # one deviation indicates the size of other deviations within a factor of two
         departure = 2 * abs(by_halves - decay)
         doubt = min(doubt, 0.25 * doubt + departure + its_error)
     else:

@@ -20,7 +20,7 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.records.trials import Floats, Integers, Trial
 
 NOISES = np.linspace(1e-3, 1.0, 200)
-"""Noise relative to the quantum. Above 1, the rounding errors of readings are independent."""
+"""Values of the noise, relative to the quantum. Above 1, the rounding errors of readings are independent."""
 
 HARMONICS = np.arange(1, 201)[:, None]
 """Harmonics of the sawtooth of rounding. The omitted harmonics contain 0.3 % of its variance."""
@@ -212,7 +212,7 @@ def reading_error(
     in the log divided by F_0. An error e_i of reading i shifts reading i + j by c_j e_i, with c_0 = 1 and
     c_j = -(K h_j + B (h_j - h_{j-1})/T). The first reading is the rest position of the wall. Its error shifts all later
     readings by a constant. The variance is the sum of squares. The weights are also noisy, which adds a known variance
-    to each square; it is subtracted.
+    to each square; this variance is subtracted.
 
     All trials of an experiment are assumed to have the same sensor error. It is the pooled variance of their baselines
     plus the part of noise and rounding that is invisible at rest. Errors are assumed to be independent between
@@ -222,9 +222,10 @@ def reading_error(
     The loop may respond more strongly than its step response shows. If the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). This is visible in the motion at rest
     at the end of the log, which neither decays (`STAYS`) nor reaches `LARGEST_REST`. If this motion exceeds the
-    expected one by `EXCESS`, the part of the error through the wall is scaled to it. Trials that have not come to rest
-    use the median gain of the others. Two standard errors then cover 94 to 99 % of the readings of simulated Falcon
-    trials (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
+    expected motion by a factor of `EXCESS`, the part of the error that acts through the wall is scaled accordingly.
+    Trials that have not come to rest use the median gain of the other trials. Two standard errors then cover 94 to 99 %
+    of the readings of simulated Falcon trials (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86
+    % at 60 um.
 
     Direct effects of jitter, friction and force limits on the response are not included, since the reference is the
     same trial.
@@ -266,7 +267,7 @@ def _answers_of(
 def _answers(x: Floats, edge: int, K: float, B: float, d: int, sigma: float) -> tuple[Floats, Floats]:
     """Return the effects of reading errors through the wall, shape (4, rows), and means at the end, shape (5,).
 
-    ``x`` (rows,) are the positions relative to the final one, divided by the step [m/N, 1/Nm]. ``K`` and ``B`` are
+    ``x`` (rows,) are the positions relative to the final position, divided by the step [m/N, 1/Nm]. ``K`` and ``B`` are
     stiffness and damping per sample [N/m, Nm/rad], ``d`` is the delay [samples], and ``sigma`` is the error of a
     reading divided by the step. Row 0 of the first result contains the weights. With h_j = x_{e+j} - x_{e+j-1} for j >
     d, else 0, and the row e of the command edge,

@@ -53,10 +53,10 @@ def choose_optimum(
 
     Notes
     -----
-    Of several trials with equal cost, the one closest to the centre of their bounding box is chosen. Distances are
+    Of several trials with equal cost, the trial closest to the centre of their bounding box is chosen. Distances are
     relative to the tested ranges. The optimum is censored if no stiffer trial was tested at its damping, or if its
-    damping is the smallest or largest tested one. A smallest damping of 0 is an exception: it is the end of the useful
-    range.
+    damping is the smallest or the largest tested damping. A smallest damping of 0 is an exception: it is the end of the
+    useful range.
 
     Source: Hulin 2017, sec. 6.1.4 (maximum stiffness without overshoot) and Tables D.1 to D.6.
     """

@@ -44,8 +44,8 @@ SHARED = 0.7
 97.7 % of 1,344 simulated limits (93 to 100 %, depending on device, sensor and steps). Without it, they cover 80 %."""
 
 ROUNDS = 3
-"""Number of fits of the growth rate. The first is centred in the bracket of the verdicts, which can miss the limit by
-more than its width. Each further fit is centred at the zero of the previous one."""
+"""Number of fits of the growth rate. The first fit is centred in the bracket of the verdicts, which can miss the limit
+by more than its width. Each further fit is centred at the zero of the previous fit."""
 
 LINE_REACH = 3.0
 """Largest distance of the zero of a line from the middle of the bracket, relative to the distance of the farthest
@@ -119,16 +119,16 @@ def boundary_band(
     The growth rate of up to `NEAREST` trials is fitted over K by a parabola, or by a line for fewer than
     `FEWEST_FOR_CURVATURE` trials. The zero of the fit is the estimate. Three errors are added in quadrature: the error
     of the fit, with Student's factor; the share `SHARED` of the error of a single rate; and the error of a line due to
-    curvature. The second one accounts for sensor errors that shift all rates at one damping together.
+    curvature. The second error accounts for sensor errors that shift all rates at one damping together.
 
     The interval is restricted to the range allowed by the verdicts. This range extends from the stiffest stable trial
-    below all unstable ones to the softest unstable trial above all stable ones. Repeated trials that disagree widen it.
-    Undecided trials also widen it, unless `WITNESSES` stiffer trials overrule them. A verdict is not counted if the
-    sign of the growth contradicts it, or if the growth is within `SIGMAS` standard errors of zero and fewer than
-    `WITNESSES` trials share the verdict. If the scatter of the rates is unknown, as for two rates, the interval is the
-    allowed range. The estimate is then the interpolation of two rates or the middle of the bracket, and a zero outside
-    the range widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which depend only on the
-    verdicts.
+    below all unstable trials to the softest unstable trial above all stable trials. Repeated trials that disagree widen
+    this range. Undecided trials also widen it, unless `WITNESSES` stiffer trials overrule them. A verdict is not
+    counted if the sign of the growth contradicts it, or if the growth is within `SIGMAS` standard errors of zero and
+    fewer than `WITNESSES` trials share the verdict. If the scatter of the rates is unknown, as for two rates, the
+    interval is the allowed range. The estimate is then the interpolation of two rates or the middle of the bracket, and
+    a zero outside the range widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which depend
+    only on the verdicts.
 
     The limit is valid for walls with K >= 0. If the delay jitters, it is the limit of the loop with jitter, which
     differs from the limit for the mean delay.

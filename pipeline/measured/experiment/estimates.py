@@ -142,7 +142,7 @@ def delay_estimate(of: Experiment) -> Estimate:
             by_method=methods,
         )
     first, value, last = (float(whole) for whole in factor)
-    # eq. 6.3 does not determine the position within the period
+    # eq. 6.3 does not determine the delay within the sampling period
     return Estimate(
         value=value,
         low=first,

@@ -42,7 +42,7 @@ ANY_SPRING = "any spring that is too soft to be visible in these motions explain
 OPEN = "other parts of the device explain these logs equally well"
 
 MORE = "more logs of several sizes and directions"
-"""Remedy if no specific one is known."""
+"""Remedy if no specific remedy is known."""
 
 FEWEST_LOGS = 3
 """Smallest number of logs with a common property that is not attributed to chance."""
@@ -203,7 +203,7 @@ class IdentifiedLoop:
 
     @property
     def is_reliable(self) -> bool:
-        """Whether the loop explains enough trials for its parts to be real."""
+        """Whether the loop explains enough trials for its parts to be trusted."""
         return self.explained >= MOST * len(self.trials)
 
     @property
@@ -241,7 +241,8 @@ class IdentifiedLoop:
         return ""
 
     def estimate(self, name: str, unit: str) -> Estimate:
-        """Return a parameter as an estimate. If the loop does not have it, the estimate contains at most a bound."""
+        """Return a parameter as an estimate. If the loop does not have the parameter, the estimate contains at most a
+        bound."""
         number, count = self.interval(name) if name in self.values else None, len(self.trials)
         if why := self.why_unknown(name):
             return Estimate(value=None, unit=unit, method=METHOD, reason=why, trials=count)

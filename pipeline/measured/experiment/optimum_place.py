@@ -22,7 +22,7 @@ _TO_DEVIATION = 1.482602218505602
 
 
 def nearly_as_good(cost: Floats, stiffness: Floats, best: float, stiffest: float, free: Booleans) -> Booleans:
-    """Return whether each trial is nearly as good as the best one.
+    """Return whether each trial is nearly as good as the best trial.
 
     Parameters
     ----------
@@ -70,8 +70,8 @@ def cost_scatter(cost: Floats, stiffness: Floats, damping: Floats) -> float | No
     Notes
     -----
     For each trial and its nearest neighbours (distances in units of the tested steps), a parabola in K and B is fitted
-    to the logarithm of the cost. The residuals of a smooth map are small. In a noisy map (6.1.4), they are the noise of
-    single trials.
+    to the logarithm of the cost. The residuals of a smooth map are small. In a noisy map (6.1.4), the residuals are the
+    noise of single trials.
     """
     some = np.isfinite(cost) & (cost > 0)
     if some.sum() < NEIGHBOURS:
@@ -127,8 +127,8 @@ def stable_damping_range(boundary: Sequence[BoundaryPoint], stiffness: float, da
     Notes
     -----
     The lower ends of the limits, a lower bound of the boundary of Hulin 2017, sec. 6.1.3, are interpolated linearly.
-    The range ends at the first damping on each side where they fall to the stiffness, or at the last damping before an
-    unknown limit.
+    The range ends at the first damping on each side where the limits fall to the stiffness, or at the last damping
+    before an unknown limit.
     """
     B = np.array([point.damping for point in boundary])
     K = np.array([_lower_end(point, stiffness) for point in boundary])

@@ -82,8 +82,8 @@ def rest_forces(of: Experiment) -> RestForces:
 def rest_spring(of: Experiment) -> float:
     """Return the stiffness k [N/m, Nm/rad] of the device.
 
-    It is the declared stiffness, or otherwise the stiffness that follows from the rest positions. It is 0 if there is
-    neither.
+    It is the declared stiffness, or otherwise the stiffness that follows from the rest positions. It is 0 if neither is
+    available.
     """
     return of.spring or of.once(rest_forces).spring
 

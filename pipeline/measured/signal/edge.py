@@ -26,8 +26,8 @@ LEVEL = 0.02
 """Largest deviation from a level, relative to the step. Sensors and printed digits cause smaller deviations."""
 
 LEVEL_ROWS = 20
-"""Number of rows before and after a jump that show two levels. With a velocity over N rows, each quantum causes a
-plateau of N rows. If N is this large, the plateau is too low for a step."""
+"""Number of rows before and after a jump that are examined for two levels. With a velocity over N rows, each quantum
+causes a plateau of N rows. If N is this large, the plateau is too low for a step."""
 
 JUMP = 0.1
 """Smallest change that counts as a step or a motion, relative to the step of the log. Quanta amplified by B jump by
@@ -147,7 +147,7 @@ def _moves(trial: Trial, towards: Floats, half: float, until: int) -> bool:
 
 
 def level_before(force: Floats, row: int, step: float) -> float:
-    """Return the level of a force before a row [N, Nm], or 0 if it has no level or one close to 0."""
+    """Return the level of a force before a row [N, Nm], or 0 if it has no level, or a level close to 0."""
     near = LEVEL * abs(step)
     level = middle(force[:row]) if row > 0 else 0.0
     return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0

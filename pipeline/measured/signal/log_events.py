@@ -15,13 +15,13 @@ IMPACT = 6.0
 and the rounding to a quantum for 5 rows, the change is at most 4."""
 
 ABRUPT, REBOUNDS, LOUD = 4.0, 3, 40.0
-"""Smallest ratio of the distance in the two samples before a reversal to that in the two samples after it (at most 2.2
-for a smooth reversal), number of such reversals at one extreme that indicate a stop, and smallest distance before a
-reversal in sensor floors. Below this distance, a smooth reversal stays for several samples."""
+"""Smallest ratio of the distance in the two samples before a reversal to the distance in the two samples after it (at
+most 2.2 for a smooth reversal), number of such reversals at one extreme that indicate a stop, and smallest distance
+before a reversal in sensor floors. Below this distance, a smooth reversal stays for several samples."""
 
 BLOW = 2.0
-"""Smallest force of an impact relative to the step. Hands push with less force, whereas impacts at 0.2 m/s cause
-more."""
+"""Smallest force of an impact relative to the step. Hands push with less force, whereas impacts at 0.2 m/s cause larger
+forces."""
 
 UNMOVED_SAMPLES = LONGEST_DELAY + 2 * FEWEST_SAMPLES
 """Number of samples after the step for which a device at rest may still be waiting for the command. It is the longest
@@ -140,7 +140,7 @@ def first_clipped(trial: Trial) -> tuple[int, float]:
     if len(rows) < 2:
         return NO_ROW, largest
     departure = external_force(trial)[rows]
-    # the external force is 0 before the edge and F_0 after it: compare with the closer one
+    # the external force is 0 before the edge and F_0 after it: compare with the closer value
     departure = np.where(np.abs(departure) < np.abs(departure - trial.step), departure, departure - trial.step)
     rows = rows[-departure * np.sign(trial.command[rows]) > BENT * abs(trial.step)]
     return int(rows[0]) if len(rows) >= 2 else NO_ROW, largest
@@ -152,7 +152,7 @@ def free_samples(trial: Trial, response: Response) -> int:
     Notes
     -----
     The first movement shows one delay. After a second delay, commands from before the step have no effect. Sensor noise
-    may move a soft device before the step does, so motion below a hundredth of the largest one is ignored. A log
+    may move a soft device before the step does, so motion below a hundredth of the largest motion is ignored. A log
     without movement has no free samples.
     """
     edge = max(response.edge_row, 0)

@@ -30,7 +30,7 @@ LARGEST_WINDOWS = 256
 """Largest number of windows of a long motion, spread evenly. More windows cost time and add little information."""
 
 DYNAMIC_RANGE = LARGEST_WINDOWS * float(np.finfo(np.float64).eps)
-"""Smallest singular value that is kept, relative to the largest one (as in `numpy.linalg.matrix_rank`)."""
+"""Smallest singular value that is kept, relative to the largest singular value (as in `numpy.linalg.matrix_rank`)."""
 
 CLEAN_FRACTION = 1e-4
 """Threshold for the amplitude of a mode at the end of the motion, relative to the motion, if few modes explain the
@@ -41,12 +41,12 @@ NOISY_FRACTION = 0.3
 modes contain no information."""
 
 WIDE, NARROW = 2, 3
-"""Divisors of the length of a motion for the length of its windows (a half, a third), as two views of a noisy
-motion."""
+"""Divisors of the length of a motion that give the lengths of its windows (a half and a third), for two views of a
+noisy motion."""
 
 SINGULAR = 0.01
-"""Threshold for the smallest eigenvalue of a Gram matrix. Below it, its inverse increases rounding errors a hundred
-times or more."""
+"""Threshold for the smallest eigenvalue of a Gram matrix. Below it, the inverse of the matrix increases rounding errors
+a hundred times or more."""
 
 NO_MODES = np.empty((0, 0))
 """Empty set of directions, for a window without visible modes."""
@@ -89,7 +89,8 @@ class _Windows:
     stride : int
         Number of samples between points.
     spread : float
-        Largest singular value for unit noise, sqrt(windows) + sqrt(points). The smallest one is about sqrt(windows).
+        Largest singular value for unit noise, sqrt(windows) + sqrt(points). The smallest singular value is about
+        sqrt(windows).
     """
 
     values: Floats

@@ -1,7 +1,7 @@
 """Determine the outcome of a trial with its evidence, from the log alone.
 
 `verdict` states whether the loop is stable. The outcome states what the log shows, and whether the log is a response of
-the loop. A clipped command, a stop, a push or a missing step are not effects of stiffness and damping.
+the loop. A clipped command, a stop, a push or a missing step is not an effect of stiffness and damping.
 """
 
 from __future__ import annotations
@@ -210,7 +210,8 @@ def _end(trial: Trial, response: Response, verdict: Verdict, band: float) -> _En
     # above the level that quanta sustain, the growth rate of the verdict is more reliable than amplitude ratios
     if verdict.verdict != "undecided" and last > 2 * REST_FLOORS * response.floor:
         lasting = lasting and not abs(growth) * (trial.rows - edge) > LASTING_CHANGE
-    # an oscillation about the edge of the band leaves it occasionally, and a growing one may begin inside the band
+    # an oscillation about the edge of the band leaves the band occasionally, and a growing oscillation may begin inside
+    # it
     settled = settled and not ((lasting or verdict.verdict == "unstable") and entry >= edge + 4 * fifth)
     rests = max(fourth, last) <= AT_REST * response.floor
     elsewhere = rests and has_final and abs(offset) > band + response.floor

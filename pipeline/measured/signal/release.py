@@ -113,7 +113,7 @@ def _onset(displacement: Floats, quantum: float) -> int | None:
 
 
 def _bent(change: Floats, onset: int) -> Release:
-    """Return a release or a hit if the external force stays within half of its size from a level."""
+    """Return a release or a hit if the external force stays within half of its largest change from a level."""
     early = np.abs(change[: onset + 1])
     size = float(early.max())
     begin = int(np.argmax(early > 0.5 * size)) if size > 0 else 0

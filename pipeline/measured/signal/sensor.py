@@ -36,8 +36,8 @@ STORED_MULTIPLES = 20.0
 grid reaches the tolerance."""
 
 FEWEST_ON_GRID = 12
-"""Smallest number of changes that must lie on such a grid, also for a command. The probability that all changes of a
-continuous signal lie on it is 0.3^12 = 5e-7."""
+"""Smallest number of changes, of a position or of a command, that must lie on such a grid. The probability that all
+changes of a continuous signal lie on it is 0.3^12 = 5e-7."""
 
 DIGITS, CHANGE_DIGITS = 8.0, 2.5
 """Two limits in units of the last printed digit. Changes below the first limit are due to printing. The second limit is

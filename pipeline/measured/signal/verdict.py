@@ -163,7 +163,8 @@ def _judge(trial: Trial, response: Response, cause: _Excitation) -> Verdict:
     sized = not clean and not abs(rate) > SIGMAS * error
     change = max(SIGMAS * scatter, np.log(LEAST_FALL) / max(seen, 1))
     falls = slope < -SIGMAS * scatter
-    # a growing mode is visible once the others have decayed, so a motion that fades to its end contains none
+    # a growing mode is visible once the other modes have decayed, so a motion that fades to its end contains no such
+    # mode
     rises = slope > change if sized else rate > SIGMAS * error and (clean or not fades)
     sinks = slope < -change if sized else rate < -SIGMAS * error
     lasts = wall and not falls and _bent(trial, start, count, cause.size)
@@ -265,8 +266,8 @@ def _error(view: Growth, samples: int, noise: float) -> float:
 def _hidden(views: Views, response: Response) -> float:
     """Return the growth per sample of a component that grows within or below a decaying motion, or NaN if unknown.
 
-    Differences reveal a vibration that a slow motion hides. Their error is twice as large. Unless noise blurs it, the
-    quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
+    Differences reveal a vibration that a slow motion hides. The error of differences is twice as large. Unless noise
+    blurs it, the quantisation error is a pattern and not random. Growth must therefore exceed half a quantum.
     """
     blur = 0.0 if np.isnan(response.sensor_noise) else response.sensor_noise
     pattern = max(0.5 * response.sensor_quantum - blur, 0.0)

@@ -67,8 +67,8 @@ class MeasuredTrial:
         """Trial with even time stamps, and with forces relative to the operating point if there is no wall.
 
         Without a wall, gravity or friction at its limit balances the force before the step. Only the change of the
-        force therefore causes motion. With a wall, the rest position contains the operating point. Scattering time
-        stamps are replaced by the times of the samples that they count.
+        force therefore causes motion. With a wall, the rest position contains the operating point. Scattered time
+        stamps are replaced by the sampling times to which they belong.
         """
         trial = even(self.logged)
         level = self.response.level if trial.stiffness == 0 else 0.0
@@ -139,7 +139,7 @@ def about(response: Response, final: str) -> Response:
 
 
 class MapTrials(Protocol):
-    """Map of a function over trials of an experiment, in this process (`MeasuredTrials`) or in others."""
+    """Map of a function over trials of an experiment, in this process (`MeasuredTrials`) or in other processes."""
 
     def __call__(
         self, function: Callable[[MeasuredTrial], Result], places: Sequence[int], verdicts: Sequence[Verdict] | None

@@ -191,7 +191,7 @@ def device(of: Experiment) -> list[DeviceRow]:
 
 
 def model(of: Experiment) -> list[ModelRow]:
-    """Return mass, damping and delay of each trial, computed by one step from the common values."""
+    """Return mass, damping and delay of each trial, computed by one Newton step from the common values."""
     found, reason = of.once(identification)
     ids, hashes = (of.texts("response", name) for name in ("trial_id", "samples_sha256"))
     walls = zip(*(of.column("response", name).tolist() for name in ("stiffness", "damping")), strict=True)
@@ -212,7 +212,7 @@ def model(of: Experiment) -> list[ModelRow]:
 
 def device_row(found: Identification, remedy: str, largest_step: float) -> DeviceRow:
     """Return the identified device in stored form. ``largest_step`` [N, Nm] is from the headers, or 0."""
-    # the interval of a parameter may be wider than that of the likelihood
+    # the interval of a parameter may be wider than its interval from the likelihood
     errors = np.array([each.error for each in found.parameters.values()])
     wider = np.maximum(errors / np.sqrt(np.maximum(found.covariance.diagonal(), LEAST)), 1.0)
     covariance = found.covariance * np.outer(wider, wider)
@@ -274,7 +274,7 @@ def recording(of: MeasuredTrial) -> Recording:
 def cut(trial: Trial, edge: int, findings: Sequence[Finding]) -> Recording:
     """Return a trial, with given edge row and findings, as an input of the estimator, up to a travel stop.
 
-    A trial with a step begins shortly before the step. Of its ranges between lost rows, only the one with the most
+    A trial with a step begins shortly before the step. Of its ranges between lost rows, only the range with the most
     motion is used. Without a step, all rows are used.
     """
     last = min([trial.rows, *(finding.first_row or 0 for finding in findings if finding.severity == "cut")])

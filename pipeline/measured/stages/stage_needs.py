@@ -18,7 +18,7 @@ NEEDS: Mapping[str, tuple[str, ...]] = {
     "mass": ("response", "delay"),
     **{name: family.needs for name, family in FAMILIES.items()},
 }
-"""Dependencies of each stage, with stages in an order in which they can be computed."""
+"""Dependencies of each stage. The stages are in an order in which they can be computed."""
 
 SPRUNG = frozenset(FAMILIES)
 """Stages that use the spring of the experiment."""

@@ -33,7 +33,7 @@ ADAPTS = 0.1
 rows fit some window by chance."""
 
 FEWEST_AT_LIMIT = 3
-"""Smallest number of rows with equal changes of the command for a rate limit. Two may be equal by rounding."""
+"""Smallest number of rows with equal changes of the command for a rate limit. Two changes may be equal by rounding."""
 
 EXPLAINED = 1e-6
 """Largest relative residual of a filter's effect, in addition to rounding. A filter is either exact or wrong."""
@@ -60,7 +60,7 @@ class Departure:
 Departures = tuple[Departure, ...]
 
 Law = Callable[[LogRows], Departures | None]
-"""Candidate, which is a function that returns the departures of a log."""
+"""Candidate: a function that returns the departures of a log."""
 
 
 def explanation(log: LogRows) -> Departures | None:
@@ -216,7 +216,7 @@ def _other_unit(log: LogRows) -> Departures | None:
     terms = np.stack([log.step * log.after, -log.wall], axis=1)
     step, wall = map(float, values := least_squares(terms, log.command))
     rest = log.command - terms @ values
-    # commands above 1/20 of the largest one contain 9/10 of the sum of squares, which suffices for a factor
+    # commands above 1/20 of the largest command contain 9/10 of the sum of squares, which is enough for a factor
     shown = wall and np.abs(wall * terms[:, 1]).max() > 0.05 * np.abs(log.command).max(initial=0.0)
     power = 10.0 ** np.rint(np.log10(abs(wall))) if shown else 1.0
     if power == 1.0 or abs(abs(wall) / power - 1) > SCALE_TOLERANCE or rest @ rest > 0.1 * (log.command @ log.command):
@@ -344,6 +344,6 @@ CANDIDATES: tuple[Law, ...] = (
 )
 """Candidates in the order of the number of their free parameters.
 
-The first have no free parameter, the next have one (a limit or a constant) or three, and the last have those of a
-filter.
+The first candidates have no free parameter, the next have one (a limit or a constant) or three, and the last have the
+parameters of a filter.
 """

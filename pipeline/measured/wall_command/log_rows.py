@@ -72,8 +72,8 @@ def printed(values: Floats) -> Printed:
 
     Notes
     -----
-    With a fixed number of decimals, smaller numbers have fewer significant digits. The coarser of both resolutions is
-    used. No number is more accurate than `FULL_DIGITS` digits.
+    With a fixed number of decimals, smaller numbers have fewer significant digits. The coarser of the two resolutions
+    is used. No number is more accurate than `FULL_DIGITS` digits.
     """
     result = _printed(np.abs(values))
     if not result.in_full:

@@ -28,7 +28,7 @@ ROUNDED_CUTOFF = 2.0
 """Largest residual, in rounding units, of a filter with a cut-off of `SET_DIGITS` digits."""
 
 FITTED_ROWS = 400
-"""Number of rows from the edge to which a filter is fitted. Ten are sufficient, since there is no noise."""
+"""Number of rows from the edge to which a filter is fitted. Ten rows are sufficient, since there is no noise."""
 
 
 @dataclass(frozen=True)

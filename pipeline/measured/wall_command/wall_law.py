@@ -44,7 +44,7 @@ class WallLaw:
     rounding : float
         Largest residual that rounding of the printed numbers can cause, relative to |F_0|.
     departures : tuple of Departure
-        Reasons for a larger residual, the most certain one first. The tuple is empty if the law is obeyed.
+        Reasons for a larger residual, the most certain reason first. The tuple is empty if the law is obeyed.
     account : Account, optional
         Explanation of the rows, if the log was examined row by row.
     """
@@ -175,7 +175,7 @@ def account(log: LogRows) -> Account:
 def _departures(rows: Account, log: LogRows) -> Iterator[Departure]:
     """Yield the departures from the law.
 
-    Those of the stamps come first, followed by those of the rows and of the law.
+    Departures of the stamps come first, followed by departures of the rows and of the law.
     """
     if rows.departures and rows.departures[0].code == "decimated_rows":
         yield from rows.departures  # both time stamps and header may be correct

@@ -85,7 +85,7 @@ def test_a_force_that_does_not_follow_the_command_identifies_no_drive(logs):
     drive = identified_drive(strange)
     assert drive.reason.startswith("The measured force does not follow the command")
     opposite = identified_drive([replace(each, force=-each.force) for each in logs])
-    assert "opposite sign" in opposite.reason
+    assert "sign is opposite" in opposite.reason
 
 
 def test_without_a_drive_nothing_is_known_per_unit_of_the_command(logs):
